@@ -1,7 +1,7 @@
 """Step 2: object programs, the SDK that they call, the sandbox that runs them, and their checks.
 
-Names are resolved on first use, so that a program that imports `neoworld_mjx.program.sdk` under
-plain Python loads no sandbox.
+The names are imported on first use, so that a program that imports `neoworld_mjx.program.sdk` under
+plain Python does not load the sandbox.
 """
 
 from typing import TYPE_CHECKING

@@ -18,8 +18,8 @@ from .subject import (
     view_in_words,
 )
 
-# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
-# these very ones.
+# Titles, docstrings and descriptions of response schemas are part of the requests, and tapes match
+# only these exact requests.
 
 
 class ProgramResponse(BaseModel):
@@ -84,7 +84,7 @@ This is the {file} program, which was run, checked and accepted:
 
 
 class StageInput(NamedTuple):
-    """Stage that a request is for, and the accepted texts of earlier stages."""
+    """Stage of a request, and the accepted texts of earlier stages."""
 
     file: str = "program"
     """Name of the stage: program, or geometry, articulation, export."""
@@ -105,16 +105,16 @@ def repair_request(
     signals: Sequence[Signal],
     earlier: Sequence[Signal] | None = None,
 ) -> Request[ProgramResponse]:
-    """Return the request for a program without the signals of the last one.
+    """Return the request to repair a program that has `signals`.
 
-    With `earlier`, the signals of the program before it, the request marks which signals are new
-    and which remain, and lists the codes of the repaired ones.
+    With `earlier`, the signals of the previous program, the request marks signals as new or
+    remaining, and lists the codes of the repaired ones.
     """
     known = {signal.identity for signal in earlier or ()}
     lines = []
     for signal in signals:
-        again = "(still) " if signal.identity in known else "(new) " if known else ""
-        lines.append(f"- {again}{signal.phrase()}")
+        mark = "(still) " if signal.identity in known else "(new) " if known else ""
+        lines.append(f"- {mark}{signal.phrase()}")
     repaired = known - {signal.identity for signal in signals}
     if repaired:
         codes = sorted({str(identity[0]) for identity in repaired})
@@ -130,7 +130,7 @@ def revise_request(
     program: str,
     critiques: Sequence[Critique],
 ) -> Request[ProgramResponse]:
-    """Return the request for a program without the faults that the critics report."""
+    """Return the request to revise a program according to the critics' faults."""
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
         for critique in critiques

@@ -67,7 +67,7 @@ def assemble(
 
 
 def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
-    """Round positions to 1e-9 m and quaternions to 1e-12, as processors differ beyond that."""
+    """Round positions to 1e-9 m and quaternions to 1e-12; processors differ in further digits."""
 
     def rounded(model: Any, update: dict[str, Any], **digits: int) -> Any:
         for field, count in digits.items():
@@ -90,7 +90,7 @@ def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
 
 
 def _structure(obj: Object) -> list[Signal]:
-    """Return errors of the tree of parts: no part, empty or unattached parts, cycles of joints."""
+    """Return the errors of the part tree: no parts, empty or unattached parts, cycles of joints."""
     if not obj._parts:
         hint = "make one with .part(name) and .add shapes to it"
         return [error_signal("no_parts", f"object {obj.name!r} has no parts", hint=hint)]
@@ -121,7 +121,7 @@ def _structure(obj: Object) -> list[Signal]:
 
 
 def _with_losses(joint: S.JointSpec, authored: dict[str, object], child: S.Inertial) -> S.JointSpec:
-    """Set the damping and dry friction that the program does not, from the child's mass."""
+    """Set the damping and dry friction that the program leaves unset, from the child's mass."""
     if joint.type == "fixed":
         return joint
     values = dict(zip(("damping", "friction"), default_losses(joint, child), strict=True))

@@ -12,13 +12,13 @@ from .sandbox import BuildResult
 
 Size = tuple[float, float, float]
 UNJUDGED = 5.0
-"""Critic's score of a program without a critique."""
+"""Score of a program that no critic has scored."""
 
 
 def joined(texts: Mapping[str, str]) -> str:
-    """Return the program that the texts of the stages form together, in order.
+    """Join the texts of the stages, in order, into one program.
 
-    A later text continues the one before it and uses its names. A single text is unchanged.
+    Each text may use names that earlier ones define. A single text is returned unchanged.
     """
     if len(texts) == 1:
         return next(iter(texts.values()))
@@ -30,27 +30,27 @@ class ProgramAttempt:
     """A program's text with the results of its checks and its critiques."""
 
     stage: str
-    """Origin: "program", "debug" or "revise", or "support" for a program without a model."""
+    """Origin: "program", "debug" or "revise", or "support" for one written without a model."""
     text: str
     built: BuildResult
     notes: str = ""
     critiques: Mapping[str, Critique] = field(default_factory=dict)
     """Critiques by critic: geometry, articulation, export."""
     size: Size | None = None
-    """Edges of the box [m] that it should fill; None for the parsed ones."""
+    """Edges of the box [m] that the object should fill; None for the parsed box."""
     before: Mapping[str, str] = field(default_factory=dict)
-    """Accepted texts of the stages before, by stage."""
+    """Accepted texts of the earlier stages, by stage."""
     file: str = "program"
     """Name of its stage: program, or geometry, articulation, export."""
 
     @property
     def texts(self) -> dict[str, str]:
-        """Texts up to this one, by stage."""
+        """Texts of the stages up to and including this one, by stage."""
         return {**self.before, self.file: self.text}
 
     @property
     def score(self) -> float:
-        """Critics' score, 0 to 10, minus one point per error and minus deviations of size."""
+        """Critics' score, 0 to 10, minus one point per error and the edges' relative errors."""
         if self.built.spec is None:
             return 0.0
         score = mean_score(self.critiques) if self.critiques else UNJUDGED
@@ -84,7 +84,7 @@ class ProgramAttempt:
 
 @dataclass(frozen=True)
 class SynthesisResult:
-    """The result of a synthesis."""
+    """Result of the synthesis of an object's program."""
 
     spec: ObjectSpec | None
     texts: Mapping[str, str]
@@ -106,14 +106,14 @@ class SynthesisResult:
 
     @property
     def reason(self) -> str:
-        """Reason for the lack of an object, in one line; empty if there is one."""
+        """One-line reason that there is no object; empty if there is one."""
         if self.spec is not None:
             return ""
         signals = self.rounds[-1].built.signals if self.rounds else ()
         first = next((s.phrase() for s in signals if s.severity == "error"), "no program")
         return (
-            f"no program of {len(self.rounds)} could be built; the last: {first}; --resume with a "
-            "higher program.debug_rounds asks for another"
+            f"none of {len(self.rounds)} programs could be built; the last failed with: {first}; "
+            "to request more, use --resume with a higher program.debug_rounds"
         )
 
     def to_json(self) -> str:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 _POLL_S = 0.05
 _AGAIN_S = 1.0
-"""Processor time after which a call that continues is interrupted again: Python ignores exceptions
-in the callbacks of its garbage collector."""
+"""Processor time [s] after which a call that is still running is interrupted again: Python ignores
+exceptions raised in callbacks of its garbage collector."""
 
 
 class CallInterrupted(BaseException):
@@ -40,7 +40,7 @@ class CallClock:
         self.worker_killed = False
 
     def watch_worker(self, pid: int | None, limit_s: float = float("inf")) -> None:
-        """Count the processor time of a worker process from here on, and kill it at the limit."""
+        """Count the processor time of a worker process from now on, and kill it at the limit."""
         used = None if pid is None else process_time(pid)
         if pid is not None and used is not None:
             self._worker, self.worker_s = (pid, used, limit_s), 0.0

@@ -11,9 +11,10 @@ from ..spec import ObjectSpec, TreeNode
 from ..spec.fit_to_box import fit_to_box
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
-"""Relative deviation of an edge from the parsed one, after the best uniform scale."""
+"""Limits of an edge's relative deviation from the parsed one, after the best uniform scaling."""
 SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
-"""Relative deviation of the uniform scale; composition scales the object, walls included."""
+"""Limits of the uniform scale's relative deviation from 1; composition scales the object, including
+its wall thickness."""
 _OF_SIZE = ("proportions", "wrong_size")
 
 
@@ -63,7 +64,7 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
 def fit_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield the differences between parts without joints and their parsed node.
 
-    A box that was measured with parts open is not compared, as these have no joints yet.
+    A box that was measured with open parts is not compared: without joints, these cannot open.
     """
     opened = any(part.opening for part in node.articulation)
     skipped = ("missing_joint", *(_OF_SIZE if opened else ()))
@@ -90,19 +91,19 @@ def _opened(node: TreeNode) -> str:
     return f", with {', '.join(parts)} open as in the photo," if parts else ""
 
 
-def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield parts and joints that a revised program lost and that `removed` does not mention.
+def lost_parts(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield an error for lost parts or joints of a revised program that `removed` does not mention.
 
-    A renamed part or joint counts as kept.
+    Renamed parts and joints are not lost.
     """
-    kinds = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
+    groups = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
     for kind in ("revolute", "continuous", "prismatic"):
         old, new = (
             [joint.name for joint in spec.joints if joint.type == kind] for spec in (before, after)
         )
-        kinds.append((f"{kind} joint", old, new))
+        groups.append((f"{kind} joint", old, new))
     mentioned = " ".join(removed)
-    for kind, old, new in kinds:
+    for kind, old, new in groups:
         missing = [name for name in old if name not in new]
         unexplained = [name for name in missing if name not in mentioned]
         if unexplained and len(old) - len(new) > len(missing) - len(unexplained):

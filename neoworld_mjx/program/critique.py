@@ -14,8 +14,8 @@ Decision = Literal["accept", "revise"]
 
 _WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2, "masses": 0.1, "dynamics": 0.1}
 
-# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
-# these very ones.
+# Titles, docstrings and descriptions of response schemas are part of the requests, and tapes match
+# only these exact requests.
 
 
 class ProgramFault(BaseModel):
@@ -107,8 +107,8 @@ def critic_request(
     """
     low, high = bounds(spec)
     links = [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]
-    words = {"geometry": _GEOMETRY, "articulation": _ARTICULATION, "export": _EXPORT}[critic]
-    made = words.format(
+    template = {"geometry": _GEOMETRY, "articulation": _ARTICULATION, "export": _EXPORT}[critic]
+    measures = template.format(
         measured=_edges(node.box3d.size),
         size=_edges((high - low).tolist()),
         parts=", ".join(part.name for part in spec.parts),
@@ -120,7 +120,7 @@ def critic_request(
         description=node.description,
         moving=moving_parts(node),
         posed=tilt_in_words(node, _LEANS),
-        made=made,
+        made=measures,
     )
     system = package_text(__package__, f"{critic}_critic")
     name = f"judge-{critic}:{node.name}"
@@ -140,12 +140,12 @@ def mean_score(critiques: Mapping[str, Critique]) -> float:
 
 
 def accepts(critique: Critique) -> bool:
-    """Return True if a critic accepts a program by its verdict, or names no change."""
+    """Return True if the critic's verdict is "accept", or if it requests no change."""
     return critique.verdict == "accept" or not (critique.faults or corrected_box(critique))
 
 
 def corrected_box(critique: Critique) -> list[float] | None:
-    """Return the edges [m] of the box by which a critic replaces the measured ones."""
+    """Return the edges [m] of the critic's corrected box, None without a correction."""
     return critique.box if isinstance(critique, GeometryCritique) else None
 
 

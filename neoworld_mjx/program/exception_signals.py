@@ -1,4 +1,4 @@
-"""Error signals of programs, and their conversion from exceptions."""
+"""Conversion of exceptions in programs into error signals."""
 
 from ..checks.signals import Signal, error_signal
 from .session import LimitExceeded, Session

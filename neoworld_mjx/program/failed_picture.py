@@ -18,16 +18,16 @@ from ..spec.object import Material
 from ..spec.pose import Pose
 
 FAILED = "failed.png"
-"""Name of the picture in the folder of a build."""
+"""Name of the picture's file in a build's folder."""
 RED, GHOST_ALPHA, SECTORS = (0.86, 0.08, 0.08, 1.0), 0.3, 24
 _MARK = "overlap_mark"
-_LEAST_M3 = 1e-12
+_MIN_VOLUME_M3 = 1e-12
 
 
 def failed_picture(
     spec: ObjectSpec, options: ProgramOptions, allowances: tuple[Allowance, ...] = ()
 ) -> bytes:
-    """Return a PNG of an object, see-through with the overlap in red if parts overlap too deeply.
+    """Return a PNG of an object, transparent with red overlaps if parts overlap too deeply.
 
     Joints are in the state of the deepest overlap, or closed if nothing overlaps.
     """
@@ -73,7 +73,7 @@ def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Me
                 continue
             hulls = [manifold3d.Manifold.hull_points(points) for points in (one, other)]
             shared = hulls[0] ^ hulls[1]
-            if shared.volume() < _LEAST_M3:
+            if shared.volume() < _MIN_VOLUME_M3:
                 continue
             triangles = shared.to_mesh64()
             vertices = np.asarray(triangles.vert_properties)[:, :3].tolist()
@@ -83,9 +83,9 @@ def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Me
     return meshes
 
 
-def _hulls(part: PartSpec, at: Pose) -> list[NDArray]:
+def _hulls(part: PartSpec, pose: Pose) -> list[NDArray]:
     """Return the corners [n, 3] m of each of a part's convex pieces in the object's frame."""
-    return [at.then(local).apply(_corners(piece)) for _, piece, local in pieces(part)]
+    return [pose.then(local).apply(_corners(piece)) for _, piece, local in pieces(part)]
 
 
 def _corners(piece: Piece) -> NDArray:
@@ -97,19 +97,19 @@ def _corners(piece: Piece) -> NDArray:
 
 
 def _marked(spec: ObjectSpec, marks: list[Mesh], state: State) -> ObjectSpec:
-    """Return the object see-through, with the overlap meshes on its first part."""
-    ghosts = tuple(
+    """Return a transparent copy of the object, with the overlap meshes on its first part."""
+    transparent = tuple(
         material.model_copy(update={"rgba": (*material.rgba[:3], GHOST_ALPHA), "pattern": None})
         for material in spec.materials
     )
     root = spec.parts[0]
-    back = link_poses(spec, state)[root.name].inverse()
+    to_root = link_poses(spec, state)[root.name].inverse()
     red = tuple(
         GeomSpec(
             name=f"{_MARK}_{k}",
             shape=mesh,
-            pos=tuple(back.pos.tolist()),
-            quat=tuple(back.quat.tolist()),
+            pos=tuple(to_root.pos.tolist()),
+            quat=tuple(to_root.quat.tolist()),
             material=_MARK,
             role="visual",
         )
@@ -117,4 +117,6 @@ def _marked(spec: ObjectSpec, marks: list[Mesh], state: State) -> ObjectSpec:
     )
     first = root.model_copy(update={"geoms": (*root.geoms, *red)})
     mark = Material(name=_MARK, density=1000.0, rgba=RED)
-    return spec.model_copy(update={"materials": (*ghosts, mark), "parts": (first, *spec.parts[1:])})
+    return spec.model_copy(
+        update={"materials": (*transparent, mark), "parts": (first, *spec.parts[1:])}
+    )

@@ -16,14 +16,14 @@ _HINGES = {
 }
 """Anchor, axis and default opening angle [rad] of a door's hinge, by its edge.
 
-Beyond this angle the door would enter the frame beside its hinge.
+At a larger angle the door would penetrate the frame next to its hinge.
 """
 DOOR_GAP_M = 0.0005
 """Gap between a door and the front that it covers."""
 TRAY_GAP_M = 0.0005
 """Gap under a drawer's tray."""
 TRAVEL = 0.75
-"""Default travel of a drawer, over its depth."""
+"""Default travel of a drawer, as a fraction of its depth."""
 
 
 @no_type_check
@@ -45,17 +45,17 @@ class Furniture(ObjectJoints):
         after: After = None,
         material: str | None = None,
     ) -> Part:
-        """Hang a flat door, or a flap, before a front that lies in the plane x.
+        """Hang a flat door or flap in front of the plane x.
 
         Args:
             name: name of the part; its joint is called <name>_hinge.
             parent: part that the door hangs on.
-            x: plane on whose +x side the door stands.
+            x: plane of the front; the door hangs on its +x side.
             y: (low, high) of the area that it covers.
             z: (low, high) of the area that it covers.
             hinge: edge that it turns about: "left" (+y), "right" (-y), "top" or "bottom".
-            thickness: along x.
-            gap: left free at all four edges.
+            thickness: thickness along x.
+            gap: clearance at all four edges.
             opens: angle when fully open [rad]; by default 1.57 at the sides, 1.5 above and below.
             after: what must be open first, as for `revolute`.
             material: the parent's by default.
@@ -109,7 +109,7 @@ class Furniture(ObjectJoints):
         after: After = None,
         material: str | None = None,
     ) -> Part:
-        """Put a drawer into an opening: a tray behind the plane x and a front before it.
+        """Put a drawer into an opening: a tray behind the plane x and a front panel before it.
 
         Args:
             name: name of the part; its joint is called <name>_slide.
@@ -119,10 +119,10 @@ class Furniture(ObjectJoints):
             z: (low, high) of the opening; the tray runs on its floor.
             depth: depth of the tray, back from x.
             wall: thickness of the tray's walls.
-            front: thickness of the front, before x.
-            overlay: overlap of the front over the frame on all sides; 0 leaves a gap instead.
-            gap: left free beside and above the tray.
-            travel: distance that it comes out; three quarters of its depth by default.
+            front: thickness of the front panel.
+            overlay: overlap of the front panel over the frame on all sides; 0 leaves a gap instead.
+            gap: clearance at the sides and above the tray.
+            travel: distance that the drawer opens; three quarters of its depth by default.
             after: what must be open first, as for `revolute`.
             material: the parent's by default.
         """
@@ -177,7 +177,7 @@ class Furniture(ObjectJoints):
         material: str | None = None,
         name: str | None = None,
     ) -> Geom:
-        """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], its top at z."""
+        """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], with its top at z."""
         self._check_part(parent, "shelf: parent")
         (back, depth), (right, width) = _span(x, "shelf: x"), _span(y, "shelf: y")
         top = validate.number(z, "shelf: z", validate.MAX_COORDINATE_M)

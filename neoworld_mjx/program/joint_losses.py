@@ -7,9 +7,9 @@ from ..spec.mass import inertia_about
 
 GRAVITY = 9.81
 SETTLING_S = 0.4
-"""Time constant with which a joint loses its speed."""
+"""Time constant [s] with which damping slows down a joint."""
 TURNING_FRICTION, SLIDING_FRICTION = 0.02, 0.1
-"""Dry friction over weight times moment arm, and over weight."""
+"""Dry friction, as a fraction of weight times moment arm and of weight."""
 
 
 def default_losses(joint: JointSpec, child: Inertial) -> tuple[float, float]:

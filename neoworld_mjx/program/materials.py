@@ -6,11 +6,11 @@ Densities are of the bulk solid, rounded, from the CRC Handbook of Chemistry and
 glass, stone, polymers), the USDA Wood Handbook FPL-GTR-282 table 5-3 (wood at 12 % moisture) and
 the FAO/INFOODS Density Database 2.0 (food). Frictions are dry sliding coefficients against a wooden
 or lacquered top, from the Engineering ToolBox tables of friction coefficients, rounded to 0.05;
-surface finish moves them by a third either way. Colours are plain choices.
+the surface finish changes them by up to a third. Colors are typical ones.
 
-"insulated" is the wall of an appliance as a whole: two sheets of steel of 0.5 mm with 39 mm of
-rigid polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; makers of such panels
-(Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
+"insulated" is the whole wall of an appliance: two sheets of steel of 0.5 mm with 39 mm of
+rigid polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; manufacturers of such
+panels (Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
 """
 
 from typing import Any
@@ -119,9 +119,10 @@ def stated_finish(
 
 
 def inherited_finish(base: Material, name: str) -> dict[str, Any]:
-    """Return the finish that a material takes over from `base`.
+    """Return the finish that a material inherits from `base`.
 
-    It has none of its own if its name does not name a known material: "seat", like oak.
+    It inherits none if its own name implies a finish, or if the name of `base` does not: "seat"
+    inherits from "oak", "steel_seat" does not.
     """
     if named_finish(name) or not named_finish(base.name):
         return {}

@@ -43,9 +43,10 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
 
 _START_S, _GRACE_S = 10.0, 0.5
 _STARVED = 0.25
-"""Processor time over the time limit below which a worker that timed out runs once more."""
+"""Fraction of the time limit: a worker that timed out with less processor time runs once more."""
 _PATIENCE = 30.0
-"""Wall time of the second run over the limit, which then applies to processor time."""
+"""Wall time limit of the second run, as a multiple of the time limit; that one then bounds the
+processor time."""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
 _PROPERTIES = {
@@ -114,7 +115,7 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
 
 
 class Starved(Exception):
-    """A program timed out on a machine too busy to run it, so that its time proves nothing."""
+    """A program timed out because the machine was too busy to run it."""
 
 
 def run_sandboxed(

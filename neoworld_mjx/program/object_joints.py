@@ -1,4 +1,4 @@
-"""Joints of the object that a program creates; anchors and directions may be words."""
+"""Joints of a program's object, at anchors and along directions that may be given by name."""
 
 import math
 from collections.abc import Sequence
@@ -61,9 +61,9 @@ class ObjectJoints:
         the axis so that positive angles move the child away from its parent.
         Damping [N m s/rad] and friction [N m] default to values from the child's inertia and
         weight. With `mimic` the joint follows another one: multiplier * q + offset.
-        `after` names what must be open first, doors or their joints: a rack's is its door. `opens`
-        is the direction in which the child's center starts to move, such as "front"; the compile
-        checks compare it with the axis.
+        `after` names the parts or joints that must be open first: for a dishwasher's rack the door.
+        `opens` is the direction in which the child's center starts to move, such as "front"; the
+        compile checks compare it with the axis.
         """
         return self._join("revolute", name, parent, child, call_arguments(locals()))
 

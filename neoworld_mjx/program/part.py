@@ -142,7 +142,7 @@ class Part:
 
 
 def extent_of(parts: Sequence[Part]) -> Bounds | None:
-    """Return the bounding box of the shapes of parts so far, None if they have none."""
+    """Return the bounding box of all shapes of parts so far, None if there are none."""
     boxes = [geom._bounds for part in parts for geom in part._geoms]
     return enclosing(boxes) if boxes else None
 
@@ -166,12 +166,12 @@ class Joint:
         effort: float | None = None,
         velocity: float | None = None,
     ) -> None:
-        """Set losses and limits of the joint; values that are not given stay.
+        """Set losses and limits of the joint; omitted values stay unchanged.
 
         Args:
-            damping: [N m s/rad], or [N s/m] of a slide.
+            damping: damping [N m s/rad], or [N s/m] of a slide.
             friction: dry friction [N m or N].
-            stiffness: of a spring towards 0 [N m/rad or N/m].
+            stiffness: spring stiffness towards 0 [N m/rad or N/m].
             effort: largest torque or force of a drive [N m or N].
             velocity: largest speed [rad/s or m/s].
         """

@@ -52,9 +52,9 @@ def mirror(
 
     Args:
         points: one point (x, y, z), or a list of them.
-        across: the direction that the plane stands on: "x" (front and back change), "y" (left and
+        across: normal of the plane: "x" (front and back change), "y" (left and
             right) or "z" (top and bottom).
-        at: where on that axis the plane lies. A point on the plane has no image.
+        at: position of the plane on that axis. A point on the plane has no image.
     """
     if across not in ("x", "y", "z"):
         raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.shown(across)}")

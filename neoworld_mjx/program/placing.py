@@ -74,7 +74,7 @@ def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, con
         at: point in the object's frame [3] m.
         rpy: fixed-axis roll, pitch and yaw [3] rad.
         by: anchor of the rotated shape's bounding box; empty for its origin.
-        context: name of the call in messages.
+        context: name of the call, for messages.
     """
     position = np.array(validate.vector(at, f"{context}: at"))
     rotation = from_rpy(*validate.rotation(rpy, f"{context}: rpy"))
@@ -155,7 +155,7 @@ def hinge_of(
         others: bounding box of the parts that it is attached to and opens away from; None opens
             it to the front, the left or upwards.
         where: anchor such as "left.hinge".
-        argument: name of the anchor's argument in messages.
+        argument: name of the anchor's argument, for messages.
 
     Returns:
         Center of the edge [3] m, and the axis [3] about which positive angles open.

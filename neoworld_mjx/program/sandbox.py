@@ -1,4 +1,4 @@
-"""Execution of a program's text, and the checks of its object; no program makes them raise.
+"""Execution of a program's text, and the checks of its object; faults of programs become signals.
 
 Programs call the SDK. `monty`, the default, runs them in a sandbox; `cpython` runs them in this
 process without isolation, for your own programs only. The same text gives the same object, to the
@@ -35,7 +35,7 @@ class BuildResult:
     signals: tuple[Signal, ...] = ()
     printed: str = ""
     lines: dict[str, int] = field(default_factory=dict)
-    """The program's line of each part and joint, by "part:door" or "joint:hinge"."""
+    """Line of the program that creates each part and joint, by "part:door" or "joint:hinge"."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
     seconds: float = 0.0
@@ -59,7 +59,7 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     start = time.monotonic()
     try:
         signals = check(result.spec, options, result.lines, result.allowances)
-    except Exception as error:  # A check that fails becomes a signal, too.
+    except Exception as error:  # A check that raises becomes a signal.
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
         signals = (error_signal("internal", message),)
     seconds = result.seconds + time.monotonic() - start
@@ -97,7 +97,7 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
             if not has_errors(errors):
                 spec, structure = assemble(session.objects, loose=loose)
                 errors = [*errors, *structure]
-        except Exception as error:  # Any failure becomes a signal here.
+        except Exception as error:
             message = f"{type(error).__name__}: {error}"[:500]
             hint = "this is a fault of the SDK, not of the program"
             errors = [error_signal("internal", message, hint=hint)]
@@ -125,7 +125,7 @@ def _run_in_worker(
     except Starved:
         printed, errors, patient = "", [], True
     timed_out = session.exceeded is not None and session.exceeded.code == "timeout"
-    # Virtual machines count pauses as a thread's time, so one slow run proves nothing.
+    # Virtual machines count pauses as a thread's time, so a single timeout is not conclusive.
     if patient or timed_out:
         session = _session(options)
         printed, errors = run_sandboxed(text, session, options, patient=patient)
@@ -150,10 +150,10 @@ def _load_shapes() -> None:
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
     """Return the error of a text that no sandbox can run."""
-    size, most = len(text.encode("utf-8", "replace")), options.max_text_bytes
-    if size > most:
+    size, limit = len(text.encode("utf-8", "replace")), options.max_text_bytes
+    if size > limit:
         message = "the program's text is too long"
-        return [error_signal("too_long", message, value=size, threshold=most)]
+        return [error_signal("too_long", message, value=size, threshold=limit)]
     if "\0" in text:
         return [error_signal("syntax", "the text holds a NUL character")]
     try:

@@ -2,9 +2,9 @@
 
 A program creates one `Object`, gives it parts, adds shapes to them and joins them. All coordinates
 are in the frame of the object at rest, in metres and radians: +x front, +y left, +z up. The program
-chooses the origin; the build moves it to the center of the bounding box's bottom face. Wrong
-arguments raise ValueError or TypeError at the call; checks of the whole object give signals of
-`neoworld_mjx.program.build`. Programs are type-checked against `sdk.pyi`, which
+chooses the origin; the build moves it to the center of the bounding box's bottom face. Invalid
+arguments raise ValueError or TypeError at the call; `neoworld_mjx.program.build` reports signals of
+the whole object. Programs are type-checked against `sdk.pyi`, which
 `python -m neoworld_mjx.program.stubs --write` generates from the signatures.
 """
 

@@ -60,14 +60,14 @@ class Object(Furniture):
         Args:
             name: name of the material.
             like: a named material, or one defined before.
-            density: [kg/m^3].
+            density: density [kg/m^3].
             friction: sliding friction coefficient.
             rgb: colour, each from 0 to 1.
             alpha: opacity, from 0 to 1.
             pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave" or
                 "brushed".
             rgb2: colour of the pattern's joints, veins, speckles or gaps.
-            step: width of a board, edge of a tile, height of a brick, distance of veins, ... [m].
+            step: width of a board, edge of a tile, height of a brick, spacing of veins, ... [m].
             along: axis of a face along which boards run, its first or its second.
             metallic: from 0 to 1; by default that of the material in the name ("steel").
             roughness: from 0 (a mirror) to 1; by default that of the material in the name.
@@ -102,7 +102,7 @@ class Object(Furniture):
         Args:
             name: unique in the object.
             material: default material of its shapes.
-            mass: [kg]; by default it follows from volume and density.
+            mass: mass [kg]; by default from volume and density.
         """
         label = validate.name(name, "part name")
         validate.unused(label, "part", [part.name for part in self._parts])
@@ -150,7 +150,7 @@ class Object(Furniture):
         return material
 
     def _shade(self, name: str | None, rgb: Sequence[float] | None, context: str) -> str:
-        """Return the name of a material in a color of its own, defined on first use."""
+        """Return the name of a material, recolored if `rgb` is given; define it on first use."""
         if name is None:
             raise ValueError(f"{context}: needs material=, as the part has none of its own")
         base = self._known_material(name, context)

@@ -1,4 +1,4 @@
-"""Names of the types that programs pass to the SDK."""
+"""Type aliases of the SDK's arguments."""
 
 from typing import Literal
 

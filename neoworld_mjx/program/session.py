@@ -19,7 +19,7 @@ MAX_WARNINGS = 20
 
 
 class LimitExceeded(Exception):
-    """A program exceeded a limit; the sandbox ends it, whatever the program catches."""
+    """A program exceeded a limit; the sandbox ends it even if it catches this exception."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -31,11 +31,11 @@ class Session:
     """Objects, limits and counts of one run."""
 
     max_seconds: float = float("inf")
-    """Most processor time [s] for the work of the SDK."""
+    """Limit of the processor time [s] of SDK calls."""
     max_parts: int = 300
     max_geoms: int = 3000
     max_pieces: int = 4000
-    """Most convex pieces of all shapes together."""
+    """Limit of the convex pieces of all shapes together."""
     filename: str | None = None
     """Name under which CPython runs the program's text; None in the sandbox."""
     line: int | None = None
@@ -60,7 +60,7 @@ class Session:
             self.stop("too_big", f"the object needs over {limit} {resource}")
 
     def stop(self, code: str, message: str) -> None:
-        """End the program here and at every later call."""
+        """Raise LimitExceeded, now and at every later call."""
         self.exceeded = self.exceeded or LimitExceeded(code, message)
         raise self.exceeded
 
@@ -101,7 +101,7 @@ def current() -> Session:
 
 
 def running() -> Session | None:
-    """Return the session that runs now, if any."""
+    """Return the current session, or None."""
     return _current.get()
 
 

@@ -22,7 +22,7 @@ Point3 = tuple[float, float, float]
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
 _CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
-"""Weights of four successive points, by the power of the position between the inner two."""
+"""Weights of four successive points, for each power of the position between the inner two."""
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -65,7 +65,7 @@ def prism(outline: Sequence[Point2], height: float) -> Shape:
 
 @no_type_check
 def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape:
-    """Make a box of walls of one thickness, centred, with the named faces left open."""
+    """Make a hollow box with walls of one thickness, centred, with the named faces left open."""
     faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
         if face not in _FACES:
@@ -185,7 +185,7 @@ def sweep(
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
     """Make a ring around z, or the part of it that spans `arc` [rad] about its +x side, centred.
 
-    `radius` reaches to the center of the bar, `tube` is the radius of the bar.
+    `radius` is measured to the center of the bar, `tube` is the radius of the bar.
     """
     big, small = validate.length(radius, "torus radius"), validate.length(tube, "torus tube")
     span = validate.number(arc, "torus arc", 7.0)
@@ -249,7 +249,7 @@ def panel(
     holes: Sequence[Sequence[float]] = (),
     sectors: int = 16,
 ) -> Shape:
-    """Make a flat board of `size` (x, y), along z, centred, with holes through it.
+    """Make a flat board of `size` (x, y), with `thickness` along z, centred, with through holes.
 
     A hole is (x, y, radius), or (x, y, width, depth) of a rectangle, about its center.
     """
@@ -284,7 +284,7 @@ def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
 def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
     """Subtract other shapes from the first one: holes, pockets, cut corners.
 
-    The cavities are open to collision, too. `sectors` is the number of facets of round operands.
+    Cavities are empty for collision, too. `sectors` is the number of facets of round operands.
     """
     return _combined("difference", (first, *others), sectors)
 

@@ -1,7 +1,7 @@
 """Stages of program synthesis: the programs that the programmer writes in turn, and their builds.
 
 `one`: a whole program. `three`, the paper's: geometry; articulation, which continues the accepted
-geometry; export, which continues that. Their texts joined are one program.
+geometry; export, which continues that. Their joined texts form one program.
 """
 
 import tempfile
@@ -20,7 +20,7 @@ from .attempt import joined
 from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
-"""Least ratio between a part's masses before and after the round trip through URDF."""
+"""Smallest allowed ratio between a part's masses before and after the round trip through URDF."""
 
 
 class Stage(NamedTuple):

@@ -13,7 +13,7 @@ from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 MIN_TILT_DEG = 1.0
 LIES_DEG, OVER_DEG = 60.0, 120.0
-"""Tilts from which an object lies, and beyond which it is turned over."""
+"""Tilts beyond which a request describes an object as lying, and as turned over."""
 STEP_DEG = 5
 """Directions are rounded to multiples of this."""
 Edge = Annotated[float, Field(gt=0, le=100)]
@@ -62,7 +62,7 @@ def view_in_words(node: TreeNode, camera: Camera | None) -> str:
     side = "to its own left" if turn > 0 else "to its own right"
     left = ""
     if not _tilt_deg(node):
-        # Beyond 45 degrees to a side the picture's left is another of the object's directions.
+        # Beyond 45 degrees to a side the picture's left is another axis of the object.
         names = {0: "-y, its own right", 1: "+x, its front", 2: "+y, its own left"}
         left = f"; the picture's left is its {names.get(round(turn / 90) % 4, '-x, its back')}"
     around = "0 degrees" if turn == 0 else f"{abs(turn)} degrees {side}"
@@ -93,17 +93,17 @@ def _tilt_deg(node: TreeNode) -> float:
     return 0.0 if degrees < MIN_TILT_DEG else degrees
 
 
-def tilt_in_words(node: TreeNode, words: str) -> str:
+def tilt_in_words(node: TreeNode, template: str) -> str:
     """Describe the tilt of an object that leans, lies or is turned over; "" for an upright one."""
     degrees = _tilt_deg(node)
     if not degrees:
         return ""
     if degrees > 180 - MIN_TILT_DEG:
-        return words.format(way="it stands upside down")
+        return template.format(way="it stands upside down")
     x, y, _ = rotate(node.base_tilt, (0.0, 0.0, 1.0)).tolist()
     side = ("front" if x > 0 else "back") if abs(x) >= abs(y) else ("left" if y > 0 else "right")
-    how = "it leans" if degrees < LIES_DEG else "it lies"
-    how = "it is turned over" if degrees > OVER_DEG else how
-    return words.format(
-        way=f"{how}, tilted by {degrees:.0f} degrees, its top towards its own {side}"
+    posture = "it leans" if degrees < LIES_DEG else "it lies"
+    posture = "it is turned over" if degrees > OVER_DEG else posture
+    return template.format(
+        way=f"{posture}, tilted by {degrees:.0f} degrees, its top towards its own {side}"
     )

@@ -17,7 +17,7 @@ LEGGED = ("table", "desk", "bench", "stool")
 MIN_LEGGED_HEIGHT_M = 0.25
 BOARD_M, LEG_M = 0.04, 0.06
 ROUND_WITHIN = 1e-3
-"""Relative difference between length and width below which a round outline is a circle."""
+"""Relative difference between length and width below which a round outline becomes a cylinder."""
 _MATERIALS = {
     "glass": "glass",
     "marble": "marble",
@@ -71,7 +71,7 @@ for i, (x, y) in enumerate({feet!r}):
 def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = None) -> str:
     """Return the program of a support that fills its outline and its parsed box.
 
-    `rgb` is its color in the photo in 0 to 1; by default its surface's or its material's.
+    `rgb` is its color in the photo, 0 to 1; by default that of its surface or its material.
     """
     x, y, z = (round(v, 6) for v in node.box3d.size)
     like, look = _look(node, rgb)
@@ -117,7 +117,7 @@ def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[flo
 def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
     """Return the named material of a support and the arguments for its color and pattern.
 
-    Joints and veins keep their contrast if the photo shows another color than the parse.
+    Joints and veins keep their contrast if the photo's color differs from the parsed one.
     """
     if node.surface is None:
         words = f"{node.label} {node.description}".lower()

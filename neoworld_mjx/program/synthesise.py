@@ -4,7 +4,7 @@ The request states the object's measured box. Errors of the program or of its ch
 model (debug rounds); critics compare pictures rendered from the photo's view with the crop, and
 their faults return to the programmer (critic rounds). The result is the best of all programs. With
 `program.stages: three` the stages geometry, articulation and export follow one another, each with
-debug and critic rounds of its own.
+its own debug and critic rounds.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from .ask import (
     revise_request,
 )
 from .attempt import ProgramAttempt, Size, SynthesisResult, joined
-from .conformance import fit, fit_geometry, losses, lost_asserts
+from .conformance import fit, fit_geometry, lost_asserts, lost_parts
 from .critique import Critique, accepts, corrected_box, critic_request
 from .sandbox import BuildResult, run
 from .stages import NOTHING_MOVES, STAGES, Stage, in_stage_lines, needs_model, urdf_round_trip
@@ -40,8 +40,8 @@ from .views import draw, draw_exported, draw_in_place
 
 T = TypeVar("T", bound=BaseModel)
 
-MOST_RESIZED = 4.0
-"""Largest factor, either way, by which an edge of the measured box may be corrected."""
+MAX_RESIZE = 4.0
+"""Largest factor by which an edge of the measured box may be corrected, up or down."""
 
 
 @runtime_checkable
@@ -75,7 +75,7 @@ async def synthesise(
 ) -> SynthesisResult:
     """Synthesize the program of an object from its crop.
 
-    A slab of the environment gets a program from its box, without a model.
+    The program of a slab of the environment is written from its box, without a model.
 
     Args:
         node: the parsed object.
@@ -83,20 +83,20 @@ async def synthesise(
         models: programmer and critic.
         options: rounds, critics, sandbox.
         camera: the photo's camera, for pictures from the same direction.
-        colour: red, green, blue of a slab in 0 to 1; by default its surface's, or the median of
-            its crop without a declared surface.
+        colour: red, green, blue of a slab, 0 to 1; by default that of its declared surface, or else
+            the median of its crop.
 
     Raises:
         ModelError: the first request failed, a tape lacks a response, or the cost cap is reached.
     """
-    plain = isinstance(crop, bytes)
-    picture = Picture("crop", crop) if plain else crop.picture
-    note, window = ("", None) if plain else (crop.note, crop.window)
-    subject = Subject(node, picture, note, camera, window)
+    if isinstance(crop, bytes):
+        subject = Subject(node, Picture("crop", crop), camera=camera)
+    else:
+        subject = Subject(node, crop.picture, crop.note, camera, crop.window)
     work = _Synthesis(subject, models, options)
     if node.slab:
         if colour is None and node.surface is None:
-            colour = median_colour(picture)
+            colour = median_colour(subject.crop)
         program = support_program(node, colour)
         built = await asyncio.to_thread(run, program, options)
         return work.result(ProgramAttempt("support", program, built))
@@ -150,10 +150,10 @@ class _Synthesis:
     attempts: list[ProgramAttempt] = field(default_factory=list)
     fallbacks: list[tuple[str, str]] = field(default_factory=list)
     size: Size | None = None
-    """Edges of the box [m] as a model corrected them last; None for the parsed ones."""
+    """Edges of the box [m] after a model's last correction; None for the parsed ones."""
     stage: Stage = STAGES["one"][0]
     accepted: ProgramAttempt | None = None
-    """Best attempt of the stage before; None in the first."""
+    """Best attempt of the previous stage; None in the first."""
 
     async def stage_result(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
         """Request a stage's program, debug and criticize it, and return its best attempt."""
@@ -164,9 +164,9 @@ class _Synthesis:
                 before = accepted.texts
                 return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
         request = program_request(self.subject, self._stage_input)
-        answer = (await self.models.ask(request)).value
+        response = (await self.models.ask(request)).value
         await revise(
-            await self.debugged("program", answer, None),
+            await self.debugged("program", response, None),
             rounds=self.options.critic_rounds,
             accept=lambda attempt: all(map(accepts, self._stage_critiques(attempt))),
             next_attempt=self.revised,
@@ -176,7 +176,7 @@ class _Synthesis:
         return max(own, key=lambda attempt: attempt.rank)
 
     async def debugged(
-        self, stage: str, answer: ProgramResponse, before: ProgramAttempt | None
+        self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program, send its errors back for bounded rounds, and return the best attempt."""
 
@@ -191,7 +191,7 @@ class _Synthesis:
             return None if repair is None else await self._checked("debug", repair, best)
 
         attempts = await revise(
-            await self._checked(stage, answer, before),
+            await self._checked(stage, response, before),
             rounds=self.options.debug_rounds,
             accept=lambda attempt: not has_errors(attempt.built.signals),
             next_attempt=repaired,
@@ -199,26 +199,26 @@ class _Synthesis:
         return max(attempts, key=lambda attempt: attempt.rank)
 
     async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
-        """Request a program without the faults that the critics report, and debug it."""
+        """Request a revision according to the critics' faults, and debug it."""
         last = attempts[-1]
         critiques = self._stage_critiques(last)
         for box in filter(None, map(corrected_box, critiques)):
             self._resize(box, "the critic")
         rejecting = [critique for critique in critiques if not accepts(critique)]
         request = revise_request(self.subject, self._stage_input, last.text, rejecting)
-        answer = await self._ask("revise", request)
-        return None if answer is None else await self.debugged("revise", answer, last)
+        response = await self._ask("revise", request)
+        return None if response is None else await self.debugged("revise", response, last)
 
     async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
-        """Return an attempt with the verdicts of the enabled critics, if it has an object."""
+        """Request the verdicts of the enabled critics, and return the attempt with them."""
         requests = self._critic_requests(attempt)
-        answers = await asyncio.gather(
+        responses = await asyncio.gather(
             *(self._ask(f"judge ({name})", request) for name, request in requests.items())
         )
         verdicts = {
-            name: answer
-            for name, answer in zip(requests, answers, strict=True)
-            if answer is not None
+            name: response
+            for name, response in zip(requests, responses, strict=True)
+            if response is not None
         }
         if not verdicts:
             return attempt
@@ -246,7 +246,7 @@ class _Synthesis:
 
     @property
     def _stage_input(self) -> StageInput:
-        """The current stage and the accepted texts of the stages before."""
+        """Current stage and the accepted texts of the earlier stages."""
         before = {} if self.accepted is None else self.accepted.texts
         return StageInput(self.stage.file, before, self.options.language)
 
@@ -260,7 +260,7 @@ class _Synthesis:
         if spec is None:
             return {}
         window = self.subject.window
-        made: Picture = (
+        picture: Picture = (
             draw(spec, node, camera)
             if camera is None or window is None
             else draw_in_place(spec, node, camera, window)
@@ -271,7 +271,7 @@ class _Synthesis:
         for name in self.stage.critics:
             if not getattr(self.options, f"{name}_critic"):
                 continue
-            pictures = [self.subject.crop, made]
+            pictures = [self.subject.crop, picture]
             if name == "articulation":
                 if not moves:
                     continue
@@ -285,17 +285,17 @@ class _Synthesis:
         return requests
 
     async def _checked(
-        self, stage: str, answer: ProgramResponse, before: ProgramAttempt | None
+        self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
-        """Build a program and check it against its subject and the attempt before."""
-        program = unfenced(answer.program)
-        if answer.box is not None:
-            self._resize(answer.box, "the programmer")
+        """Build a program, and compare it with its subject and the previous attempt."""
+        program = unfenced(response.program)
+        if response.box is not None:
+            self._resize(response.box, "the programmer")
         attempt = ProgramAttempt(
             stage,
             program,
             BuildResult(None),
-            answer.notes,
+            response.notes,
             critiques={} if self.accepted is None else self.accepted.critiques,
             before=self._stage_input.before,
             file=self.stage.file,
@@ -306,21 +306,21 @@ class _Synthesis:
             compare = fit_geometry if self.stage.file == "geometry" else fit
             signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
             if before is not None and before.built.spec is not None:
-                signals += losses(before.built.spec, built.spec, answer.removed)
-                signals += lost_asserts(before.text, program, answer.removed)
+                signals += lost_parts(before.built.spec, built.spec, response.removed)
+                signals += lost_asserts(before.text, program, response.removed)
             built = replace(built, signals=deduplicated(signals))
         attempt = replace(attempt, built=built, size=self.size)
         self.attempts.append(attempt)
         return attempt
 
-    def _resize(self, edges: Sequence[float], who: str) -> None:
-        """Apply a model's correction of the measured box if it is within MOST_RESIZED."""
+    def _resize(self, edges: Sequence[float], role: str) -> None:
+        """Apply a model's correction of the measured box if it is within MAX_RESIZE."""
         node = self.subject.node
         x, y, z = edges
         ratio = np.array(edges) / np.array(node.box3d.size)
         shown = " x ".join(f"{v:.3f}" for v in edges)
-        if np.max(np.maximum(ratio, 1 / ratio)) > MOST_RESIZED:
-            reason = f"{who} asked for {shown} m, over {MOST_RESIZED:g} times off"
+        if np.max(np.maximum(ratio, 1 / ratio)) > MAX_RESIZE:
+            reason = f"{role} requested {shown} m, over {MAX_RESIZE:g} times off"
             self.fallbacks.append((f"{node.name}: the measured box", reason))
             return
         self.size = (x, y, z)

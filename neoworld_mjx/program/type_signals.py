@@ -1,4 +1,4 @@
-"""Signals of the type check, each with a hint."""
+"""Conversion of type check errors into signals with hints."""
 
 import difflib
 import inspect
@@ -32,9 +32,9 @@ _WORDS = {2: "two", 3: "three"}
 def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
     """Convert the findings of the type check, as the sandbox reports them, into signals.
 
-    Only syntax errors count in a text that does not parse, as the check then reports every import
-    of the SDK, too. Numbers in place of a tuple give two findings; the one that names the tuple
-    counts.
+    For a text that does not parse, only syntax errors are returned, because the check then also
+    reports every import of the SDK. Numbers in place of a tuple give two findings; only the one
+    that names the tuple is returned.
     """
     broken = [each for each in findings if each["code"] == "invalid-syntax"]
     tuples = {_line(each) for each in findings if _TUPLE.search(each["message"])}

@@ -27,8 +27,8 @@ _S = TypeVar("_S", bound=BaseModel)
 def shown(value: Any, depth: int = 2) -> str:
     """Format a value for a message; long strings, containers and integers are shortened.
 
-    Containers are written out to `depth` levels only: a program may nest one list so often in
-    itself that its full text would exceed any memory.
+    Containers are written out to `depth` levels only: a program may nest a list in
+    itself so often that its full text would exceed any memory.
     """
     if isinstance(value, list | tuple) and (len(value) > 6 or not depth):
         return f"{type(value).__name__} of {len(value)} items"
@@ -97,7 +97,7 @@ def lengths(value: Any, argument: str) -> tuple[float, float, float]:
 
 
 def rotation(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return three angles [rad]; whole numbers that can only be degrees are refused."""
+    """Return three angles [rad]; whole numbers that can only be degrees are rejected."""
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
     if abs(largest) > MAX_ROTATION_RAD and largest == round(largest):
@@ -142,7 +142,7 @@ def name(value: Any, argument: str) -> str:
 
 
 def unused(value: str, kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError if a name is already among `names`."""
+    """Raise ValueError if a name is in `names`."""
     if value in names:
         raise ValueError(f"{kind} {value!r} exists already")
 

@@ -24,11 +24,12 @@ from .subject import to_camera
 
 WIDTH, HEIGHT = 448, 384
 OPENED = 0.8
-"""Opening of joints in the second picture, as a share of their range."""
+"""Opening of joints in the second picture, as a fraction of their range."""
 FRAME = (255, 255, 255)
-LEAST_VISIBLE = 0.1
-"""Share of the object's 2D box that must lie in the crop for both to share a frame."""
+MIN_VISIBLE = 0.1
+"""Fraction of the object's 2D box that must lie in the crop for a picture in the crop's frame."""
 NEAR_M = 0.02
+"""Distance from the camera within which an object is rendered alone."""
 
 Window = tuple[float, float, float, float]
 
@@ -36,8 +37,8 @@ Window = tuple[float, float, float, float]
 class DescribedPicture(Picture):
     """A picture that tapes identify by a description of its content instead of its pixels.
 
-    Ray casting rounds differently from one processor to the next, so a tape keyed by pixels would
-    not replay on another machine. The picture is rendered when its data is first needed.
+    Rounding in ray casting differs between processors, so a tape keyed by pixels would not replay
+    on another machine. The picture is rendered when its data is first needed.
 
     Args:
         label: name of the picture in the prompt.
@@ -66,7 +67,7 @@ class DescribedPicture(Picture):
 def draw(
     spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False
 ) -> DescribedPicture:
-    """Return a picture that an object fills, from the direction of the photo's camera.
+    """Return a picture framed on an object, from the direction of the photo's camera.
 
     Args:
         spec: the object.
@@ -83,7 +84,7 @@ def draw(
 def draw_exported(
     spec: ObjectSpec, read: ObjectSpec, node: TreeNode, camera: Camera | None
 ) -> list[Picture]:
-    """Return "exported", and "opened" if it moves: an object as read back from its URDF.
+    """Return pictures "exported" and, if joints move, "opened" of an object read back from URDF.
 
     Args:
         spec: the exported object, by which tapes identify the pictures.
@@ -121,7 +122,7 @@ def draw_in_place(
     """Return a picture of an object in its parsed pose, in the frame of its crop.
 
     If the object extends beyond the crop, so does the picture, with a white line as the crop's
-    frame. An object of which the crop would show less than LEAST_VISIBLE is rendered alone.
+    frame. An object whose 2D box lies in the crop by less than MIN_VISIBLE is rendered alone.
 
     Args:
         spec: the object at any size; it is scaled to its parsed box.
@@ -137,7 +138,7 @@ def draw_in_place(
     share = float(
         np.prod(np.maximum(high - low, 0)) / max(float(np.prod(extent[2:] - extent[:2])), 1)
     )
-    if depth.min() < NEAR_M or share < LEAST_VISIBLE:
+    if depth.min() < NEAR_M or share < MIN_VISIBLE:
         return draw(spec, node, camera)
     x0, y0, x1, y1 = (
         np.concatenate([np.minimum(extent[:2], frame[:2]), np.maximum(extent[2:], frame[2:])])
@@ -146,7 +147,7 @@ def draw_in_place(
     )
     view = View.through(camera, (x0, y0, x1, y1), WIDTH)
 
-    def drawn() -> bytes:
+    def render_png() -> bytes:
         image = render(single_object_scene(obj), view)
         canvas = np.array(image.color)
         if (x0, y0, x1, y1) != tuple(frame.round(1).tolist()):
@@ -155,11 +156,11 @@ def draw_in_place(
         return to_png(canvas)
 
     place = np.round([*obj.xy, obj.z, obj.yaw, *obj.base_tilt], 4).tolist()
-    # Rounded, as the last digits of a fitted pose differ from one processor to the next.
+    # The last digits of a fitted pose differ between processors.
     state = sorted((name, round(value, 4)) for name, value in obj.joint_state.items())
     lens = [round(camera.focal, 2), x0, y0, x1, y1, *np.round(window, 1).tolist()]
     shows = f"{spec.to_json()}{state}{place}{_numbers(view)}{lens}"
-    return DescribedPicture("made", drawn, shows)
+    return DescribedPicture("made", render_png, shows)
 
 
 def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
@@ -199,7 +200,7 @@ def _outline(canvas: NDArray, box: NDArray) -> None:
 
 
 def _numbers(view: View) -> list[float]:
-    # The last digits of the view differ from one processor to the next.
+    # The last digits of the view differ between processors.
     return np.round(np.concatenate([view.eye, view.axes.ravel()]), 4).tolist()
 
 
@@ -217,7 +218,7 @@ def view_from(
         width=WIDTH,
         height=HEIGHT,
         azimuth=float(np.arctan2(away[1], away[0])),
-        # Below this the floor would hide the object.
+        # At a lower elevation the floor would hide the object.
         elevation=float(np.clip(np.arcsin(away[2]), np.radians(5), np.radians(85))),
     )
 

@@ -31,8 +31,8 @@ class BuiltProgram:
 
     text: str
     built: BuildResult
-    beside: Mapping[str, str] = field(default_factory=dict)
-    """Further files that belong to the program, by name."""
+    other_files: Mapping[str, str] = field(default_factory=dict)
+    """Contents of further files that belong to the program, by name."""
     notes: tuple[str, ...] = ()
     """Further lines to log."""
 
@@ -63,7 +63,7 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
     """
     assert program.built.spec is not None
     files = spec_files(program.built.spec) | {"program.py": program.text.encode()}
-    files |= {name: content.encode() for name, content in program.beside.items()}
+    files |= {name: content.encode() for name, content in program.other_files.items()}
     write_files(files, out)
     return frozenset(files)
 
@@ -71,7 +71,7 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
 def write_failed(program: BuiltProgram, out: Path, options: ProgramOptions) -> Path | None:
     """Write the picture of an object that fails its checks, and return its path.
 
-    Returns None without an object. Other files of the folder stay.
+    Returns None without an object. Other files in the folder are unchanged.
 
     Raises:
         ExportError: it cannot be written.
@@ -113,26 +113,26 @@ def watch(
     program: Path,
     out: Path,
     build: Builder,
-    beside: tuple[Path, ...] = (),
+    inputs: tuple[Path, ...] = (),
     options: ProgramOptions | None = None,
 ) -> int:
     """Build a program now and after every change of its files, and return the number of builds.
 
-    Ctrl-C ends it. Each build logs one line and its signals. A program with errors replaces no
-    file and adds failed.png, if there is an object; a missing program changes no file.
+    Ctrl-C ends it. Each build logs one line and its signals. A program with errors only
+    adds failed.png, if there is an object; a missing program changes no file.
 
     Args:
         program: the program's file.
         out: folder to write into.
         build: reads and builds the program.
-        beside: other files that the result depends on; they need not exist.
+        inputs: other files that the result depends on; they need not exist.
         options: thresholds for the picture of an object that fails.
     """
     count, stamps = 0, ()
     written: frozenset[str] = frozenset()
     try:
         while True:
-            current = _stamp(program), *map(_stamp, beside)
+            current = _stamp(program), *map(_stamp, inputs)
             if current != stamps:
                 stamps = current
                 count += current[0] is not None
@@ -168,7 +168,7 @@ def _rebuild(
         return written
     built = result.built
     if built.spec is None or not built.ok:
-        outcome, fresh = "has errors, the files stay as they were", written
+        outcome, fresh = "has errors; the other files are unchanged", written
         try:
             drawn = write_failed(result, out, options or ProgramOptions())
             outcome += f"; {FAILED} shows it" if drawn else ""

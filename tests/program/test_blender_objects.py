@@ -10,9 +10,9 @@ from neoworld_mjx.errors import ProgramError
 from neoworld_mjx.physics.decompose import installed
 from neoworld_mjx.program.assemble import assemble
 from neoworld_mjx.program.blender import blender_availability
-from neoworld_mjx.program.blender.blender_answer import BlenderScene
-from neoworld_mjx.program.blender.blender_objects import read_back
-from neoworld_mjx.program.blender.mesh_islands import islands, shape_of
+from neoworld_mjx.program.blender.blender_objects import build_object
+from neoworld_mjx.program.blender.blender_scene import BlenderScene
+from neoworld_mjx.program.blender.mesh_solids import shape_of, split_solids
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.session import Session
 from neoworld_mjx.spec import Box, Mesh, inertial
@@ -55,7 +55,7 @@ def chest(**joint):
 
 def read(scene, **options):
     session = Session(max_geoms=20)
-    signals = read_back(BlenderScene.model_validate(scene), session, ProgramOptions(**options))
+    signals = build_object(BlenderScene.model_validate(scene), session, ProgramOptions(**options))
     if any(signal.severity == "error" for signal in signals):
         return None, signals
     spec, structure = assemble(session.objects)
@@ -172,7 +172,7 @@ def two(second):
 
 
 def test_loose_solids_are_shapes_of_their_own():
-    parts = islands(*two(CUBE + 3))
+    parts = split_solids(*two(CUBE + 3))
     shapes = [shape_of(each, False) for each in parts]
     assert [type(made[0]) for made in shapes] == [Box, Box]
     np.testing.assert_allclose(shapes[1][1].pos, (3, 3, 3))
@@ -180,8 +180,8 @@ def test_loose_solids_are_shapes_of_their_own():
 
 def test_a_rotated_box_is_recognized_and_a_skewed_one_is_not():
     turn = from_yaw(0.4)
-    (island,) = islands(rotate(turn, CUBE * (1, 2, 3)), FACES, np.zeros(12, int))
-    made, at = shape_of(island, False)
+    (solid,) = split_solids(rotate(turn, CUBE * (1, 2, 3)), FACES, np.zeros(12, int))
+    made, at = shape_of(solid, False)
     assert isinstance(made, Box)
     np.testing.assert_allclose(sorted(made.size), (1, 2, 3), atol=1e-6)
     corners = rotate(at.quat, CUBE * made.size)
@@ -189,28 +189,28 @@ def test_a_rotated_box_is_recognized_and_a_skewed_one_is_not():
         tuple(p) for p in np.round(rotate(turn, CUBE * (1, 2, 3)), 5)
     }
     skewed = CUBE + np.outer(CUBE[:, 2], (0.3, 0, 0))
-    assert isinstance(shape_of(islands(skewed, FACES, np.zeros(12, int))[0], False)[0], Mesh)
+    assert isinstance(shape_of(split_solids(skewed, FACES, np.zeros(12, int))[0], False)[0], Mesh)
 
 
 @pytest.mark.skipif(not installed(), reason="needs CoACD")
 def test_a_cavity_stays_open():
     vertices, faces, slots = two(CUBE * 0.8)
     faces[12:] = faces[12:, ::-1]
-    (island,) = islands(vertices, faces, slots)
-    made, _ = shape_of(island, False)
+    (solid,) = split_solids(vertices, faces, slots)
+    made, _ = shape_of(solid, False)
     assert made.volume() == pytest.approx(1 - 0.8**3, rel=0.1)
     assert made.signed_distance(np.zeros((1, 3)))[0] > 0.3
 
 
 def test_inverted_meshes_are_reversed():
-    (island,) = islands(CUBE, FACES[:, ::-1], np.zeros(12, int))
-    assert isinstance(shape_of(island, False)[0], Box)
+    (solid,) = split_solids(CUBE, FACES[:, ::-1], np.zeros(12, int))
+    assert isinstance(shape_of(solid, False)[0], Box)
 
 
 def test_faces_that_share_no_points_are_joined():
     apart = CUBE[FACES].reshape(-1, 3)
-    (island,) = islands(apart, np.arange(36).reshape(-1, 3), np.zeros(12, int))
-    assert len(island.vertices) == 8
+    (solid,) = split_solids(apart, np.arange(36).reshape(-1, 3), np.zeros(12, int))
+    assert len(solid.vertices) == 8
 
 
 def test_without_blender_the_error_names_the_install_command(tmp_path, monkeypatch):

@@ -1,1 +1,1 @@
-"""Execution of programs in Blender's Python, confined in a process, and their SDK objects."""
+"""Execution of programs in a confined Blender process, and conversion of scenes to objects."""

@@ -1,4 +1,4 @@
-"""Installation of Blender, and the test that its programs can run confined on this machine."""
+"""Installation of Blender, and the test that this machine can run its programs confined."""
 
 import shutil
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...errors import ProgramError
 from .blender_environment import INSTALL, LIBRARIES, blender_folder, blender_python, commands
-from .blender_process import blender_answer
+from .blender_process import run_confined
 
 _SECONDS = 1800.0
 """Time limit of an installation command."""
@@ -27,7 +27,7 @@ def install_blender() -> Path:
     blender_folder().parent.mkdir(parents=True, exist_ok=True)
     for command in commands():
         try:
-            # In a clone of this package uv would apply the versions pinned there to bpy.
+            # Not in a clone of this package, whose pinned versions uv would apply to bpy.
             process = subprocess.run(
                 command,
                 capture_output=True,
@@ -56,7 +56,7 @@ def require_blender() -> None:
 
 
 def unavailable() -> str | None:
-    """Return the reason why Blender's programs cannot run here, None if they can; tested once."""
+    """Return the reason why Blender cannot run programs here, None if it can; tested once."""
     if not blender_python().exists():
         return f"Blender is not installed ({blender_python()} is missing): run `{INSTALL}`"
     return _test_run(str(blender_python()))
@@ -64,11 +64,11 @@ def unavailable() -> str | None:
 
 @lru_cache(maxsize=1)
 def _test_run(python: str) -> str | None:
-    """Run an empty program."""
-    answer = blender_answer("", timeout_s=60.0, memory_mib=4096)
-    if answer.missing:
-        return f"untrusted programs cannot be confined here without {answer.missing}"
-    if answer.exit_code:
-        last = answer.errors.strip().rpartition("\n")[2][:300]
+    """Run an empty program, and return the reason of a failure."""
+    output = run_confined("", timeout_s=60.0, memory_mib=4096)
+    if output.missing:
+        return f"untrusted programs cannot be confined here without {output.missing}"
+    if output.exit_code:
+        last = output.errors.strip().rpartition("\n")[2][:300]
         return f"{python} cannot load bpy: {last} (`{INSTALL}`; its libraries: {LIBRARIES})"
     return None

@@ -32,25 +32,25 @@ _GREY = 0.8
 
 def main() -> int:
     """Confine this process, run the program and write the scene; return the exit code."""
-    memory_mib, cpu_s, answer_mib, descriptor = (int(value) for value in sys.argv[1:5])
+    memory_mib, cpu_s, file_mib, descriptor = (int(value) for value in sys.argv[1:5])
     confinement = _load_sibling("confinement")
     software = {sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()}
     try:
-        confinement.confine(memory_mib, cpu_s, answer_mib, [*_SYSTEM, *sorted(software)])
+        confinement.confine(memory_mib, cpu_s, file_mib, [*_SYSTEM, *sorted(software)])
     except confinement.Unavailable as error:
         sys.stderr.write(f"missing: {error}\n")
         return UNAVAILABLE
     text = sys.stdin.read()
-    # Blender writes warnings of its own to standard output.
+    # Blender writes its own warnings to standard output.
     printed = os.fdopen(os.dup(1), "w", errors="replace")
     os.dup2(2, 1)
     bpy: Any = importlib.import_module("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     confinement.end_threads()
     sys.stdout = printed
-    answer = _run(text, bpy)
+    scene = _run(text, bpy)
     with os.fdopen(descriptor, "w") as stream:
-        json.dump(answer, stream)
+        json.dump(scene, stream)
     printed.flush()
     return 0
 
@@ -65,7 +65,7 @@ def _load_sibling(name: str) -> Any:
 
 
 def _run(text: str, bpy: Any) -> dict[str, Any]:
-    """Run the program and describe the scene that it leaves, or its error."""
+    """Run the program and describe the resulting scene, or its error."""
     try:
         exec(compile(text, PROGRAM, "exec"), {"__name__": "__main__", "__file__": PROGRAM})
     except SyntaxError as error:

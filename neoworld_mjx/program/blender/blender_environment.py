@@ -1,7 +1,7 @@
 """Location of Blender's Python on this machine, and the commands that install it.
 
-Blender comes as the package bpy. It requires NumPy 1 and a certain version of CPython, so it has a
-virtual environment of its own in the cache folder.
+Blender comes as the package bpy. It requires NumPy 1 and one version of CPython, so it has its own
+virtual environment in the cache folder.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ from pathlib import Path
 from ...cache import cache_folder
 
 BPY, PYTHON = "5.0.1", "3.11"
-"""Latest bpy for that CPython."""
+"""Latest bpy for its CPython."""
 INSTALL = "neoworld doctor --install blender"
 LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 """Debian packages with the libraries that bpy links to but does not contain."""

@@ -19,10 +19,10 @@ from ..part import Joint, Part
 from ..placing import Shape
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, entered
-from .blender_answer import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
 from .blender_availability import require_blender
-from .blender_process import blender_answer, failure
-from .mesh_islands import MAX_FACES, islands, shape_of
+from .blender_process import failure, run_confined
+from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
+from .mesh_solids import MAX_FACES, shape_of, split_solids
 
 _DYNAMICS = {
     "fixed": (),
@@ -31,7 +31,7 @@ _DYNAMICS = {
     "prismatic": ("damping", "friction", "stiffness", "effort", "velocity"),
     "ball": ("damping", "friction", "stiffness"),
 }
-"""Dynamics by type of joint."""
+"""Dynamics arguments by joint type."""
 _DEFAULT_MATERIAL = "plastic"
 
 
@@ -42,18 +42,18 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
         ProgramError: Blender is not installed, or the machine cannot confine it.
     """
     require_blender()
-    answer = blender_answer(
+    output = run_confined(
         text,
         timeout_s=options.blender_timeout_s,
         memory_mib=options.blender_memory_mib,
         printed_bytes=options.max_output_bytes,
     )
-    if answer.scene is None:
-        return answer.printed, [failure(answer, options.blender_timeout_s)]
-    return answer.printed, read_back(answer.scene, session, options)
+    if output.scene is None:
+        return output.printed, [failure(output, options.blender_timeout_s)]
+    return output.printed, build_object(output.scene, session, options)
 
 
-def read_back(
+def build_object(
     scene: BlenderScene, session: Session, options: ProgramOptions | None = None
 ) -> list[Signal]:
     """Create the object of an untrusted scene in a session; return errors and warnings.
@@ -89,8 +89,8 @@ def _raised(scene: BlenderScene) -> Signal:
 class _Conversion:
     """Conversion of one scene into an object."""
 
-    def __init__(self, scene: BlenderScene, until: float) -> None:
-        self.scene, self.until = scene, until
+    def __init__(self, scene: BlenderScene, deadline: float) -> None:
+        self.scene, self.deadline = scene, deadline
         self.object = Object(identifier(scene.name, "object"), label=scene.label)
         self.materials = {material.name: material for material in scene.materials}
         self.defined: dict[str, str] = {}
@@ -108,7 +108,7 @@ class _Conversion:
             self.parts[name].set_mass(mass)
         self._join()
         for site in self.scene.sites:
-            part = self._known(site.part, f"site {site.name!r}: site")
+            part = self._known_part(site.part, f"site {site.name!r}: site")
             self.object.site(identifier(site.name, "site"), part, _rounded(site.at))
         return self.warnings
 
@@ -118,7 +118,7 @@ class _Conversion:
             self.parts[name] = self.object.part(identifier(name, "part", taken))
         return self.parts[name]
 
-    def _known(self, name: str, argument: str) -> Part:
+    def _known_part(self, name: str, argument: str) -> Part:
         if name not in self.parts:
             raise ValueError(f"{argument}: {choices(name, self.parts)}")
         return self.parts[name]
@@ -129,24 +129,24 @@ class _Conversion:
         vertices, faces, slots = shape.triangles()
         if len(faces) > MAX_FACES:
             raise ValueError(f"{context} has {len(faces)} triangles, at most {MAX_FACES} are read")
-        for island in islands(vertices, faces, slots):
-            if time.monotonic() > self.until:
+        for solid in split_solids(vertices, faces, slots):
+            if time.monotonic() > self.deadline:
                 raise TimeoutError("splitting the shapes into convex pieces takes too long")
             try:
-                placed = shape_of(island, shape.convex or shape.role == "visual")
+                placed = shape_of(solid, shape.convex or shape.role == "visual")
             except ValueError as error:
                 raise ValueError(f"{context}: {error}") from None
             if placed is None:
                 continue
             part.add(
                 Shape(*placed),
-                material=self._material(shape, island.slot),
+                material=self._material(shape, solid.slot),
                 role=shape.role,  # pyright: ignore[reportArgumentType] the SDK checks it
                 name=identifier(shape.name, "shape", part._named),
             )
 
     def _material(self, shape: BlenderShape, slot: int) -> str:
-        """Return the name of a slot's material, which is defined in the object on first use."""
+        """Return the name of a slot's material; it is defined in the object on first use."""
         name = shape.materials[slot] if slot < len(shape.materials) else ""
         if name not in self.materials:
             message = f"object {shape.name!r} has no material: {_DEFAULT_MATERIAL} is assumed"
@@ -160,27 +160,27 @@ class _Conversion:
         return self.defined[name]
 
     def _define(self, material: BlenderMaterial) -> str:
-        own = material.model_dump(exclude_none=True, exclude={"name"})
+        fields = material.model_dump(exclude_none=True, exclude={"name"})
         label = identifier(material.name, "material", set(self.defined.values()))
-        own["like"] = own.get("like") or _material_in(label)
+        fields["like"] = fields.get("like") or _material_in(label)
         for key in ("rgb", "rgb2"):
-            own |= {key: tuple(own[key])} if key in own else {}
-        if own["like"] is None and "density" not in own:
+            fields |= {key: tuple(fields[key])} if key in fields else {}
+        if fields["like"] is None and "density" not in fields:
             raise ValueError(
                 f"material {material.name!r}: name it after what it is made of, such as "
                 f"'{_DEFAULT_MATERIAL}_grey', or give it like= or density=; known are "
                 f"{', '.join(MATERIALS)}"
             )
-        return self.object.material(label, **own)
+        return self.object.material(label, **fields)
 
     def _join(self) -> None:
-        """Create the joints, each after those that it names."""
+        """Create the joints, each after the joints that it refers to."""
         built: dict[str, Joint] = {}
-        waiting = list(self.scene.joints)
-        while waiting:
-            ready = [joint for joint in waiting if _named_by(joint) <= built.keys()]
+        pending = list(self.scene.joints)
+        while pending:
+            ready = [joint for joint in pending if _named_by(joint) <= built.keys()]
             if not ready:
-                joint, known = waiting[0], [joint.name for joint in self.scene.joints]
+                joint, known = pending[0], [joint.name for joint in self.scene.joints]
                 unknown = sorted(_named_by(joint) - built.keys())
                 raise ValueError(
                     f"joint {joint.name!r}: mimic or after: {choices(unknown[0], known)}, and none "
@@ -188,14 +188,14 @@ class _Conversion:
                 )
             for joint in ready:
                 built[joint.name] = self._joint(joint, built)
-            waiting = [joint for joint in waiting if joint.name not in built]
+            pending = [joint for joint in pending if joint.name not in built]
 
     def _joint(self, joint: BlenderJoint, built: dict[str, Joint]) -> Joint:
         context = f"joint {joint.name!r}"
         if joint.type not in _DYNAMICS:
             raise ValueError(f'{context}: empty["joint"]: {choices(joint.type, _DYNAMICS)}')
-        parent = self._known(joint.parent, f'{context}: empty["parent"]')
-        child = self._known(joint.child, f'{context}: empty["child"]')
+        parent = self._known_part(joint.parent, f'{context}: empty["parent"]')
+        child = self._known_part(joint.child, f'{context}: empty["child"]')
         create: Callable[..., Joint] = getattr(self.object, joint.type)
         name = identifier(joint.name, "joint", {other.name for other in built.values()})
         if joint.type == "fixed":
@@ -227,7 +227,7 @@ def _direction(value: list[float] | str | None) -> Any:
 
 
 def _rounded(values: list[float]) -> tuple[float, float, float]:
-    """Round to the digits of single precision."""
+    """Round to 7 decimals, about the precision of Blender's floats."""
     x, y, z = (np.round(values, 7) + 0.0).tolist()
     return x, y, z
 

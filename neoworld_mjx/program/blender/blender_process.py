@@ -1,4 +1,4 @@
-"""Execution of a program in a confined Blender process, which returns untrusted data."""
+"""Execution of a program in a confined Blender process; its output is untrusted."""
 
 import os
 import subprocess
@@ -12,14 +12,14 @@ from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
 from ..exception_signals import ENDLESS_HINT
-from .blender_answer import BlenderScene
 from .blender_child import UNAVAILABLE
 from .blender_environment import blender_python
+from .blender_scene import BlenderScene
 
-ANSWER_MIB = 48
+SCENE_MIB = 48
 """Largest size of the returned scene; a triangle takes about 40 bytes."""
 _WALL = 4.0
-"""Wall time of a program over its processor time, as the machine may be busy."""
+"""Wall time limit as a multiple of the processor time limit, as the machine may be busy."""
 _CPU_START_S = 5
 """Additional processor time for loading Blender."""
 _CHILD = Path(__file__).with_name("blender_child.py")
@@ -28,31 +28,31 @@ _KILLED = (-9, -24)
 
 
 @dataclass(frozen=True)
-class BlenderAnswer:
+class BlenderOutput:
     """Output of a run of Blender."""
 
     scene: BlenderScene | None
     exit_code: int
-    """Exit code as of `subprocess`."""
+    """Exit code as `subprocess` returns it."""
     printed: str = ""
     errors: str = ""
     """Standard error."""
     timed_out: bool = False
     unreadable: str = ""
-    """Reason for the lack of a scene although the program succeeded."""
+    """Reason that the scene of a successful program cannot be read; empty otherwise."""
 
     @property
     def missing(self) -> str:
-        """Feature that this machine lacks to confine the process; empty if none."""
+        """Feature that this machine needs to confine the process but lacks; empty if none."""
         if self.exit_code != UNAVAILABLE:
             return ""
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
 
 
-def blender_answer(
+def run_confined(
     text: str, *, timeout_s: float, memory_mib: int, printed_bytes: int = 20_000
-) -> BlenderAnswer:
-    """Run a text in Blender.
+) -> BlenderOutput:
+    """Run a program in a confined Blender process.
 
     Args:
         text: the program.
@@ -63,22 +63,22 @@ def blender_answer(
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
         (folder / "program.py").write_text(text, encoding="utf-8")
-        paths = [folder / each for each in ("program.py", "printed", "errors", "answer.json")]
+        paths = [folder / each for each in ("program.py", "printed", "errors", "scene.json")]
         cpu_s = round(timeout_s) + _CPU_START_S
         with (
             paths[0].open("rb") as program,
             paths[1].open("wb") as printed,
             paths[2].open("wb") as errors,
-            paths[3].open("wb") as answer,
+            paths[3].open("wb") as scene_file,
         ):
-            limits = (memory_mib, cpu_s, ANSWER_MIB, answer.fileno())
+            limits = (memory_mib, cpu_s, SCENE_MIB, scene_file.fileno())
             # Files have a size limit and, unlike pipes, need no reader.
             child = subprocess.Popen(
                 [str(blender_python()), "-I", "-B", str(_CHILD), *map(str, limits)],
                 stdin=program,
                 stdout=printed,
                 stderr=errors,
-                pass_fds=(answer.fileno(),),
+                pass_fds=(scene_file.fileno(),),
                 cwd="/",
                 env={"HOME": "/nonexistent", "PATH": "/nonexistent", "LANG": "C.UTF-8"},
                 start_new_session=True,
@@ -92,31 +92,31 @@ def blender_answer(
                 child.wait()
         out, err = (_read(path, printed_bytes) for path in paths[1:3])
         if late or code:
-            return BlenderAnswer(None, code or -9, out, err, timed_out=late or code in _KILLED)
+            return BlenderOutput(None, code or -9, out, err, timed_out=late or code in _KILLED)
         try:
-            scene = read_model(paths[3], BlenderScene, ProgramError, "an answer of Blender")
+            scene = read_model(paths[3], BlenderScene, ProgramError, "a scene of Blender")
         except ProgramError as error:
-            reason = str(error).replace(str(paths[3]), "the answer")
-            return BlenderAnswer(None, 0, out, err, unreadable=reason)
-        return BlenderAnswer(scene, 0, out, err)
+            reason = str(error).replace(str(paths[3]), "the scene")
+            return BlenderOutput(None, 0, out, err, unreadable=reason)
+        return BlenderOutput(scene, 0, out, err)
 
 
-def _read(path: Path, most: int) -> str:
+def _read(path: Path, limit: int) -> str:
     size = os.stat(path).st_size
-    data = read_bytes(path, ANSWER_MIB * MIB + 1)
-    data = data if size <= most else data[: most // 2] + b"\n...\n" + data[-most // 2 :]
+    data = read_bytes(path, SCENE_MIB * MIB + 1)
+    data = data if size <= limit else data[: limit // 2] + b"\n...\n" + data[-limit // 2 :]
     return printable(data.decode("utf-8", "replace"))
 
 
-def failure(answer: BlenderAnswer, timeout_s: float) -> Signal:
-    """Return the error of a program that left no scene."""
-    if answer.timed_out:
+def failure(output: BlenderOutput, timeout_s: float) -> Signal:
+    """Return the error signal of a program that produced no scene."""
+    if output.timed_out:
         message = f"the program took over {timeout_s:g} s"
         return error_signal("timeout", message, hint=ENDLESS_HINT)
-    if answer.unreadable:
-        message = f"the scene could not be read back: {answer.unreadable}"[:400]
+    if output.unreadable:
+        message = f"the scene could not be read back: {output.unreadable}"[:400]
         return error_signal("too_big", message, hint="use fewer triangles")
-    last = next((line for line in reversed(answer.errors.splitlines()) if line.strip()), "")
-    code = "memory" if "MemoryError" in answer.errors or "bad_alloc" in answer.errors else "crashed"
-    message = f"Blender ended with {answer.exit_code}: {last}"[:400]
+    last = next((line for line in reversed(output.errors.splitlines()) if line.strip()), "")
+    code = "memory" if "MemoryError" in output.errors or "bad_alloc" in output.errors else "crashed"
+    message = f"Blender ended with {output.exit_code}: {last}"[:400]
     return error_signal(code, message, hint="the program must end by itself")

@@ -2,7 +2,8 @@
 
 Blender's Python runs this first, with the standard library alone. Afterwards the process can read
 only its own software (Landlock), open no file for writing, and make only the system calls of
-`_CALLS`: no sockets, no other processes, no signals to any (seccomp). This cannot be undone.
+`_CALLS`: no sockets, no new processes, no signals to other processes (seccomp). This cannot
+be undone.
 """
 
 import ctypes
@@ -16,7 +17,7 @@ from collections.abc import Iterator, Sequence
 MIB = 1 << 20
 OPEN_FILES = 256
 _ARCHITECTURE = 0xC000003E
-"""The number of x86_64 in filters."""
+"""Identifier of x86_64 in seccomp filters."""
 _CALLS = {
     "read": 0, "write": 1, "close": 3, "stat": 4, "fstat": 5, "lstat": 6, "poll": 7, "lseek": 8,
     "mmap": 9, "mprotect": 10, "munmap": 11, "brk": 12, "rt_sigaction": 13, "rt_sigprocmask": 14,
@@ -52,16 +53,16 @@ _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
 
 
 class Unavailable(Exception):
-    """This machine cannot confine a process; the message names what is missing."""
+    """This machine cannot confine a process; the message names the missing feature."""
 
 
-def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[str]) -> None:
+def confine(memory_mib: int, cpu_s: float, file_mib: int, readable: Sequence[str]) -> None:
     """Confine this process and all of its future threads.
 
     Args:
         memory_mib: address space [MiB].
         cpu_s: processor time [s].
-        answer_mib: largest file that it can write through an open descriptor [MiB].
+        file_mib: largest file that it can write through an open descriptor [MiB].
         readable: files and folders that it may open for reading; missing ones are skipped.
 
     Raises:
@@ -74,7 +75,7 @@ def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[s
     for kind, limit in (
         (resource.RLIMIT_AS, memory_mib * MIB),
         (resource.RLIMIT_CPU, max(1, round(cpu_s))),
-        (resource.RLIMIT_FSIZE, answer_mib * MIB),
+        (resource.RLIMIT_FSIZE, file_mib * MIB),
         (resource.RLIMIT_NOFILE, OPEN_FILES),
         (resource.RLIMIT_CORE, 0),
     ):
@@ -95,9 +96,9 @@ def end_threads() -> None:
 def _check_machine() -> None:
     machine = platform.machine()
     if sys.platform != "linux":
-        raise Unavailable("Linux, as only its Landlock and seccomp are known here")
+        raise Unavailable("Linux, for Landlock and seccomp")
     if machine != "x86_64":
-        raise Unavailable(f"a processor of the kind x86_64, this is {machine}")
+        raise Unavailable(f"an x86_64 processor; this one is {machine}")
 
 
 def _libc() -> ctypes.CDLL:
@@ -148,16 +149,16 @@ def _argument(k: int, high: bool = False) -> _Step:
 
 
 def _first_filter() -> Iterator[_Step]:
-    """Yield a filter that allows the calls of `_CALLS`, and others with certain arguments."""
-    own = os.getpid()
+    """Yield a filter that allows the calls in `_CALLS`, and others with certain arguments only."""
+    pid = os.getpid()
     yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, _ARCHITECTURE), (_RETURN, 0, 0, _KILL_ALL))
     yield (_LOAD, 0, 0, 0)
     allowed: list[tuple[int, list[_Step]]] = [
         (_OPEN, _unless_any(1, _WRITES)),
         (_OPENAT, _unless_any(2, _WRITES)),
         (_CLONE, _if_any(0, _CLONE_THREAD)),
-        (_KILL, _if_equal(0, own)),
-        (_TGKILL, _if_equal(0, own)),
+        (_KILL, _if_equal(0, pid)),
+        (_TGKILL, _if_equal(0, pid)),
         (_PRCTL, _if_equal(0, _PR_SET_NAME, _PR_GET_NAME, _PR_SET_VMA)),
         (_PRLIMIT64, [*_null(2)]),
         (_CLONE3, [(_RETURN, 0, 0, _ENOSYS)]),

@@ -10,25 +10,25 @@ from ...spec import Box, Mesh
 from ...spec.pose import Pose, from_matrix, pose
 
 MAX_FACES = 200_000
-"""Most triangles of an object."""
+"""Largest number of triangles of an object."""
 MAX_CONCAVE_FACES = 20_000
-"""Most triangles of a solid that is split into convex pieces."""
+"""Largest number of triangles of a solid that is split into convex pieces."""
 _SQUARE = 1e-6
-"""Largest deviation of a box from right angles, over its size."""
+"""Largest deviation from a box, relative to its size."""
 
 
-class Island(NamedTuple):
+class Solid(NamedTuple):
     """A connected solid of an object."""
 
     vertices: NDArray
-    """[v, 3] m"""
+    """Vertices [v, 3] m."""
     faces: NDArray
-    """[f, 3]"""
+    """Triangles [f, 3]."""
     slot: int
     """Material slot of most of its faces."""
 
 
-def islands(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Island]:
+def split_solids(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Solid]:
     """Split a mesh into its connected solids, without unused vertices.
 
     If any solid is open, coincident vertices of the whole mesh are merged first. A solid with
@@ -44,35 +44,35 @@ def islands(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Island]:
         vertices, index = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
         faces = index.reshape(-1)[faces]
         a, b, c = faces.T
-        kept = (a != b) & (b != c) & (c != a)
-        faces, slots = faces[kept], slots[kept]
+        proper = (a != b) & (b != c) & (c != a)
+        faces, slots = faces[proper], slots[proper]
         label = _components(len(vertices), faces)
     groups = [np.flatnonzero(label == k) for k in np.unique(label)]
     volumes = np.array([_volume(vertices, faces[rows]) for rows in groups])
     if groups and volumes.max() < 0:
         faces, volumes = faces[:, ::-1], -volumes
     outer = int(volumes.argmax()) if groups else 0
-    hollow = [k for k, v in enumerate(volumes) if v < -1e-12 and _closed(faces[groups[k]])]
-    for k in hollow:
+    cavities = [k for k, v in enumerate(volumes) if v < -1e-12 and _closed(faces[groups[k]])]
+    for k in cavities:
         groups[outer] = np.concatenate([groups[outer], groups[k]])
     return [
-        _island(vertices, faces[rows], slots[rows])
+        _solid(vertices, faces[rows], slots[rows])
         for k, rows in enumerate(groups)
-        if k not in hollow
+        if k not in cavities
     ]
 
 
-def shape_of(island: Island, convex: bool) -> tuple[Box | Mesh, Pose] | None:
+def shape_of(solid: Solid, convex: bool) -> tuple[Box | Mesh, Pose] | None:
     """Return the shape of a solid and its pose; None for one without extent.
 
     Args:
-        island: the solid.
+        solid: the solid.
         convex: True to use its convex hull for collisions.
 
     Raises:
-        ValueError: it is concave and has too many triangles to be split.
+        ValueError: the solid is concave and has too many triangles to be split.
     """
-    vertices, faces = island.vertices, island.faces
+    vertices, faces = solid.vertices, solid.faces
     if len(vertices) < 3 or np.ptp(vertices, axis=0).max() < 1e-5:
         return None
     box = _as_box(vertices, faces)
@@ -122,22 +122,22 @@ def _volume(vertices: NDArray, faces: NDArray) -> float:
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
-def _island(vertices: NDArray, faces: NDArray, slots: NDArray) -> Island:
+def _solid(vertices: NDArray, faces: NDArray, slots: NDArray) -> Solid:
     used, index = np.unique(faces, return_inverse=True)
     slot = int(np.bincount(np.clip(slots, 0, 63)).argmax())
-    return Island(vertices[used], index.reshape(faces.shape), slot)
+    return Solid(vertices[used], index.reshape(faces.shape), slot)
 
 
 def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
-    """Return the box that eight corners and twelve triangles form, None if they form none."""
+    """Return a mesh of eight vertices and twelve triangles as a box, or None if it is not one."""
     if len(vertices) != 8 or len(faces) != 12:
         return None
     centre = vertices.mean(axis=0)
     neighbors = sorted({int(v) for face in faces if 0 in face for v in face} - {0})
-    spread = [vertices[k] - vertices[0] for k in neighbors]
-    spread.sort(key=lambda edge: float(edge @ edge))
+    edges = [vertices[k] - vertices[0] for k in neighbors]
+    edges.sort(key=lambda edge: float(edge @ edge))
     axes = []
-    for edge in spread:
+    for edge in edges:
         length = float(np.linalg.norm(edge))
         if length > 1e-5 and all(abs(edge @ other) < _SQUARE**0.5 * length**2 for other in axes):
             axes.append(edge)

@@ -1,4 +1,4 @@
-"""Schema of the scene that Blender's process writes after a program: untrusted and bounded."""
+"""Schema of the scene that Blender's process writes after a program: untrusted, bounded in size."""
 
 import base64
 import binascii
@@ -13,7 +13,7 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 MAX_SHAPES, MAX_JOINTS = 3000, 300
 MAX_REACH_M = 100.0
-"""Largest coordinate."""
+"""Largest allowed coordinate."""
 
 
 class _Data(BaseModel):
@@ -21,7 +21,7 @@ class _Data(BaseModel):
 
 
 class BlenderMaterial(_Data):
-    """A material, by its custom properties, else by its Principled BSDF."""
+    """A material as its custom properties define it, or else its Principled BSDF."""
 
     name: Text
     density: Number | None = None
@@ -74,7 +74,7 @@ class BlenderShape(_Data):
 
 
 class BlenderJoint(_Data):
-    """A joint, given by an empty, in world coordinates."""
+    """A joint that an empty declares, in world coordinates."""
 
     name: Text
     type: Text
@@ -98,7 +98,7 @@ class BlenderJoint(_Data):
 
 
 class BlenderSite(_Data):
-    """A point of a part, given by an empty."""
+    """A point of a part that an empty declares."""
 
     name: Text
     part: Text
@@ -106,7 +106,7 @@ class BlenderSite(_Data):
 
 
 class BlenderError(_Data):
-    """The exception that ended the program."""
+    """Exception that ended the program."""
 
     type: Annotated[str, Field(max_length=60)]
     message: Annotated[str, Field(max_length=600)]
@@ -115,7 +115,7 @@ class BlenderError(_Data):
 
 
 class BlenderScene(_Data):
-    """The scene that the program leaves, or its error."""
+    """Scene after the program's run, or the program's error."""
 
     error: BlenderError | None = None
     name: Text = ""
