@@ -107,7 +107,7 @@ def _resume(out: Path, done: dict[str, dict[str, int]]) -> None:
     """Resume, and check that finished steps are neither started nor written again."""
     log = _finish(out).splitlines()
     for name, written in done.items():
-        assert f"{name}: begun" not in log
+        assert f"{name}: started" not in log
         assert {path: (out / path).stat().st_mtime_ns for path in written} == written, name
     data = json.loads((out / "run.json").read_text())
     assert data["status"] == "finished"

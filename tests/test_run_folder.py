@@ -251,7 +251,7 @@ def test_waiting_for_models_is_counted_by_step(tmp_path):
         began = run.now()
         awaited[0] = 3.0
         for name in ("program/cup", "program/spoon"):
-            with run.step(name, {}, begun=began):
+            with run.step(name, {}, started=began):
                 awaited[0] += 2.0
             began = run.now()
         with run.step("compose", {}):

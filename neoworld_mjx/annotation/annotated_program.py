@@ -12,22 +12,25 @@ _CALLS = {
     "bowl": ("lathe", _LATHE),
     "cup": ("lathe", _LATHE),
 }
-"""SDK function of each shape, and the line of its program."""
+"""SDK function that creates each shape, and the program line that calls it."""
 
 
 def program_of(obj: AnnotatedObject, size: tuple[float, float, float], rgb: RGB) -> str | None:
-    """Return the program of an annotated object; None if it has none or a model writes it.
+    """Return the program of an annotated object.
+
+    The result is None for a support of the environment, an object that keeps its program, and an
+    object whose program a model writes.
 
     Args:
         obj: the object.
-        size: edges of its box [m].
-        rgb: its color, 0 to 1.
+        size: edge lengths of the object's box [m].
+        rgb: color of the object, 0 to 1.
     """
     if obj.kind in (MODEL, KEPT) or obj.support:
         return None
     if obj.kind not in SHAPES:
-        chosen = template(obj.kind)
-        return chosen.program(dict(chosen.of_box(size)))
+        object_template = template(obj.kind)
+        return object_template.program(dict(object_template.of_box(size)))
     x, y, z = (round(v, 4) for v in size)
     r = round(min(x, y) / 2, 4)
     wall = round(min(max(0.06 * r, 0.002), 0.6 * r, 0.4 * z), 4)

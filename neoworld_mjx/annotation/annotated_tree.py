@@ -1,8 +1,8 @@
 """Scene tree of an annotation.
 
-The 2D box of an object, the camera and the height of its support leave its depth along the view
-undetermined. The kind of the object determines it: a template has a ratio of depth to width, shapes
-are as deep as wide, and a known size is used unchanged.
+The camera, the 2D box of an object and the height of its support do not determine the depth of the
+object along the view. The kind of the object does: a template fixes the ratio of depth to width, a
+shape is as deep as it is wide, and a known size is used unchanged.
 """
 
 import math
@@ -28,7 +28,7 @@ def annotated_tree(annotation: Annotation) -> SceneTree:
     """Return the scene tree that an annotation describes.
 
     Raises:
-        SpecError: there is no object, a box lies above the horizon, or the tree is invalid.
+        SpecError: there are no objects, a box lies above the horizon, or the tree is invalid.
     """
     if not annotation.objects:
         raise SpecError("the annotation has no object: draw a box first")
@@ -71,10 +71,10 @@ def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
     Args:
         obj: the object.
         camera: camera of the photograph.
-        level: height of its support surface [m].
+        level: height of the object's support surface [m].
 
     Raises:
-        SpecError: the lower edge of its 2D box is above the horizon of the support surface.
+        SpecError: the lower edge of the 2D box is above the horizon of the support surface.
     """
     left, top, right, bottom = obj.box.as_tuple()
     ray = camera.rays([(left + right) / 2, bottom])
@@ -110,7 +110,7 @@ def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
             return np.full(len(u), 1e4)
         projected = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
         error = (projected - target) / max(right - left, bottom - top)
-        # With a known size only the position is unknown, otherwise also width and height.
+        # Unknowns: the position, and also width and height unless the size is known.
         return error if known is None else np.array([error[[0, 2]].sum(), error[3]])
 
     center = foot[:2] + direction * width / 2
@@ -126,11 +126,11 @@ def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
     )
 
 
-def opened_annotation(tree: SceneTree) -> Annotation:
+def annotation_from_tree(tree: SceneTree) -> Annotation:
     """Return the annotation of an existing scene tree.
 
-    Its objects keep their sizes and programs; supports of the environment other than the lowest
-    become supports on the ground.
+    Objects keep their sizes and programs. The first support of the environment becomes the ground;
+    other supports stand on it.
     """
     ground = next((n for n in tree.top_down() if n.environment), None)
     others = {n.name for n in tree.nodes if n is not ground} - {GROUND}
@@ -155,7 +155,7 @@ def opened_annotation(tree: SceneTree) -> Annotation:
 
 
 def _depth_ratio(obj: AnnotatedObject) -> float:
-    """Return the ratio of depth to width."""
+    """Return the ratio of the object's depth to its width."""
     if obj.kind in (*SHAPES, MODEL, KEPT):
         return 1.0
     depth, width, _ = (float(template(obj.kind).parameters[name].default) for name in BOX)
@@ -187,11 +187,11 @@ def _ground(annotation: Annotation, boxes: list[Box3D]) -> TreeNode:
     margin = 0.6 * float(np.max(high - low)) + 0.02
     x, y = (high - low + 2 * margin).round(4).tolist()
     cx, cy = ((low + high) / 2).round(4).tolist()
-    whole = Box2D(x0=0, y0=0, x1=camera.width, y1=camera.height_px)
+    image_box = Box2D(x0=0, y0=0, x1=camera.width, y1=camera.height_px)
     return TreeNode(
         name=GROUND,
         label=annotation.ground,
         environment=True,
-        box2d=whole,
+        box2d=image_box,
         box3d=Box3D(position=(cx, cy, -THICKNESS_M), size=(x, y, THICKNESS_M)),
     )

@@ -17,7 +17,7 @@ GROUND = "ground"
 MODEL = "left to a model"
 """Kind of an object whose program a model writes."""
 KEPT = "as it is"
-"""Kind of an object whose program already exists and is kept."""
+"""Kind of an object that keeps its existing program."""
 SHAPES = ("box", "cylinder", "ball", "bowl", "cup")
 """Kinds of objects without a template."""
 
@@ -34,19 +34,19 @@ class AnnotatedObject(Spec):
     parent: Name = GROUND
     relation: Relation = "on"
     support: bool = False
-    """True if it is a support of the environment, such as a shelf, which never moves."""
+    """True if the object is a support of the environment, such as a shelf, which never moves."""
     fixed_base: bool = False
     size: tuple[Length, Length, Length] | None = None
-    """Known edge lengths along its x (back to front), y and z [m]."""
+    """Known edge lengths along the object's x axis (back to front), y and z [m]."""
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 180.0
-    """Heading of its front, seen from above [deg]; 180 faces the camera."""
+    """Heading of the object's front, seen from above [deg]; 180 faces the camera."""
     material: str = "plastic"
     """Material of a shape."""
     parts: tuple[PartState, ...] = ()
-    """Moving parts and their opening."""
+    """Moving parts and how far each is open."""
 
     @model_validator(mode="after")
-    def _known(self) -> "AnnotatedObject":
+    def _check_kind_and_material(self) -> "AnnotatedObject":
         kinds = [*SHAPES, MODEL, KEPT, *templates()]
         if self.kind not in kinds:
             raise ValueError(f"object {self.name}: kind: {choices(self.kind, kinds)}")
@@ -64,7 +64,7 @@ class Annotation(Spec):
     objects: tuple[AnnotatedObject, ...] = ()
 
     @model_validator(mode="after")
-    def _supported(self) -> "Annotation":
+    def _check_names_and_parents(self) -> "Annotation":
         names = [GROUND, *(obj.name for obj in self.objects)]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:

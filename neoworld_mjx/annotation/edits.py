@@ -1,4 +1,4 @@
-"""Edits of an annotation; each returns a new, validated annotation."""
+"""Edits of an annotation. Each function returns a new, validated annotation."""
 
 from typing import Any
 
@@ -15,14 +15,14 @@ def find_object(annotation: Annotation, name: str) -> AnnotatedObject | None:
 
 
 def with_box(annotation: Annotation, box: Box2D) -> tuple[Annotation, str]:
-    """Return an annotation with a new object that has only a box, and its name."""
+    """Add an object with a box and default values; return the annotation and its name."""
     names = {obj.name for obj in annotation.objects}
     name = next(f"object_{k}" for k in range(1, len(names) + 2) if f"object_{k}" not in names)
     return _checked(annotation, (*annotation.objects, AnnotatedObject(name=name, box=box))), name
 
 
 def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> Annotation:
-    """Return an annotation with changed fields of one object; its children follow a new name.
+    """Change fields of one object; if its name changes, its children refer to the new one.
 
     Args:
         annotation: the current annotation.
@@ -45,11 +45,13 @@ def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> An
 
 
 def without(annotation: Annotation, name: str) -> Annotation:
-    """Return an annotation without an object; its children move to the ground."""
-    kept = (obj for obj in annotation.objects if obj.name != name)
+    """Remove an object; its children move to the ground."""
+    remaining = (obj for obj in annotation.objects if obj.name != name)
     return _checked(
         annotation,
-        tuple(o.model_copy(update={"parent": GROUND}) if o.parent == name else o for o in kept),
+        tuple(
+            o.model_copy(update={"parent": GROUND}) if o.parent == name else o for o in remaining
+        ),
     )
 
 

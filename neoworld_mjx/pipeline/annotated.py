@@ -1,10 +1,10 @@
-"""Write an annotation as the first two steps of a run, and run the others without a model."""
+"""Write an annotation as the first two steps of a run; run the later steps without a model."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 from ..annotation.annotated_program import program_of
-from ..annotation.annotated_tree import annotated_tree, opened_annotation
+from ..annotation.annotated_tree import annotated_tree, annotation_from_tree
 from ..annotation.annotation import KEPT, MODEL, Annotation
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
@@ -21,12 +21,12 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from .program_inputs import program_inputs
 from .reconstruction import finish, run_steps
-from .step_context import ANNOTATION, ANSWERED, TREE
+from .step_context import ANNOTATION, RESPONSE_TREE, TREE
 
 Files = dict[str, str]
-"""Texts of an object's files, by name."""
-_OF_STAGES = ("geometry.py", "articulation.py", "export.py")
-_OF_PROGRAM = ("program.py", "spec.json", "program.json")
+"""Contents of an object's files, by file name."""
+_STAGE_FILES = ("geometry.py", "articulation.py", "export.py")
+_PROGRAM_FILES = ("program.py", "spec.json", "program.json")
 
 
 def read_annotation(folder: Path) -> Annotation:
@@ -39,7 +39,7 @@ def read_annotation(folder: Path) -> Annotation:
     if (folder / ANNOTATION).is_file():
         return read_model(folder / ANNOTATION, Annotation, SpecError, "an annotation")
     if (folder / TREE).is_file():
-        return opened_annotation(read_model(folder / TREE, SceneTree, SpecError, "a scene tree"))
+        return annotation_from_tree(read_model(folder / TREE, SceneTree, SpecError, "a scene tree"))
     raise RunError(f"{folder} contains no {TREE}: omit --from parse to start with an empty page")
 
 
@@ -48,16 +48,16 @@ def write_annotated(
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
-    If the folder contains a run of this photograph, programs of objects of the kind `KEPT` are
-    kept, and everything else is repeated.
+    In a folder with a run of this photograph, objects of the kind `KEPT` keep their programs;
+    everything else is repeated.
 
     Args:
         photo: the image file.
         out: the run folder; new, empty, or a run of this photograph.
         annotation: the annotation.
         config: all options.
-        simulate: True to also verify, compose, refine and export, unless an object is left to a
-            model, which `neoworld reconstruct --resume` then calls.
+        simulate: True to also verify, compose, refine and export. If a model has to write a
+            program, the run stops, and `neoworld reconstruct --resume` continues it.
 
     Raises:
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
@@ -66,32 +66,32 @@ def write_annotated(
         picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
         tree = annotated_tree(annotation)
         by_name = {obj.name: obj for obj in annotation.objects}
-        kept = {
-            obj.name: _files_of(out / "objects" / obj.name)
+        kept_files = {
+            obj.name: _read_files(out / "objects" / obj.name)
             for obj in annotation.objects
             if obj.kind == KEPT
         }
-        colours, pictures = support_colours(picture, tree), crops(picture, tree)
+        colours, crop_by_name = support_colours(picture, tree), crops(picture, tree)
         texts: dict[str, Files] = {}
         for node in tree.nodes:
             obj = by_name.get(node.name)
             if node.slab:
                 rgb = colours[node.name].rgb if node.name in colours else None
-                texts[node.name] = _built(node, support_program(node, rgb), "support", config)
+                texts[node.name] = _build_files(node, support_program(node, rgb), "support", config)
             elif obj is not None and obj.kind == KEPT:
-                texts[node.name] = kept[node.name]
+                texts[node.name] = kept_files[node.name]
             elif obj is not None:
                 rgb = colour_in_box(picture, tree, node)
                 text = program_of(obj, node.box3d.size, rgb)
                 if text is not None:
-                    texts[node.name] = _built(node, text, "annotation", config)
+                    texts[node.name] = _build_files(node, text, "annotation", config)
         exists = (out / "run.json").is_file()
         with RunFolder(out, config, "redo" if exists else "new", step="parse") as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
             with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
                 assert step is not None
                 (step / TREE).write_text(tree.to_json(), encoding="utf-8")
-                (step / ANSWERED).write_text(tree.to_json(), encoding="utf-8")
+                (step / RESPONSE_TREE).write_text(tree.to_json(), encoding="utf-8")
                 (step / ANNOTATION).write_text(
                     annotation.model_dump_json(indent=1) + "\n", encoding="utf-8"
                 )
@@ -100,13 +100,13 @@ def write_annotated(
                 drawn = draw_parse(picture, tree, solid=True).data
                 (step / "pictures" / "parse.png").write_bytes(drawn)
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
-            inputs = program_inputs(tree, pictures, colours, config.program)
+            inputs = program_inputs(tree, crop_by_name, colours, config.program)
             _write_programs(run, texts, inputs)
-            by_model = [name for name, obj in by_name.items() if obj.kind == MODEL]
-            if simulate and not by_model:
+            left_to_model = [name for name, obj in by_name.items() if obj.kind == MODEL]
+            if simulate and not left_to_model:
                 run_steps(run, config, None, first="verify")
                 return finish(run, None)
-            return finish(run, "parse" if by_model else "program")
+            return finish(run, "parse" if left_to_model else "program")
 
 
 def _write_programs(
@@ -116,13 +116,13 @@ def _write_programs(
         with run.step(f"program/{name}", inputs[name]) as step:
             if step is None:
                 continue
-            home = step / "objects" / name
-            home.mkdir(parents=True)
+            object_folder = step / "objects" / name
+            object_folder.mkdir(parents=True)
             for file, content in files.items():
-                (home / file).write_text(content, encoding="utf-8")
+                (object_folder / file).write_text(content, encoding="utf-8")
 
 
-def _built(node: TreeNode, text: str, stage: str, config: Config) -> Files:
+def _build_files(node: TreeNode, text: str, stage: str, config: Config) -> Files:
     """Build a program and return the files of the object."""
     built = build(text, config.program)
     if built.spec is None:
@@ -134,14 +134,15 @@ def _built(node: TreeNode, text: str, stage: str, config: Config) -> Files:
         allowances=built.allowances,
     )
     contents = (text, built.spec.to_json(), programmed.to_json())
-    return dict(zip(_OF_PROGRAM, contents, strict=True))
+    return dict(zip(_PROGRAM_FILES, contents, strict=True))
 
 
-def _files_of(home: Path) -> Files:
-    missing = [name for name in _OF_PROGRAM if not (home / name).is_file()]
+def _read_files(object_folder: Path) -> Files:
+    missing = [name for name in _PROGRAM_FILES if not (object_folder / name).is_file()]
     if missing:
         raise RunError(
-            f"{home} contains no {missing[0]}: choose a kind for the object, or leave it to a model"
+            f"{object_folder} contains no {missing[0]}: choose a kind for the object, or leave it "
+            "to a model"
         )
-    names = [name for name in (*_OF_PROGRAM, *_OF_STAGES) if (home / name).is_file()]
-    return {name: (home / name).read_text(encoding="utf-8") for name in names}
+    names = [name for name in (*_PROGRAM_FILES, *_STAGE_FILES) if (object_folder / name).is_file()]
+    return {name: (object_folder / name).read_text(encoding="utf-8") for name in names}

@@ -7,7 +7,7 @@ from ..spec import SceneTree, TreeNode
 from .coroutines import run_coroutine
 from .program_inputs import program_inputs
 from .step_context import (
-    ANSWERED,
+    RESPONSE_TREE,
     TREE,
     VERIFIED,
     StepContext,
@@ -29,15 +29,15 @@ def parse_photo(context: StepContext) -> None:
             return
         parsed = run_coroutine(parse(photo, models, options))
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
-        (out / ANSWERED).write_text(parsed.answered.to_json(), encoding="utf-8")
+        (out / RESPONSE_TREE).write_text(parsed.answered.to_json(), encoding="utf-8")
         (out / "photo.png").write_bytes(to_png(photo.rgb))
         (out / "pictures").mkdir()
         (out / "pictures" / "parse.png").write_bytes(parsed.picture)
         (out / "parse.json").write_text(parsed.to_json(), encoding="utf-8")
         for skipped, reason in parsed.fallbacks:
             run.fallback("parse", skipped, reason)
-        for what, reason in () if parsed.fit is None else parsed.fit.notes():
-            run.note("parse", what, reason)
+        for outcome, reason in () if parsed.fit is None else parsed.fit.notes():
+            run.note("parse", outcome, reason)
 
 
 def program_objects(context: StepContext) -> None:
@@ -52,22 +52,22 @@ def program_objects(context: StepContext) -> None:
     run, options = context.run, context.config.program
     photo, models = context.photo_and_models()
     tree = read_tree(run)
-    pictures, colours = crops(photo, tree), support_colours(photo, tree)
+    crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
-    inputs = program_inputs(tree, pictures, colours, options)
+    inputs = program_inputs(tree, crop_by_name, colours, options)
 
-    # Each object is charged the time since the previous one finished, so the times add up.
+    # An object's time counts from when the previous one finished, so the times add up.
     last_finished = run.now()
 
     async def program_one(node: TreeNode) -> None:
         nonlocal last_finished
-        name, picture = f"program/{node.name}", pictures[node.name]
+        name, crop = f"program/{node.name}", crop_by_name[node.name]
         colour = colours.get(node.name)
         if run.finished(name, inputs[node.name]):
             return
         result = await synthesise(
             node,
-            picture,
+            crop,
             models,
             options,
             camera=tree.camera,
@@ -75,25 +75,25 @@ def program_objects(context: StepContext) -> None:
         )
         if result.spec is None:
             raise ProgramError(f"object {node.name}: {result.reason}")
-        with run.step(name, inputs[node.name], begun=last_finished) as out:
+        with run.step(name, inputs[node.name], started=last_finished) as out:
             assert out is not None
-            home = out / "objects" / node.name
-            home.mkdir(parents=True)
-            (home / "program.py").write_text(result.text, encoding="utf-8")
+            object_folder = out / "objects" / node.name
+            object_folder.mkdir(parents=True)
+            (object_folder / "program.py").write_text(result.text, encoding="utf-8")
             if len(result.texts) > 1:
                 for file, text in result.texts.items():
-                    (home / f"{file}.py").write_text(text, encoding="utf-8")
-            (home / "spec.json").write_text(result.spec.to_json(), encoding="utf-8")
-            (home / "program.json").write_text(result.to_json(), encoding="utf-8")
+                    (object_folder / f"{file}.py").write_text(text, encoding="utf-8")
+            (object_folder / "spec.json").write_text(result.spec.to_json(), encoding="utf-8")
+            (object_folder / "program.json").write_text(result.to_json(), encoding="utf-8")
             for skipped, reason in result.fallbacks:
                 run.fallback(name, skipped, reason)
             if colour is not None and colour.source in ("answer", "material"):
-                why = f"it is unoccluded in only {colour.share:.1%} of the picture"
-                run.fallback(name, f"{node.name} in the colour of its {colour.source}", why)
+                reason = f"it is unoccluded in only {colour.share:.1%} of the picture"
+                run.fallback(name, f"{node.name} in the colour of its {colour.source}", reason)
             if result.size is not None:
                 sizes = (" x ".join(f"{v:.3f}" for v in s) for s in (node.box3d.size, result.size))
-                why = "{} m by the parse, {} m by the models".format(*sizes)
-                run.fallback(name, f"{node.name} with a corrected size", why)
+                reason = "{} m by the parse, {} m by the models".format(*sizes)
+                run.fallback(name, f"{node.name} with a corrected size", reason)
         last_finished = run.now()
 
     async def program_all() -> None:
@@ -121,8 +121,8 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
 
     run, options = context.run, context.config.verify
     name = f"verify/{node.name}"
-    home = run.path / "objects" / node.name
-    spec, program = home / "spec.json", home / "program.json"
+    object_folder = run.path / "objects" / node.name
+    spec, program = object_folder / "spec.json", object_folder / "program.json"
     level = on_level(node, tree)
     inputs = {"spec": spec, "program": program, "options": options, "node": node, "level": level}
     with run.step(name, inputs) as out:
@@ -138,9 +138,9 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
             allowed=read_allowances(program),
             models=None if options.critic == "never" else context.models,
         )
-        home = out / "objects" / node.name
-        home.mkdir(parents=True)
-        (home / "verify.json").write_text(result.to_json(), encoding="utf-8")
+        object_folder = out / "objects" / node.name
+        object_folder.mkdir(parents=True)
+        (object_folder / "verify.json").write_text(result.to_json(), encoding="utf-8")
         verdict = result.verdict
         if options.films == "always" or (options.films == "questionable" and verdict.questionable):
             tests = run_object_tests(
@@ -151,15 +151,17 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
                 allowed=read_allowances(program),
             )
             for kind, film in films(tests).items():
-                (home / f"{kind}.gif").write_bytes(film)
+                (object_folder / f"{kind}.gif").write_bytes(film)
         if not result.patch.empty:
-            write_overlay(home / "program.py", result.patch)
-            (home / VERIFIED).write_text(result.applied(object_).to_json(), encoding="utf-8")
+            write_overlay(object_folder / "program.py", result.patch)
+            (object_folder / VERIFIED).write_text(
+                result.applied(object_).to_json(), encoding="utf-8"
+            )
             run.fallback(name, f"{node.name} with edits", "; ".join(result.changes))
         for critic, reason in result.lost_critics:
             run.fallback(name, f"{node.name} without the critic {critic}", reason)
         for check in result.verdict.checks:
             if check.outcome in ("FAIL", "TOOL_FAILURE"):
                 fallback = f"{node.name} unchanged, although {check.scenario}/{check.name} failed"
-                why = f"{check.value} against {check.threshold}: {check.hint}"
-                run.fallback(name, fallback, why)
+                reason = f"{check.value} against {check.threshold}: {check.hint}"
+                run.fallback(name, fallback, reason)

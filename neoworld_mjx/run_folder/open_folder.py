@@ -21,7 +21,7 @@ from ..errors import NeoWorldError, RunError, choices
 from ..io.files import content_hash, write_atomic
 from ..progress import report
 from ..step_names import STEPS
-from .run_json import read_run, running, strict_json
+from .run_json import initial_record, read_run, strict_json
 from .run_log import RUN_LOG, RunLog
 from .staging import (
     STAGING,
@@ -41,12 +41,12 @@ Mode = Literal["new", "resume", "edited", "redo", "overwrite"]
 
 
 class Moment(NamedTuple):
-    """A moment of a run."""
+    """Elapsed and waiting time at a moment of a run."""
 
     clock: float
     """`time.perf_counter()` [s]."""
     waited: float
-    """Time spent waiting for models until then [s]."""
+    """Time that the run has spent waiting for models so far [s]."""
 
 
 class RunFolder:
@@ -55,8 +55,8 @@ class RunFolder:
     Attributes:
         path: the folder.
         data: contents of run.json; `save` writes it.
-        waited: returns the time spent waiting for models so far [s]; set by the code that opens
-            the models.
+        waited: function that returns the time spent waiting for models so far [s]; the caller that
+            opens the models sets it.
     """
 
     waited: Callable[[], float]
@@ -127,13 +127,13 @@ class RunFolder:
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
-        """Return True if `step` would keep this step, without starting it."""
+        """Return True if the method `step` would keep this step; start nothing."""
         self._visited.add(name)
         return self._keeps(name, self._hashes(name, inputs))
 
     @contextlib.contextmanager
     def step(
-        self, name: str, inputs: Mapping[str, object], *, begun: Moment | None = None
+        self, name: str, inputs: Mapping[str, object], *, started: Moment | None = None
     ) -> Iterator[Path | None]:
         """Run a step unless it is finished: `with run.step(...) as out: if out: ...`.
 
@@ -141,7 +141,7 @@ class RunFolder:
             name: one of `STEPS`, or a step and a part of it, as in "program/cup".
             inputs: everything that determines the files the step writes: paths (the contents of
                 the file or folder are hashed), pydantic models and JSON values.
-            begun: start of the step's work, from `now`, if it is before this call.
+            started: start of the step's work, from `now`, if it precedes this call.
 
         Yields:
             An empty staging folder for the step's files, which are moved to the same relative paths
@@ -157,19 +157,19 @@ class RunFolder:
         if self._keeps(name, hashes):
             yield None
             return
-        begun = begun or self.now()
+        started = started or self.now()
         old_outputs = self._forget(name)
         staged = self.path / STAGING / name.replace("/", ".")
         with disk_errors(self.path):
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
-            report(f"{name}: begun", **_status(name, name))
+            report(f"{name}: started", **_status(name, name))
             yield staged
             outputs = move_in(staged, self.path)
             delete_files(self.path, set(old_outputs) - set(outputs))
         # If the clock is set back, negative times would make run.json invalid.
         seconds, waiting = (
-            max(end - start, 0.0) for end, start in zip(self.now(), begun, strict=True)
+            max(end - start, 0.0) for end, start in zip(self.now(), started, strict=True)
         )
         self.data["steps"][name] = {
             "seconds": round(seconds, 3),
@@ -180,19 +180,19 @@ class RunFolder:
         self.save()
         report(f"{name}: done in {seconds:.1f} s", **_status(name, _step_of(name)))
 
-    def fallback(self, step: str, what: str, why: str) -> None:
-        """Record that a step did less than requested."""
-        if self._add_entry("fallbacks", step, what, why):
-            _log.warning("%s: fell back to %s: %s", step, what, why)
+    def fallback(self, step: str, outcome: str, reason: str) -> None:
+        """Record that a step did less than requested: its actual outcome, and the reason."""
+        if self._add_entry("fallbacks", step, outcome, reason):
+            _log.warning("%s: fell back to %s: %s", step, outcome, reason)
 
-    def note(self, step: str, what: str, why: str) -> None:
-        """Record a noteworthy result of a step that did as requested, such as a large move."""
-        if self._add_entry("notes", step, what, why):
-            report(f"{step}: {what}: {why}")
+    def note(self, step: str, outcome: str, reason: str) -> None:
+        """Record a noteworthy outcome of a step that did as requested, such as a large move."""
+        if self._add_entry("notes", step, outcome, reason):
+            report(f"{step}: {outcome}: {reason}")
 
-    def _add_entry(self, kind: str, step: str, what: str, why: str) -> bool:
-        """Add an entry to a list of run.json; return whether it is new."""
-        entry = {"step": step, "what": what, "why": why}
+    def _add_entry(self, kind: str, step: str, outcome: str, reason: str) -> bool:
+        """Add an entry to a list of run.json; return True if it is new."""
+        entry = {"step": step, "what": outcome, "why": reason}
         new = entry not in self.data[kind]
         if new:
             self.data[kind].append(entry)
@@ -251,7 +251,7 @@ class RunFolder:
                     "--resume, redo part of it with --from STEP, replace it with --overwrite, or "
                     "name another folder"
                 )
-            if mode == "new":  # The run finished no step: continue it, to keep its costs.
+            if mode == "new":  # The run finished no step. Continue it, to keep its costs.
                 mode = "resume"
         if mode in ("redo", "overwrite"):
             for name in [*self.data["steps"]]:
@@ -262,7 +262,7 @@ class RunFolder:
                 (self.path / name).unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
         clear_unfinished(self.path)
-        self.data = running(config, self.data)
+        self.data = initial_record(config, self.data)
         self.save()
 
     def _keeps(self, name: str, hashes: dict[str, str]) -> bool:
@@ -289,7 +289,7 @@ class RunFolder:
             entry["edited"] = sorted({*entry.get("edited", []), *edited})
 
     def edited_by_hand(self, name: str) -> tuple[str, ...]:
-        """Return the accepted files of a finished step that were edited after it wrote them."""
+        """Return the files of a finished step whose edits by hand were accepted."""
         return tuple(self.data["steps"].get(name, {}).get("edited", ()))
 
     def _edited(self, entry: dict[str, Any]) -> list[str]:
@@ -301,7 +301,7 @@ class RunFolder:
         ]
 
     def _forget(self, name: str) -> list[str]:
-        """Delete a step's record and return its files; set aside those that were edited."""
+        """Delete the record of a step and return its files; move edited ones to `replaced/`."""
         for kind in ("fallbacks", "notes"):
             self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
@@ -341,5 +341,5 @@ def _step_of(name: str) -> str:
 
 
 def _status(name: str, shown: str) -> dict[str, str]:
-    """Return the step for the status line; none for pictures, which a thread draws meanwhile."""
+    """Return the step for the status line; empty for pictures, which a thread draws meanwhile."""
     return {} if name.endswith("/picture") else {"step": shown}

@@ -26,13 +26,13 @@ _PACKAGES = (
 )
 
 
-def _inside(name: str) -> str:
+def _check_inside(name: str) -> str:
     if not stays_inside(name):
         raise ValueError("this path leads out of the folder")
     return name
 
 
-_Inside = Annotated[str, AfterValidator(_inside)]
+_InsidePath = Annotated[str, AfterValidator(_check_inside)]
 _Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
@@ -40,8 +40,8 @@ class _Step(BaseModel):
     seconds: _Seconds = 0.0
     waiting_s: _Seconds = 0.0
     inputs: dict[str, str]
-    outputs: dict[_Inside, str]
-    edited: list[_Inside] = []
+    outputs: dict[_InsidePath, str]
+    edited: list[_InsidePath] = []
 
 
 class _Fallback(BaseModel):
@@ -74,13 +74,13 @@ class _Record(BaseModel):
     photo: _Photo = _Photo()
 
 
-_EMPTY: dict[str, Any] = {
+_EMPTY_SECTIONS: dict[str, Any] = {
     key: {} for key in ("config", "seeds", "versions", "device", "metrics", "mllm", "photo")
 }
 
 
 def read_run(path: Path) -> dict[str, Any]:
-    """Read a folder's run.json.
+    """Read run.json of a run folder.
 
     Raises:
         RunError: the folder is missing or not a run folder of this version.
@@ -94,21 +94,21 @@ def read_run(path: Path) -> dict[str, Any]:
     try:
         _Record.model_validate(data)
     except ValidationError as error:
-        why = validation_message(error, _Record)
-        why = why if len(why) <= 500 else why[:500] + " ..."
+        reason = validation_message(error, _Record)
+        reason = reason if len(reason) <= 500 else reason[:500] + " ..."
         raise RunError(
-            f"{file} is damaged: {why}; repair it, or start a new run in another folder"
+            f"{file} is damaged: {reason}; repair it, or start a new run in another folder"
         ) from None
-    return _EMPTY | {"notes": []} | data
+    return _EMPTY_SECTIONS | {"notes": []} | data
 
 
-def running(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
+def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
     """Return the initial run.json of a run; steps, fallbacks and costs continue from `earlier`."""
     return {
         "format": FORMAT,
         "status": "running",
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "config": _without_keys(config),
+        "config": _without_header_values(config),
         "fingerprint": config.fingerprint(),
         "seeds": {"run": config.seed},
         "versions": versions(),
@@ -134,8 +134,8 @@ def versions() -> dict[str, str]:
     return installed
 
 
-def _without_keys(config: Config) -> dict[str, Any]:
-    """Return the options without header values, which may be secrets."""
+def _without_header_values(config: Config) -> dict[str, Any]:
+    """Return the options without the values of HTTP headers, which may be secrets."""
     data = config.model_dump(mode="json")
     data["mllm"]["headers"] = {
         name: value if value.startswith("${") else "[hidden]"

@@ -1,4 +1,4 @@
-"""run.log of a run folder: the package's log while the run is open, with times."""
+"""run.log of a run folder: the package's log, with timestamps, while the folder is open."""
 
 import errno
 import logging
@@ -24,12 +24,12 @@ class RunLog(logging.Handler):
         """Open the log of a run folder.
 
         Raises:
-            OSError: it cannot be opened, or is a link.
+            OSError: the log cannot be opened, or is a link.
         """
         super().__init__(logging.INFO)
         self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        self._handle: int | None = os.open(folder / RUN_LOG, _FLAGS, 0o666)
-        status = os.fstat(self._handle)
+        self._descriptor: int | None = os.open(folder / RUN_LOG, _FLAGS, 0o666)
+        status = os.fstat(self._descriptor)
         if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
             self.close()
             raise OSError(
@@ -38,23 +38,23 @@ class RunLog(logging.Handler):
         logging.getLogger(PACKAGE).addHandler(self)
 
     def note(self, level: int, text: str) -> None:
-        """Append a line to the file only."""
+        """Append a line to run.log only, not to other handlers of the log."""
         self.handle(logging.LogRecord(PACKAGE, level, "", 0, text, None, None))
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Append one line."""
-        if self._handle is None or record.levelno < self.level:
+        """Append a record as one line."""
+        if self._descriptor is None or record.levelno < self.level:
             return
         line = printable(self.format(record).replace("\n", " | ")) + "\n"
         try:
-            os.write(self._handle, line.encode("utf-8", "replace"))
+            os.write(self._descriptor, line.encode("utf-8", "replace"))
         except OSError:
             return
 
     def close(self) -> None:
         """Close the log."""
         logging.getLogger(PACKAGE).removeHandler(self)
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
         super().close()

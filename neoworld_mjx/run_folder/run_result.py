@@ -1,4 +1,4 @@
-"""Result of a run: the scene's metrics, the time of each step and the fallbacks."""
+"""Result of a run: metrics of the scene, time of each step, fallbacks and notes."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ class Result:
     """Time spent waiting for models by step [s]."""
     fallbacks: list[dict[str, str]]
     notes: list[dict[str, str]]
-    """Large moves by the fit and the search."""
+    """Noteworthy outcomes, such as large moves by the fit or the search."""
     objects: list[str]
     passed: bool | None
     """True if the refined scene is stable and free of penetration; None before refinement."""
@@ -43,7 +43,7 @@ class Result:
         }
 
     def __repr__(self) -> str:
-        """Return three lines: folder and outcome, objects, metrics."""
+        """Return folder and outcome, objects, and metrics, on one line each."""
         outcome = {None: "not refined", True: "passed", False: "failed its checks"}[self.passed]
         numbers = [
             f"{name} {self.metrics[name]:.2g}"

@@ -1,4 +1,4 @@
-"""Files of a run folder: lock, moving a finished step's files into place, and disk errors."""
+"""Files of a run folder: its lock, the moves of finished files into place, and disk errors."""
 
 import contextlib
 import errno
@@ -39,8 +39,8 @@ def check_claimable(folder: Path) -> None:
         names = {entry.name for entry in folder.iterdir()}
     except OSError as error:
         raise RunError(f"cannot read {folder}: {error.strerror}") from None
-    own = {LOCK, STAGING, *(name for name in names if _is_part_of_run_json(name))}
-    foreign = sorted(names - own)
+    run_files = {LOCK, STAGING, *(name for name in names if _is_part_of_run_json(name))}
+    foreign = sorted(names - run_files)
     if foreign:
         raise RunError(
             f"{folder} is not empty and not a run folder (it contains {foreign[0]}); "
@@ -59,14 +59,14 @@ def refuse_links(folder: Path) -> None:
     The folder itself may be a link.
 
     Raises:
-        RunError: it contains one.
+        RunError: the folder contains one, or cannot be read.
     """
     try:
         irregular = irregular_entry(folder)
     except OSError as error:
-        where = error.filename or folder
+        path = error.filename or folder
         raise RunError(
-            f"cannot read {where}: {error.strerror}; name a folder that you may write to"
+            f"cannot read {path}: {error.strerror}; name a folder that you may write to"
         ) from None
     if irregular is not None:
         name, kind = irregular
@@ -81,7 +81,7 @@ def lock_folder(folder: Path) -> TextIO:
 
     Raises:
         RunError: another process holds the lock.
-        OSError: the lock cannot be written, or is not a regular file.
+        OSError: the lock file cannot be written, or is not a regular file.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     handle = os.fdopen(os.open(folder / LOCK, flags, 0o666), "r+")
@@ -105,7 +105,7 @@ def lock_folder(folder: Path) -> TextIO:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Delete unfinished files and steps of a killed process."""
+    """Delete unfinished files and staging folders of a killed process."""
     shutil.rmtree(folder / STAGING, ignore_errors=True)
     for entry in folder.iterdir():
         if PART.match(entry.name):
@@ -133,7 +133,7 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
 
 
 def set_aside(folder: Path, name: str) -> Path:
-    """Move an edited file to `replaced/`, next to earlier ones; return its new path."""
+    """Move an edited file to `replaced/`, without overwriting earlier ones; return its new path."""
     aside = f"replaced/{name}"
     while (folder / aside).exists():
         aside += ".old"
@@ -146,7 +146,7 @@ def set_aside(folder: Path, name: str) -> Path:
 
 
 def delete_files(folder: Path, names: Iterable[str]) -> None:
-    """Delete files of a run folder, and folders that become empty."""
+    """Delete files of a run folder, and the folders that this leaves empty."""
     for name in names:
         while name and stays_inside(name):
             try:
@@ -161,8 +161,8 @@ def delete_files(folder: Path, names: Iterable[str]) -> None:
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
                     break
                 raise
-            above = PurePosixPath(name).parent.as_posix()
-            name = "" if above == "." else above
+            parent_name = PurePosixPath(name).parent.as_posix()
+            name = "" if parent_name == "." else parent_name
 
 
 @contextlib.contextmanager
@@ -171,7 +171,7 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
 
     Args:
         folder: the run folder.
-        anywhere: True to convert errors of files outside the folder, too.
+        anywhere: True to also convert errors of files outside the folder.
     """
     try:
         yield
@@ -182,9 +182,9 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
             raise RunError(
                 f"no space left on the disk of {folder}: free some, then continue with --resume"
             ) from error
-        named = str(getattr(error, "filename", None) or folder)
-        if isinstance(error, OSError) and (anywhere or named.startswith(str(folder))):
+        path = str(getattr(error, "filename", None) or folder)
+        if isinstance(error, OSError) and (anywhere or path.startswith(str(folder))):
             raise RunError(
-                f"cannot write {named}: {error.strerror}; name a folder that you may write to"
+                f"cannot write {path}: {error.strerror}; name a folder that you may write to"
             ) from error
         raise

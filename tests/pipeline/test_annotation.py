@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from neoworld_mjx.annotation.annotated_program import program_of
-from neoworld_mjx.annotation.annotated_tree import annotated_tree, opened_annotation, placed_box
+from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree, placed_box
 from neoworld_mjx.annotation.annotation import (
     GROUND,
     KEPT,
@@ -147,7 +147,7 @@ def test_a_parsed_tree_opens_as_an_annotation(quick_run, tmp_path, photo, quick_
     assert {obj.name for obj in annotation.objects} == {"saucer", "cup", "spoon"}
     assert all(obj.kind == KEPT for obj in annotation.objects)
     tree = annotated_tree(annotation)
-    assert opened_annotation(tree).objects == annotation.objects
+    assert annotation_from_tree(tree).objects == annotation.objects
     with pytest.raises(RunError, match="choose a kind"):
         write_annotated(photo, tmp_path / "new", annotation, quick_config)
     assert load_photo(photo).original_size == (tree.camera.width, tree.camera.height_px)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from neoworld_mjx.annotation.annotated_tree import annotated_tree, opened_annotation
+from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree
 from neoworld_mjx.annotation.annotation import GROUND, KEPT
 from neoworld_mjx.annotation.edits import find_object, with_box, with_change, without
 from neoworld_mjx.errors import SpecError
@@ -84,7 +84,7 @@ def opened_page(photo, quick_config):
 
 
 def test_opening_an_annotation_and_choosing_its_objects_changes_nothing(opened_page):
-    annotation = opened_annotation(annotated_tree(coffee()))
+    annotation = annotation_from_tree(annotated_tree(coffee()))
     page = opened_page(annotation)
     for name in ("cup", "saucer", "", "cup"):
         page._choose(name)
