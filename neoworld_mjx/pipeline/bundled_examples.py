@@ -1,4 +1,4 @@
-"""Examples of the package: photographs with the models' responses on tape."""
+"""Bundled examples: photographs with recorded responses of the models."""
 
 from importlib import resources
 from pathlib import Path
@@ -33,7 +33,7 @@ def bundled_examples() -> dict[str, BundledExample]:
     """Return the examples by name.
 
     Raises:
-        PhotoError: a photograph is missing, as the installation is incomplete.
+        PhotoError: a photograph is missing because the installation is incomplete.
     """
     table = read_yaml(_DATA / "examples.yaml", "examples")
     return {
@@ -43,7 +43,7 @@ def bundled_examples() -> dict[str, BundledExample]:
 
 
 def photo_of(photo: Path) -> Path:
-    """Return a photograph's file, or that of the example with this name.
+    """Return the path itself, or the photograph of the example with this name.
 
     Raises:
         PhotoError: neither a file nor an example has this name.

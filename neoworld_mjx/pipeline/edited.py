@@ -16,8 +16,8 @@ from .reconstruction import earlier_options, finish, models_of_run, run_steps
 def search_again(folder: Path, patch: LayoutPatch) -> Result:
     """Apply a person's placements to the composed scene, and repeat the search from there.
 
-    The patch stays in the run folder and is applied by every later composition. Steps with
-    unchanged inputs are kept; with an unchanged patch, these are all steps.
+    Every later composition applies the patch, which stays in the run folder. Steps with unchanged
+    inputs are kept, so an unchanged patch repeats no step.
 
     Args:
         folder: the run folder; its verify step must have finished.
@@ -39,7 +39,7 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | N
     """Build a new program of an object and, if it is valid, repeat the later steps.
 
     Args:
-        folder: the run folder; its program step must have finished.
+        folder: the run folder; the object's program step must have finished.
         name: name of the object.
         text: the program.
 
@@ -51,7 +51,7 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | N
         NeoWorldError: the folder is not such a run, or a later step fails.
     """
     config = _options(folder, verifies=True)
-    step, home = f"program/{name}", folder / "objects" / name
+    step, object_folder = f"program/{name}", folder / "objects" / name
     with bounded_by(config.files):
         earlier = read_run(folder)
         if step not in earlier["steps"]:
@@ -63,7 +63,7 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | N
         models = models_of_run(folder, config, earlier, critic=True)
         attempt = ProgramAttempt("edited", text, built)
         with RunFolder(folder, config, "edited", step="program") as run:
-            path = home / "program.json"
+            path = object_folder / "program.json"
             size = read_object(path, RunError).get("size") if path.is_file() else None
             programmed = SynthesisResult(
                 *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
@@ -75,7 +75,7 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | N
                 ("spec.json", built.spec.to_json()),
                 ("program.json", programmed.to_json()),
             ):
-                write_atomic(home / file, content)
+                write_atomic(object_folder / file, content)
             run.accept_edits(step)
             run_steps(run, config, models, first="verify")
             return built, finish(run, None)

@@ -33,7 +33,7 @@ class Pictures:
     _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "pictures"))
 
     def begin(self, part: str, scene: Path, file: str) -> None:
-        """Start drawing a scene from its camera, unless the run already has this picture.
+        """Start to draw a scene from its camera, unless the run already has this picture.
 
         Args:
             part: name of the picture as a part of a step.
@@ -42,7 +42,7 @@ class Pictures:
         """
         inputs = {"scene": scene, "render": self.options}
         if not self.run.finished(part, inputs):
-            drawn = self._pool.submit(_drawn, read_scene(scene), self.options)
+            drawn = self._pool.submit(_draw, read_scene(scene), self.options)
             self._pending.append(_Pending(part, inputs, file, drawn))
 
     def store(self, *, wait: bool = False) -> None:
@@ -50,7 +50,7 @@ class Pictures:
 
         The recorded duration of a part is the time that the run waited for it.
         """
-        for pending in [each for each in self._pending if wait or each.png.done()]:
+        for pending in [p for p in self._pending if wait or p.png.done()]:
             self._pending.remove(pending)
             with self.run.step(pending.part, pending.inputs) as out:
                 if out is not None:
@@ -78,7 +78,7 @@ class Pictures:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _drawn(scene: SceneSpec, options: RenderOptions) -> bytes:
+def _draw(scene: SceneSpec, options: RenderOptions) -> bytes:
     from ..render import render_scene, to_png
 
     return to_png(render_scene(scene, width=options.width, supersample=options.supersample))

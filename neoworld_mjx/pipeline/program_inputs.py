@@ -1,4 +1,4 @@
-"""Inputs of the program step, and sizes that it corrects."""
+"""Inputs of the program step, and the box sizes that the step corrects."""
 
 from collections.abc import Mapping
 
@@ -13,8 +13,8 @@ from ..spec import Box3D, SceneTree
 
 def program_inputs(
     tree: SceneTree,
-    pictures: Mapping[str, "Crop"],
-    colours: Mapping[str, "SupportColour"],
+    crops: Mapping[str, Crop],
+    colours: Mapping[str, SupportColour],
     options: ProgramOptions,
 ) -> dict[str, dict[str, object]]:
     """Return everything that determines the program of each object, by name."""
@@ -23,7 +23,7 @@ def program_inputs(
     return {
         node.name: {
             "node": node.model_dump(mode="json"),
-            "crop": pictures[node.name].picture.pixels,
+            "crop": crops[node.name].picture.pixels,
             "options": options.model_dump(mode="json"),
             "guide": all_instructions(options),
             "colour": None if node.name not in colours else colours[node.name].rgb,

@@ -15,7 +15,7 @@ from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..step_names import Step
 from .pictures import Pictures
 from .scene_steps import write_metrics
-from .step_context import ANSWERS, COMPOSED, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, StepContext, read_tree
 from .steps import STEP_FUNCTIONS
 
 
@@ -32,7 +32,7 @@ def reconstruct(
     mailbox: Path | None = None,
     tapes: tuple[Path, ...] = (),
 ) -> Result:
-    """Turn one photograph into a scene that simulates (paper Figure 2).
+    """Turn one photograph into a simulation-ready scene (paper Figure 2).
 
     Each step reads the files of earlier steps and writes its own, so a resumed run produces the
     same bytes as an uninterrupted one.
@@ -55,7 +55,7 @@ def reconstruct(
             the models, or a program that does not build an object.
     """
     photo, out = _path(photo, "photo"), _path(out, "out")
-    config = _checked(config)
+    config = _checked_config(config)
     mode = _mode(until, resume=resume, start=start, overwrite=overwrite)
     with bounded_by(config.files):
         picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
@@ -72,7 +72,7 @@ def reconstruct(
             from ..program.blender.blender_availability import require_blender
 
             require_blender()
-        open_models()  # Report a wrong provider or key before writing to the folder.
+        open_models()  # Report a wrong provider or key before anything is written to the folder.
         other_photo = _other_photo(out, picture)
         if other_photo and mode in ("resume", "redo"):
             raise RunError(
@@ -82,8 +82,8 @@ def reconstruct(
         with RunFolder(out, config, mode, step=start) as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
             if other_photo:
-                (run.path / ANSWERS).unlink(missing_ok=True)
-            models = open_models(record=record or out / ANSWERS)
+                (run.path / TAPE).unlink(missing_ok=True)
+            models = open_models(record=record or out / TAPE)
             run_steps(run, config, models, picture, until=until)
             return finish(run, until)
 
@@ -118,7 +118,7 @@ def run_steps(
 
 @contextmanager
 def recorded_costs(run: RunFolder, models: Panel | None) -> Iterator[None]:
-    """Continue the run's cost ledger, so that its cap holds, and record it in run.json at the end.
+    """Continue the run's cost ledger, so that the cap covers the whole run; record it at the end.
 
     Raises:
         RunError: the run's ledger is damaged.
@@ -161,7 +161,7 @@ def refine_again(
         raise RunError(f"{folder} has no composed scene yet; continue with reconstruct --resume")
     if config is None:
         config = earlier_options(folder, earlier["config"], over or {})
-    config = _checked(config)
+    config = _checked_config(config)
     with bounded_by(config.files):
         models = models_of_run(folder, config, earlier, critic=False)
         with RunFolder(folder, config, "redo", step="refine") as run:
@@ -177,7 +177,7 @@ def earlier_options(
     Args:
         folder: the run folder.
         data: options in its run.json.
-        over: options that override them.
+        over: options that override those.
         verifies: True if objects will be verified, which may call the critic.
 
     Raises:
@@ -192,11 +192,11 @@ def earlier_options(
         config = load_config(None, merged(data, over))
     except ConfigError as error:
         raise ConfigError(f"{folder / 'run.json'}: {error}; give options by --config") from None
-    named = [name for name in config.refine.reward.terms if ":" in name]
-    named += [config.refine.optimizer] * (":" in config.refine.optimizer)
-    if named:
+    code_names = [name for name in config.refine.reward.terms if ":" in name]
+    code_names += [config.refine.optimizer] * (":" in config.refine.optimizer)
+    if code_names:
         raise ConfigError(
-            f"{folder / 'run.json'} names code to run ({', '.join(named)}): if you "
+            f"{folder / 'run.json'} names code to run ({', '.join(code_names)}): if you "
             "trust it, give the option by --config or --set"
         )
     calls_models = config.refine.semantic.scorer == "mllm" or (
@@ -218,14 +218,14 @@ def earlier_options(
 def models_of_run(
     folder: Path, config: Config, earlier: dict[str, Any], *, critic: bool
 ) -> Panel | None:
-    """Open the models that the steps after `program` call; None if they call none.
+    """Open the models that the steps after `program` call; return None if they call none.
 
     Args:
         folder: the run folder.
         config: its options.
         earlier: its run.json.
-        critic: True if verify is one of these steps. Unless the critic sees every object, it is
-            not called: a person has edited the object that it would judge.
+        critic: True if verify is one of these steps. It calls the critic only if the option
+            `verify.critic` is "always": otherwise the judgment of the person who edited counts.
     """
     if config.refine.semantic.scorer == "mllm" or (critic and config.verify.critic == "always"):
         return open_panel(
@@ -233,7 +233,7 @@ def models_of_run(
             config.provider,
             photo=earlier["photo"].get("sha256"),
             mailbox=folder / "mailbox",
-            record=folder / ANSWERS,
+            record=folder / TAPE,
             made=f"recorded from provider {config.provider}",
         )
     return None
@@ -245,7 +245,7 @@ def _path(value: object, name: str) -> Path:
     raise ConfigError(f"{name} must be a path, got {type(value).__name__}")
 
 
-def _checked(config: object) -> Config:
+def _checked_config(config: object) -> Config:
     if config is None:
         return Config()
     if isinstance(config, Config):
@@ -265,11 +265,13 @@ def _mode(until: str | None, *, resume: bool, start: str | None, overwrite: bool
         raise RunError(f"--until {until} precedes --from {start}: no step would run")
     if start is not None:
         return "redo"
-    return "overwrite" if overwrite else "resume" if resume else "new"
+    if resume:
+        return "resume"
+    return "overwrite" if overwrite else "new"
 
 
 def _other_photo(out: Path, photo: Photo) -> str:
-    """Return the name of the photograph of a folder's run if it differs, otherwise ""."""
+    """Return the name of the photograph of the run in `out` if it is another one, otherwise ""."""
     try:
         if not (out / "run.json").is_file():
             return ""

@@ -15,10 +15,10 @@ from ..spec import read_scene
 from .program_inputs import with_corrected_sizes
 from .step_context import (
     ANNOTATION,
-    ANSWERED,
     CHECK,
     COMPOSED,
     REFIT,
+    RESPONSE_TREE,
     RESULT,
     SCENE,
     TREE,
@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
 
-    It writes compose/tree.json, compose/fit.json, compose/scene.json and compose/scales.json.
+    The step writes compose/tree.json, compose/fit.json, compose/scene.json and compose/scales.json.
     """
     from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
@@ -45,16 +45,16 @@ def compose_scene(context: StepContext) -> None:
     tree = with_corrected_sizes(run, read_tree(run))
     specs = {}
     for node in tree.nodes:
-        home = run.path / "objects" / node.name
-        repaired = home / VERIFIED
-        specs[node.name] = repaired if repaired.is_file() else home / "spec.json"
+        object_folder = run.path / "objects" / node.name
+        repaired = object_folder / VERIFIED
+        specs[node.name] = repaired if repaired.is_file() else object_folder / "spec.json"
     refits = config.compose.refit and config.parse.fit
     edited = TREE in run.edited_by_hand("parse")
-    # Supports given by a person are not changed.
-    by_person = edited or (run.path / ANNOTATION).is_file()
-    if refits and (run.path / ANSWERED).is_file() and not edited:
-        # Start from the response: the first fit has already used the same boxes.
-        tree = with_corrected_sizes(run, read_tree(run, ANSWERED))
+    # The fit keeps supports that a person chose.
+    supports_by_person = edited or (run.path / ANNOTATION).is_file()
+    if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
+        # Start from the unfitted tree: the first fit has already used the same boxes.
+        tree = with_corrected_sizes(run, read_tree(run, RESPONSE_TREE))
     inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
     patch = read_layout_patch(run.path)
     if patch.objects:
@@ -64,17 +64,19 @@ def compose_scene(context: StepContext) -> None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
             if refits:
-                shown = shown_sides(compose(tree, objects, config.compose).scene)
-                tree, report = refit_tree(tree, objects, shown, change_supports=not by_person)
+                visible_sides = shown_sides(compose(tree, objects, config.compose).scene)
+                tree, report = refit_tree(
+                    tree, objects, visible_sides, change_supports=not supports_by_person
+                )
                 (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
                 (out / REFIT).write_text(
                     json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8"
                 )
-                for what, reason in report.notes():
-                    run.note("compose", what, reason)
-                for name, other in report.supports.items():
-                    what = f"{name} {other.relation} {other.parent}, not {other.before}"
-                    run.fallback("compose", what, other.phrase())
+                for outcome, reason in report.notes():
+                    run.note("compose", outcome, reason)
+                for name, support in report.supports.items():
+                    change = f"{name} {support.relation} {support.parent}, not {support.before}"
+                    run.fallback("compose", change, support.phrase())
             composed = compose(tree, objects, config.compose)
             scene, stale = apply_layout(composed.scene, patch, config.compose.gap_m)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
@@ -87,8 +89,8 @@ def compose_scene(context: StepContext) -> None:
                     "compose", f"{name} at a person's placement", f"{LAYOUT_PATCH} contains it"
                 )
             for name in stale:
-                why = f"{LAYOUT_PATCH} contains it, but the scene does not"
-                run.fallback("compose", f"no {name}", why)
+                reason = f"{LAYOUT_PATCH} contains it, but the scene does not"
+                run.fallback("compose", f"no {name}", reason)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
 
@@ -96,7 +98,7 @@ def compose_scene(context: StepContext) -> None:
 def _check_composed(context: StepContext) -> None:
     """Write compose/check.json with the objects of the composed scene that do not stay in place.
 
-    Objects that are unstable in every layout are fallbacks of the run; the search may fix others.
+    Objects that no layout can stabilize become fallbacks of the run; the search may fix the others.
     """
     from ..measure import measured, unstable_objects
     from ..measure.unstable import phrases
@@ -201,7 +203,7 @@ def export_files(context: StepContext) -> None:
         if out is None:
             return
         export_scene(read_scene(run.path / SCENE), out)
-        (out / SCENE).unlink(missing_ok=True)  # It is an output of refine.
+        (out / SCENE).unlink(missing_ok=True)  # The step refine has already written it.
 
 
 def write_metrics(run: RunFolder) -> None:

@@ -13,17 +13,17 @@ from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree
 from .pictures import Pictures
 
-ANSWERED = "answered.json"
-"""The tree before its fit to the boxes."""
+RESPONSE_TREE = "answered.json"
+"""Scene tree of the model's response, before its fit to the 2D boxes."""
 ANNOTATION = "annotation.json"
 """Annotation of the photograph by a person, if any."""
 TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
 CHECK = "compose/check.json"
 REFIT = "compose/fit.json"
 RESULT = "refine/result.json"
-ANSWERS = "answers.tape.json"
+TAPE = "answers.tape.json"
 VERIFIED = "verified.json"
-"""The object after repairs by Step 3; missing if Step 3 changed nothing."""
+"""Object after repairs by Step 3; missing if Step 3 changed nothing."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class StepContext:
     pictures: Pictures
 
     def photo_and_models(self) -> tuple[Photo, Panel]:
-        """Return photograph and models, in the steps that need them."""
+        """Return the photograph and the models, for steps that require them."""
         assert self.photo is not None and self.models is not None
         return self.photo, self.models
 
 
 def read_tree(run: RunFolder, name: str = TREE) -> SceneTree:
-    """Read the scene tree of Step 1, or with `ANSWERED` that of the model's response."""
+    """Read the scene tree of Step 1: the fitted one, or `RESPONSE_TREE`."""
     return read_model(run.path / name, SceneTree, SpecError, "a scene tree")
 
 
@@ -59,4 +59,4 @@ def read_allowances(path: Path) -> list[Allowance]:
     try:
         return [Allowance(**entry) for entry in read_object(path, SpecError)["allowances"]]
     except (ValueError, KeyError, TypeError) as error:
-        raise SpecError(f"{path} lists no allowances of the program: {error}") from None
+        raise SpecError(f"{path} contains no valid allowances of the program: {error}") from None

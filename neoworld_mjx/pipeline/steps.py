@@ -1,7 +1,7 @@
 """Steps of a run. Each one reads files of the run folder, calls its package and writes its files.
 
-A step declares everything that it reads as its inputs, from which the run folder determines whether
-the step has to run again.
+A step declares everything that it reads as its inputs; the run folder repeats a step whose inputs
+have changed.
 """
 
 from collections.abc import Callable
