@@ -7,7 +7,7 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.render.viewpoints import around, opened, subject_points
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.report.film_strips import SHARES, fall, film_strips
+from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
 
 
@@ -97,8 +97,8 @@ def test_a_film_strip_shows_what_falls(tmp_path):
     scene = scenes.blocks()
     lifted = scene.objects[1].model_copy(update={"z": scene.objects[1].z + 0.15})
     fallen = scene.model_copy(update={"objects": (scene.objects[0], lifted, *scene.objects[2:])})
-    frames = fall(fallen, 0.5)
-    assert [seconds for seconds, _ in frames] == [share * 0.5 for share in SHARES]
+    frames = fall_frames(fallen, 0.5)
+    assert [seconds for seconds, _ in frames] == [fraction * 0.5 for fraction in TIME_FRACTIONS]
     first, last = frames[0][1].astype(int), frames[-1][1].astype(int)
     assert (np.abs(first - last).max(axis=2) > 30).mean() > 0.005
     (tmp_path / "scene.json").write_text(fallen.to_json())

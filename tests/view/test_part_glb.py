@@ -14,7 +14,7 @@ from neoworld_mjx.spec.triangles import enclosed_volume
 from neoworld_mjx.view.pages import part_glb as module
 from neoworld_mjx.view.pages.part_glb import Detail, detail_of, part_glb
 from neoworld_mjx.view.pages.scene_nodes import SceneNodes
-from neoworld_mjx.view.pages.view_target import alone
+from neoworld_mjx.view.pages.view_target import single_object_scene
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
 
@@ -77,7 +77,7 @@ def test_baked_light_comes_from_above_in_every_orientation(aquarium_like):
 
 
 def test_a_large_scene_is_drawn_with_fewer_triangles(aquarium_like, monkeypatch):
-    scene = alone(aquarium_like)
+    scene = single_object_scene(aquarium_like)
     assert detail_of(scene, 2.0) == Detail()
     monkeypatch.setattr(module, "LIT_TRIANGLES", visible_triangles(aquarium_like.parts[0]) - 1)
     assert detail_of(scene, 2.0) == Detail(1e-3, lit=False)
@@ -108,7 +108,7 @@ def test_transparent_copies_replace_the_surfaces(aquarium_like):
     server = open_server("test", port=0)
     try:
         page = SceneNodes(server, lambda _: None)
-        page.show(alone(aquarium_like))
+        page.show(single_object_scene(aquarium_like))
         assert len(page._visible) == 2 and page._transparent_copies == []
         shown = lambda: tuple(
             {node.visible for node in nodes} for nodes in (page._visible, page._transparent_copies)
@@ -121,7 +121,7 @@ def test_transparent_copies_replace_the_surfaces(aquarium_like):
         page.show_visible(True)
         assert shown() == ({True}, {False})
         page.set_transparent(True)
-        page.show(alone(aquarium_like.model_copy(update={"label": "another tank"})))
+        page.show(single_object_scene(aquarium_like.model_copy(update={"label": "another tank"})))
         assert shown() == ({False}, {True}) and len(page._transparent_copies) == 2
     finally:
         close_server(server)

@@ -13,9 +13,9 @@ from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, yaw_of
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.pages.free_fall import FreeFall
-from neoworld_mjx.view.pages.scene_editor import SceneEditor, sliding_keys
+from neoworld_mjx.view.pages.scene_editor import SceneEditor, settable_joints
 from neoworld_mjx.view.pages.scene_nodes import part_poses
-from neoworld_mjx.view.pages.view_target import alone, open_target
+from neoworld_mjx.view.pages.view_target import open_target, single_object_scene
 from tests.support import scenes
 
 
@@ -23,7 +23,7 @@ from tests.support import scenes
 def cabinet():
     built = run(template("drawer_cabinet").program())
     assert built.spec is not None
-    return alone(built.spec)
+    return single_object_scene(built.spec)
 
 
 def test_dragging_a_handle_moves_an_object_and_its_children():
@@ -45,7 +45,7 @@ def test_dragging_a_handle_moves_an_object_and_its_children():
 def test_a_joint_moves_its_part_and_no_other(cabinet):
     editor = SceneEditor(cabinet, LayoutPatch())
     obj = cabinet.objects[0]
-    joint, key = sliding_keys(obj)[0]
+    joint, key = settable_joints(obj)[0]
     editor.set_joint(obj.name, key, 0.5 * joint.upper)
     before, after = part_poses(cabinet), part_poses(editor.scene)
     moved = {
@@ -57,7 +57,7 @@ def test_a_joint_moves_its_part_and_no_other(cabinet):
 
 def test_the_simulation_starts_at_the_shown_poses(cabinet):
     obj = cabinet.objects[0]
-    joint, key = sliding_keys(obj)[0]
+    joint, key = settable_joints(obj)[0]
     editor = SceneEditor(cabinet, LayoutPatch())
     editor.set_joint(obj.name, key, 0.5 * joint.upper)
     fall = FreeFall(editor.scene, lambda _: None)

@@ -1,4 +1,4 @@
-"""Page of `neoworld annotate`: boxes, labels and a camera for a photograph, without a model."""
+"""Page of `neoworld annotate`: a person marks boxes, labels and the camera of a photograph."""
 
 import math
 import threading
@@ -53,9 +53,9 @@ def empty_annotation(photo: Path, config: Config) -> Annotation:
 class Annotator:
     """Editor of an annotation on the page of a server.
 
-    The annotation is the state. Editing a field changes one value of the annotation, and edits are
-    serialized. The page writes the fields only when another object is chosen: viser calls from many
-    threads, and an old value must never overwrite a person's input.
+    The annotation is the state. Editing a field changes one value of the annotation; a lock
+    serializes the edits. The page writes the fields only when another object is selected, because
+    viser calls back from many threads and an old value must never overwrite a person's input.
     """
 
     def __init__(
@@ -75,14 +75,15 @@ class Annotator:
             out: the run folder to write.
             annotation: the initial annotation.
             config: options of the run.
-            write: writes an annotation into the run folder; if its flag is set, also simulates.
+            write: function that writes an annotation into the run folder; if its second argument
+                is True, it also simulates the scene.
         """
         self._write_annotated = write
         self._server, self._photo, self._out, self._config = server, photo, out, config
         self.annotation = annotation
         self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
-        self._page = SceneNodes(server, lambda _: None)
-        self._chosen = ""
+        self._nodes = SceneNodes(server, lambda _: None)
+        self._selected = ""
         self._rectangle = RectanglePicker(server, lambda: self.annotation.camera, self._set_box)
         self._editing, self._busy = threading.Lock(), threading.Lock()
         server.scene.set_up_direction("+z")
@@ -169,7 +170,7 @@ class Annotator:
         self._log = gui.add_html(message(f"The run folder is {self._out}."))
 
     def _on_edit(self, control: Any, edit: Callable[[Any], None]) -> None:
-        """Call `edit` when a person changes a control, not when the page does."""
+        """Call `edit` when a person, rather than the page, changes a control."""
 
         def edited(event: Any) -> None:
             if event.client_id is None:
@@ -196,13 +197,13 @@ class Annotator:
         self._lines_message.content = message(line, bad=bad)
 
     def _begin_lines(self, client: Any) -> None:
-        """Take the next clicks on the photograph as end points of lines on the ground."""
+        """Use the next clicks on the photograph as end points of lines on the ground."""
         with self._editing:
             look_through(client, self.annotation.camera)
             self._picker.begin(self.annotation.camera)
 
     def _take_lines(self, along: NDArray, across: NDArray) -> None:
-        """Set the camera for which the marked lines lie on the ground."""
+        """Set the camera that puts the marked lines on the ground."""
         with self._editing:
             try:
                 camera, has_fovy = camera_of_lines(self.annotation.camera, along, across)
@@ -216,7 +217,7 @@ class Annotator:
             self._draw_camera()
         lens = "including the field of view" if has_fovy else "except the field of view"
         self._show_lines_message(
-            f"The camera is that of the lines, {lens}; the height is yours to set."
+            f"The lines determine the camera, {lens}; set the height yourself."
         )
         for client in self._server.get_clients().values():
             look_through(client, camera)
@@ -225,7 +226,7 @@ class Annotator:
         self.annotation = self.annotation.model_copy(update={"ground": label})
 
     def _begin_box(self, client: Any) -> None:
-        """Take the next rectangle on the photograph as the object's box."""
+        """Use the next rectangle on the photograph as the object's box."""
         with self._editing:
             self._message.content = message(
                 "Drag a rectangle around the visible part of the object."
@@ -240,9 +241,9 @@ class Annotator:
         if box is None:
             self._message.content = message("The box is too small: draw it again.", bad=True)
             return
-        if self._chosen:
+        if self._selected:
             self._change({"box": box})
-            self._choose(self._chosen)
+            self._choose(self._selected)
         else:
             self.annotation, name = with_box(self.annotation, box)
             self._choose(name)
@@ -250,10 +251,10 @@ class Annotator:
     def _set_field(self, field: str, value: Any) -> None:
         if field == "name" and not is_name(value):
             raise SpecError("a name consists of letters, digits and _, and starts with a letter")
-        renamed = field == "name" and value != self._chosen
+        renamed = field == "name" and value != self._selected
         self._change({field: value[:100] if field == "label" else value})
         if renamed:
-            self._chosen = value
+            self._selected = value
             self._list_objects()
         self._draw_boxes()
 
@@ -284,11 +285,11 @@ class Annotator:
         self._message.content = message(f"Parts: {listed}")
 
     def _delete(self) -> None:
-        self.annotation = without(self.annotation, self._chosen)
+        self.annotation = without(self.annotation, self._selected)
         self._choose("")
 
     def _object(self) -> AnnotatedObject:
-        obj = find_object(self.annotation, self._chosen)
+        obj = find_object(self.annotation, self._selected)
         if obj is None:
             raise SpecError("choose an object, or draw the box of a new one")
         return obj
@@ -299,9 +300,9 @@ class Annotator:
     # Display.
 
     def _choose(self, name: str) -> None:
-        """Show the fields of an object; hide them for a new one."""
+        """Select an object and show its fields; hide them for a new object."""
         obj = find_object(self.annotation, name)
-        self._chosen = "" if obj is None else obj.name
+        self._selected = "" if obj is None else obj.name
         self._list_objects()
         self._object_folder.visible = obj is not None
         if obj is not None:
@@ -316,9 +317,9 @@ class Annotator:
     def _list_objects(self) -> None:
         names = [obj.name for obj in self.annotation.objects]
         parent = self._fields["parent"]
-        _set_options(self._chooser, (NEW, *names), self._chosen or NEW)
-        obj = find_object(self.annotation, self._chosen)
-        others = (GROUND, *(name for name in names if name != self._chosen))
+        _set_options(self._chooser, (NEW, *names), self._selected or NEW)
+        obj = find_object(self.annotation, self._selected)
+        others = (GROUND, *(name for name in names if name != self._selected))
         _set_options(parent, others, GROUND if obj is None else obj.parent)
 
     def _draw_camera(self) -> None:
@@ -329,9 +330,9 @@ class Annotator:
         self._draw_boxes()
 
     def _draw_boxes(self) -> None:
-        self._page.show_visible(False)  # The built scene would cover the photograph.
+        self._nodes.show_visible(False)  # The built scene would cover the photograph.
         try:
-            size = draw_boxes(self._server, self.annotation, self._chosen)
+            size = draw_boxes(self._server, self.annotation, self._selected)
         except SpecError as error:
             self._message.content = message(str(error), bad=True)
         else:
@@ -351,8 +352,8 @@ class Annotator:
     def _show(self, result: Result) -> None:
         scene = self._out / "scene.json"
         if result.until is None and scene.is_file():
-            self._page.show(read_scene(scene))
-            self._page.show_visible(True)
+            self._nodes.show(read_scene(scene))
+            self._nodes.show_visible(True)
             verdict = "the scene is stable" if result.passed else "the scene fails its checks"
             self._log.content = message(f"Done: {verdict}. {result!r}", bad=not result.passed)
         else:
@@ -362,7 +363,7 @@ class Annotator:
 
 
 def _clipped(control: Any) -> Any:
-    """Return the value of a control, clipped to its bounds: typing 0.05 starts with 0."""
+    """Return the value of a control, clipped to its bounds, as typing 0.05 starts with 0."""
     low, high = getattr(control, "min", None), getattr(control, "max", None)
     if low is None or high is None:
         return control.value

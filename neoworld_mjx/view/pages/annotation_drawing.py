@@ -1,4 +1,4 @@
-"""Drawing of the page of `neoworld annotate`: photograph, grid, 2D boxes and 3D boxes."""
+"""Drawings on the page of `neoworld annotate`: photograph, grid, 2D boxes and 3D boxes."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
 FAR, FARTHEST_M = 40.0, 800.0
-"""Distance of the photograph behind the scene, in heights of the camera, and its limit [m]."""
+"""Distance of the photograph from the camera: multiple of the camera's height, and limit [m]."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
 def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
-    """Show the photograph behind the scene, as seen from its camera.
+    """Show the photograph behind the scene, aligned with its camera's view.
 
     Args:
         server: the viser server.
@@ -30,12 +30,12 @@ def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
         picture: uint8 [h, w, 3].
     """
     axes, distance = camera.axes(), _distance(camera)
-    tall = 2 * distance * math.tan(camera.fovy / 2)
+    height = 2 * distance * math.tan(camera.fovy / 2)
     server.scene.add_image(
         "/photo",
         picture,
-        tall * camera.width / camera.height_px,
-        tall,
+        height * camera.width / camera.height_px,
+        height,
         cast_shadow=False,
         receive_shadow=False,
         wxyz=from_matrix(axes),
@@ -44,7 +44,7 @@ def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
 
 
 def draw_grid(server: Any, camera: Camera, step: float) -> None:
-    """Draw lines on the ground, `step` m apart."""
+    """Draw a grid on the ground with lines `step` m apart."""
     reach = min(40 * step, _distance(camera) / 2)
     ticks = np.arange(-reach, reach + step / 2, step)
     lines = [[[0.0, y, 0.0], [2 * reach, y, 0.0]] for y in ticks]
@@ -61,10 +61,10 @@ def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
         chosen: name of the object to highlight.
 
     Returns:
-        The size of the chosen object; empty if none is chosen.
+        The size of the highlighted object as text; empty if there is none.
 
     Raises:
-        SpecError: the boxes give no valid scene; the 2D boxes are drawn.
+        SpecError: the boxes give no valid scene; the 2D boxes are drawn nevertheless.
     """
     from ...annotation.annotated_tree import annotated_tree
 

@@ -1,4 +1,4 @@
-"""Simulation of the shown scene in C MuJoCo, in real time if the machine is fast enough."""
+"""Simulation of the shown scene in C MuJoCo, at most in real time."""
 
 import threading
 import time
@@ -31,7 +31,7 @@ class Contacts(NamedTuple):
     """Objects of each contact."""
 
     def summary(self) -> str:
-        """Return the number of contacts and the four pairs of objects with the deepest overlap."""
+        """Return the number of contacts and the up to four pairs of objects that overlap most."""
         deepest: dict[tuple[str, str], float] = {}
         for depth, pair in zip(self.depths, self.pairs, strict=True):
             deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
@@ -41,14 +41,14 @@ class Contacts(NamedTuple):
 
 
 class FreeFall:
-    """Simulation of a scene that any thread may start, stop or push."""
+    """Thread-safe simulation of a scene."""
 
     def __init__(self, scene: SceneSpec, on_frame: Callable[["FreeFall"], None]):
         """Compile a scene at its poses and joint states.
 
         Args:
             scene: the scene.
-            on_frame: called after each frame while it plays.
+            on_frame: function to call after each frame while the simulation runs.
 
         Raises:
             SpecError: a part is too light to be simulated.
@@ -107,7 +107,7 @@ class FreeFall:
             thread.join()
 
     def step(self, seconds: float) -> None:
-        """Simulate a duration [s] without waiting."""
+        """Simulate a duration [s] as fast as possible."""
         with self._lock:
             for _ in range(max(1, round(seconds / self._model.opt.timestep))):
                 mujoco.mj_step(self._model, self._data)

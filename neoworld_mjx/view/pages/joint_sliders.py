@@ -5,17 +5,17 @@ from collections.abc import Callable
 from typing import Any
 
 from ...spec import SceneSpec
-from .scene_editor import joint_range, sliding_keys
+from .scene_editor import joint_range, settable_joints
 
 OnMove = Callable[[str, str, float], None]
-"""Receives the object, the key of the joint value, and the value [rad or m]."""
+"""Callback with the object, the key of the joint value, and the value [rad or m]."""
 
 
 class JointSliders:
-    """Sliders of the shown scene, in a folder of the page."""
+    """Joint sliders of the shown scene, in a folder of the page."""
 
     def __init__(self, server: Any, folder: Any, on_move: OnMove):
-        """Create the folder's controls without sliders."""
+        """Create an empty set of sliders for a folder."""
         self._server, self._folder, self._on_move = server, folder, on_move
         self._sliders: list[Any] = []
 
@@ -26,10 +26,10 @@ class JointSliders:
         self._sliders = []
         with self._folder:
             for obj in scene.objects:
-                for joint, key in sliding_keys(obj):
-                    slides = joint.type == "prismatic"
-                    factor, unit = (1000.0, "mm") if slides else (math.degrees(1.0), "deg")
-                    # Round the limits inwards to tenths: the page shows all their digits.
+                for joint, key in settable_joints(obj):
+                    prismatic = joint.type == "prismatic"
+                    factor, unit = (1000.0, "mm") if prismatic else (math.degrees(1.0), "deg")
+                    # Round the limits inwards to tenths, as the page shows every digit of them.
                     low, high = (factor * v for v in joint_range(joint))
                     low, high = math.ceil(10 * low - 1e-4) / 10, math.floor(10 * high + 1e-4) / 10
                     if not low < high:

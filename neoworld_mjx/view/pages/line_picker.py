@@ -1,4 +1,4 @@
-"""Selection of four lines on a photograph by their end points, for the camera of `annotate`."""
+"""Selection of four lines on a photograph by clicks, from which `annotate` derives the camera."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,6 +10,7 @@ from ...spec import Camera
 from .annotation_drawing import draw_marks, pixel_of
 
 ENDS = 8
+"""Number of end points."""
 ORDER = (
     "two lines that recede from you and are parallel on the floor or table",
     "two lines perpendicular to them",
@@ -36,7 +37,7 @@ class LinePicker:
         self._click: Callable[[Any], None] | None = None
 
     def begin(self, camera: Camera) -> None:
-        """Take the next eight clicks as end points; discard earlier ones."""
+        """Use the next eight clicks as end points; discard earlier ones."""
         self.end()
         self._show_prompt()
 

@@ -1,4 +1,4 @@
-"""Web server of the pages; it accepts only local clients unless a host is given."""
+"""Web server of the pages; by default, it accepts only local clients."""
 
 import io
 import re
@@ -17,8 +17,8 @@ _PAGES_OF_THIS_MACHINE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(
 def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> Any:
     """Start a viser server.
 
-    On a loopback address it refuses WebSocket connections from web pages of other origins that are
-    open in the same browser. It always refuses the tunnel to viser's server on the internet.
+    On a loopback address, the server refuses WebSocket connections from web pages of other origins
+    in the same browser. It never opens the tunnel to viser's public server.
 
     Args:
         label: title of the page.
@@ -43,18 +43,18 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
         """Server without a tunnel to the internet."""
 
         def request_share_url(self, verbose: bool = True) -> str | None:
-            """Return None."""
+            """Return None instead of opening a tunnel."""
             return None
 
-    chosen = _free_port(host, port)
+    chosen_port = _free_port(host, port)
     serve = websockets.asyncio.server.serve
     if host in (LOCAL, "localhost", "::1"):
-        # None: clients other than browsers send no origin.
-        checked: Any = partial(serve, origins=[None, _PAGES_OF_THIS_MACHINE])
-        websockets.asyncio.server.serve = checked
+        # None admits clients other than browsers, which send no origin.
+        checking_serve: Any = partial(serve, origins=[None, _PAGES_OF_THIS_MACHINE])
+        websockets.asyncio.server.serve = checking_serve
     try:
-        with redirect_stdout(io.StringIO()):  # It prints a table.
-            server = LocalServer(host=host, port=chosen, label=label, verbose=False)
+        with redirect_stdout(io.StringIO()):  # The constructor prints a table.
+            server = LocalServer(host=host, port=chosen_port, label=label, verbose=False)
     finally:
         websockets.asyncio.server.serve = serve
     server.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -1,4 +1,4 @@
-"""Properties, checks and photograph of one object, as HTML for the page."""
+"""Properties, checks and crop of one object, as HTML and pixels for the page."""
 
 import io
 from collections.abc import Sequence
@@ -39,9 +39,9 @@ def facts(target: ViewTarget, obj: SceneObject) -> str:
     if target.run is not None:
         rows += all_moves(target.run).get(obj.name, {}).items()
     parts = [elements.title(obj.name), elements.table(["", ""], rows)]
-    home = target.home_of(obj.name)
-    if home is not None:
-        parts.append(_verdicts(home))
+    object_folder = target.object_folder(obj.name)
+    if object_folder is not None:
+        parts.append(_verdicts(object_folder))
     return framed(*parts)
 
 
@@ -54,7 +54,7 @@ def signals_of(built: BuildResult) -> str:
 
 
 def crop_of(target: ViewTarget, name: str) -> NDArray | None:
-    """Return the crop of an object in the photograph, uint8 [h, w, 3]."""
+    """Return the crop of the photograph around an object, uint8 [h, w, 3], if available."""
     if target.run is None or not (target.run / "tree.json").is_file():
         return None
     try:
@@ -68,8 +68,8 @@ def crop_of(target: ViewTarget, name: str) -> NDArray | None:
         return np.asarray(image.convert("RGB"))
 
 
-def _verdicts(home: Path) -> Markup:
-    verification = read_json(home / "verify.json")
+def _verdicts(object_folder: Path) -> Markup:
+    verification = read_json(object_folder / "verify.json")
     if verification is None:
         return elements.paragraph("Not verified yet.")
     rows = [

@@ -1,4 +1,4 @@
-"""HTML of the pages' text; it is escaped."""
+"""HTML fragments of the pages, with escaped text."""
 
 from html import escape
 

@@ -1,4 +1,4 @@
-"""Long jobs of a page: one at a time, with the last line of the log and the error on the page."""
+"""Long jobs of a page, one at a time; the page shows the last log line and the error."""
 
 import logging
 import threading
@@ -17,7 +17,7 @@ def run_job(busy: threading.Lock, element: Any, job: Callable[[ShowLine], None])
 
     Args:
         busy: lock that is held while a job runs.
-        element: element of the page that shows text.
+        element: text element of the page.
         job: the job; receives a function that shows a line of text.
     """
 

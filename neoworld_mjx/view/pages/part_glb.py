@@ -1,8 +1,8 @@
 """Export of an object part as one glTF mesh with vertex colors: one draw call on the page.
 
-In a large scene the vertex colors contain the lighting, and surfaces are simplified as far as the
-photograph's camera cannot resolve: a browser without a GPU spends most of a frame on lighting and
-triangles.
+A browser without a GPU spends most of a frame on lighting and triangles. In a large scene, the
+vertex colors therefore contain the lighting, and surfaces are simplified by less than the
+photograph's camera resolves.
 """
 
 import json
@@ -19,13 +19,14 @@ from ...spec import ObjectSpec, PartSpec, SceneSpec
 from ...spec.pose import rotate
 
 LIT_TRIANGLES = 20_000
-"""Maximum number of triangles of a scene that the browser lights and draws unsimplified."""
+"""Maximum number of triangles of a scene that the browser lights and shows unsimplified."""
 TOLERANCE = 5e-4
 """Deviation of simplified surfaces relative to the distance from the camera: a third of a pixel
 in a picture of 640 rows."""
 SKY, SUN, GROUND = 1.2, 3.0, 0.4
 """Intensities of the page's lights: ambient, from above, and from below."""
 TO_SUN = np.array([-0.19, -0.19, 0.96])
+"""Direction of the light from above."""
 SHEEN = 0.015
 """Uncolored reflectance of a dielectric."""
 _GLTF, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -42,7 +43,7 @@ class Detail(NamedTuple):
 
 
 def detail_of(scene: SceneSpec, distance: float) -> Detail:
-    """Return the detail at which a scene is drawn.
+    """Return the level of detail for a scene.
 
     Args:
         scene: the scene.
@@ -126,7 +127,7 @@ def _glb(vertices: NDArray, normals: NDArray, colors: NDArray, faces: NDArray, l
         "buffers": [{"byteLength": starts[-1]}],
     }
     if lit:
-        del document["extensionsUsed"]  # It may not be empty.
+        del document["extensionsUsed"]  # glTF forbids an empty list.
     return _packed(json.dumps(document).encode(), buffers)
 
 

@@ -1,4 +1,4 @@
-"""Search on the page: candidates of an iteration as ghosts, and reward terms by iteration."""
+"""The search on the page: candidates as transparent ghosts, and reward terms by iteration."""
 
 import threading
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from ...spec import SceneSpec
 from ..report.convergence import History, best_candidates, over_finite, term_histories
 
 GHOSTS = 24
-"""Maximum number of candidates that are drawn."""
+"""Maximum number of drawn candidates."""
 GOOD, POOR = np.array([40, 170, 90]), np.array([215, 120, 60])
 
 
@@ -25,7 +25,7 @@ def ranked_candidates(history: History, iteration: int) -> NDArray:
 
 
 def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int) -> int:
-    """Draw the best candidates of an iteration transparently, from green (best) to orange.
+    """Draw the best candidates of an iteration as transparent objects, green (best) to orange.
 
     Objects that no candidate moves are not drawn.
 
@@ -94,10 +94,10 @@ def hide_ghosts(server: Any) -> None:
 
 
 class Ghosts:
-    """Ghosts on a page; the last request is shown, however fast controls move."""
+    """Ghosts on a page. Requests may arrive faster than they are drawn: the latest one counts."""
 
     def __init__(self, server: Any, show_line: Callable[[str], None]):
-        """Create without ghosts.
+        """Create a page without ghosts.
 
         Args:
             server: the viser server.

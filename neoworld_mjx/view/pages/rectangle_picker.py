@@ -1,4 +1,4 @@
-"""Selection of a rectangle on the page, as a box in pixels of the photograph."""
+"""Selection of a rectangle on the page, which gives a box in pixels of the photograph."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,11 +10,11 @@ from .annotation_drawing import pixel_of
 from .scene_nodes import look_through
 
 MIN_EDGE_PX = 2.0
-"""Minimum edge of a box."""
+"""Minimum edge length of a box [px]."""
 
 
 class RectanglePicker:
-    """Picker of one rectangle at a time."""
+    """Tool that takes one rectangle at a time from a client."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class RectanglePicker:
         self._waiting = False
 
     def begin(self, client: Any) -> None:
-        """Move a client to the photograph's camera, and take its next rectangle."""
+        """Move a client's view to the photograph's camera, and take the next rectangle."""
         camera = self._camera()
         if camera is None:
             return

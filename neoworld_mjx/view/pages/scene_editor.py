@@ -22,19 +22,21 @@ FREE_RANGE = math.pi
 
 
 class SceneEditor:
-    """The edited scene, and the edits."""
+    """The edited scene, and the patch that records its edits."""
 
     def __init__(self, scene: SceneSpec, patch: LayoutPatch):
         """Start with a scene that already includes the patch."""
         self.scene, self.patch = scene, patch
 
     def handle_pose(self, name: str) -> Pose:
-        """Return where an object's handle stands: its origin and heading in the world."""
+        """Return the pose of an object's drag handle: its origin and heading in the world frame."""
         position = world_poses(self.scene)[name].pos
-        return pose(position, from_yaw(self._frame_yaw(name) + self.scene.object(name).yaw))
+        return pose(
+            position, from_yaw(yaw_of(self._support_frame(name).quat) + self.scene.object(name).yaw)
+        )
 
     def place(self, name: str, pos: ArrayLike, quat: ArrayLike) -> None:
-        """Move an object to the pose of its handle; its height stays that of its support.
+        """Move an object to the pose of its drag handle; keep its height above the support.
 
         Args:
             name: name of the object.
@@ -42,7 +44,7 @@ class SceneEditor:
             quat: orientation of the handle (w, x, y, z), of which only the heading is used.
         """
         obj = self.scene.object(name)
-        frame = self._frame(name)
+        frame = self._support_frame(name)
         x, y, _ = (float(v) for v in frame.inverse().apply(np.asarray(pos, float)))
         yaw = math.remainder(yaw_of(np.asarray(quat, float)) - yaw_of(frame.quat), 2 * math.pi)
         self._replace(obj.model_copy(update={"xy": (x, y), "yaw": yaw}))
@@ -65,15 +67,12 @@ class SceneEditor:
 
         self.scene = snap(self.scene)
 
-    def _frame(self, name: str) -> Pose:
+    def _support_frame(self, name: str) -> Pose:
         obj = self.scene.object(name)
         if obj.parent is None:
             return pose()
         parent = self.scene.object(obj.parent)
         return support_frame(parent, world_poses(self.scene)[obj.parent], obj.parent_link)
-
-    def _frame_yaw(self, name: str) -> float:
-        return yaw_of(self._frame(name).quat)
 
     def _replace(self, obj: SceneObject) -> None:
         objects = tuple(obj if o.name == obj.name else o for o in self.scene.objects)
@@ -90,8 +89,8 @@ def joint_range(joint: JointSpec) -> tuple[float, float]:
     return joint.lower, joint.upper
 
 
-def sliding_keys(obj: SceneObject) -> list[tuple[JointSpec, str]]:
-    """Return the settable joints of an object, with the keys of their values."""
+def settable_joints(obj: SceneObject) -> list[tuple[JointSpec, str]]:
+    """Return the joints of an object that a person can set, with the keys of their values."""
     return [
         (joint, key)
         for joint in obj.spec.joints

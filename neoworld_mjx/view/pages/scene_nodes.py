@@ -15,8 +15,8 @@ NEAR_M = 0.06
 """Distance of the photograph's plane in front of the camera [m]."""
 TOUCHING, DEEP = (70, 200, 90), (235, 60, 50)
 PENETRATION_M = 1e-3
-"""Minimum depth of a penetration [m]."""
-CLEAR = 0.3
+"""Depth above which a contact is drawn as a penetration [m]."""
+TRANSPARENT_OPACITY = 0.3
 """Opacity of objects while contacts are shown."""
 
 PartPoses = dict[tuple[str, str], Pose]
@@ -37,11 +37,11 @@ class SceneNodes:
     """Nodes of one scene on a page."""
 
     def __init__(self, server: Any, picked: Callable[[str], None]):
-        """Create without nodes.
+        """Create an empty page.
 
         Args:
             server: the viser server.
-            picked: receives the name of an object that is clicked.
+            picked: receives the name of a clicked object.
         """
         self._server, self._picked = server, picked
         self._frames: dict[tuple[str, str], Any] = {}
@@ -91,7 +91,7 @@ class SceneNodes:
             self._update_surfaces()
 
     def pose(self, poses: PartPoses) -> None:
-        """Move parts; those with an unchanged pose are skipped."""
+        """Move the parts whose pose has changed."""
         with self._server.atomic():
             for key, pose in poses.items():
                 before = self._shown.get(key)
@@ -112,7 +112,7 @@ class SceneNodes:
         self._update_surfaces()
 
     def set_transparent(self, transparent: bool) -> None:
-        """Make objects transparent, so that contacts inside them are visible, or opaque again."""
+        """Make objects transparent, to reveal contacts inside them, or opaque again."""
         self._transparent = transparent
         self._update_surfaces()
 
@@ -125,7 +125,7 @@ class SceneNodes:
                     for part in obj.spec.parts:
                         path = f"/scene/{obj.name}/{part.name}/clear"
                         for k, mesh in enumerate(visible_meshes(obj.spec, part)):
-                            mesh = mesh._replace(alpha=CLEAR)
+                            mesh = mesh._replace(alpha=TRANSPARENT_OPACITY)
                             node = _add_mesh(self._server.scene, f"{path}/{k}", mesh)
                             self._pickable(node, obj.name)
                             self._transparent_copies.append(node)
@@ -135,7 +135,7 @@ class SceneNodes:
                 node.visible = clear
 
     def show_pieces(self) -> None:
-        """Show the convex collision pieces, each in a color."""
+        """Show the convex collision pieces, each in its own color."""
         if self.scene is None or self._pieces:
             return
         with self._server.atomic():
@@ -190,11 +190,11 @@ class SceneNodes:
         self._contacts = []
 
     def extent(self) -> float:
-        """Return the median distance of objects from the camera [m], which scales the marks."""
+        """Return the median distance of parts from the camera [m], to scale the contact marks."""
         return 1.0 if self.scene is None else _distance(self.scene, self._shown)
 
     def blend(self, camera: Camera, picture: NDArray, share: float) -> None:
-        """Blend the photograph over the scene, as seen from its camera.
+        """Blend the photograph over the scene, aligned with its camera's view.
 
         Args:
             camera: camera of the photograph.
@@ -218,7 +218,7 @@ class SceneNodes:
         )
 
     def pickable(self, pickable: bool) -> None:
-        """Make objects clickable or not; a handle behind a clickable object cannot be dragged."""
+        """Make objects clickable or not: nobody can drag a handle behind a clickable object."""
         self._clickable = pickable
         with self._server.atomic():
             for node in (*self._visible, *self._transparent_copies, *self._pieces):
@@ -235,23 +235,23 @@ class SceneNodes:
 
 
 def look_through(client: Any, camera: Camera) -> None:
-    """Move a client to a photograph's camera, with the whole picture in view."""
+    """Move a client's view to a photograph's camera; widen it to show the whole picture."""
     axes = camera.axes()
     view = client.camera
     window = view.image_width / max(view.image_height, 1)
-    tall = np.tan(camera.fovy / 2)
+    height = np.tan(camera.fovy / 2)
     picture = camera.width / camera.height_px
     if 0 < window < picture:
-        tall *= picture / window
+        height *= picture / window
     with client.atomic():
-        view.fov = 2 * np.arctan(tall)
+        view.fov = 2 * np.arctan(height)
         view.near = 0.01
         view.position = camera.position()
         view.wxyz = from_matrix(axes)
 
 
 def look_at(client: Any, low: NDArray, high: NDArray) -> None:
-    """Move a client to a view of a box [3], [3] m from the front, slightly from above."""
+    """Move a client's view to see a box, given by two corners [3] m, from the front and above."""
     center = (low + high) / 2
     offset = 1.8 * float(np.linalg.norm(high - low)) * np.array([0.8, -0.45, 0.42])
     with client.atomic():
@@ -270,7 +270,7 @@ def _add_glb(api: Any, path: str, glb: bytes) -> Any:
 
 
 def _add_mesh(api: Any, path: str, mesh: PartMesh) -> Any:
-    """Add a mesh of closed surfaces; back faces are not drawn."""
+    """Add a mesh of closed surfaces, without their back faces."""
     return api.add_mesh_simple(
         path,
         mesh.vertices,

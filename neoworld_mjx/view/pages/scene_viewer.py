@@ -51,8 +51,8 @@ class SceneViewer:
 
         Args:
             server: the viser server.
-            path: path of the target, which is read again after a change.
-            target: the contents of the path.
+            path: path of the target; the viewer reads it again after a change.
+            target: the contents of `path`.
             config: options for programs, and for the search of a scene without a run.
             rebuild: builds an object's program in a run folder, and repeats the later steps.
             search_again: composes a run's scene with a layout patch, and refines it.
@@ -61,7 +61,7 @@ class SceneViewer:
         self._server, self._path, self._config = server, path, config
         self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
-        self._stage = SceneNodes(server, self.select)
+        self._nodes = SceneNodes(server, self.select)
         self._fall: "FreeFall | None" = None
         self._handle: Any = None
         self._chart: Any = None
@@ -71,7 +71,9 @@ class SceneViewer:
         )
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
-        server.scene.configure_default_lights(cast_shadow=False)  # Shadows render the scene twice.
+        server.scene.configure_default_lights(
+            cast_shadow=False
+        )  # With shadows, it renders the scene twice.
         server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
         server.initial_camera.near = 0.01
         tabs = server.gui.add_tab_group()
@@ -82,14 +84,14 @@ class SceneViewer:
         with tabs.add_tab("Search"):
             self._build_search_tab()
         self._load()
-        server.on_client_connect(self._greet)
+        server.on_client_connect(self._show_home_view)
 
     # Tabs.
 
     def _build_scene_tab(self) -> None:
         gui = self._server.gui
-        self._home = gui.add_button("Photo's camera")
-        self._home.on_click(lambda event: self._greet(event.client))
+        self._home_button = gui.add_button("Photo's camera")
+        self._home_button.on_click(lambda event: self._show_home_view(event.client))
         self._blend = gui.add_slider("Photo", 0.0, 1.0, 0.05, 0.0)
         self._blend.on_update(lambda _: self._show_photo())
         self._layout = gui.add_button_group("Layout", ("before", "after"))
@@ -147,10 +149,10 @@ class SceneViewer:
         self._discard_simulation()
         patch = LayoutPatch() if target.run is None else read_layout_patch(target.run)
         self._editor = SceneEditor(target.after, patch)
-        self._stage.show(target.after)
+        self._nodes.show(target.after)
         self._layout.visible = target.before is not None
         self._blend.visible = target.picture is not None and target.after.camera is not None
-        self._home.visible = target.after.camera is not None
+        self._home_button.visible = target.after.camera is not None
         self._box.visible = self._blend.visible
         self._ghosts.forget()
         self._layout.value = "after"
@@ -171,30 +173,30 @@ class SceneViewer:
         for control in (self._ghosts_on, self._iteration):
             control.visible = history is not None
         if history is not None:
-            rounds = len(history["absolute"])
-            self._iteration.max = max(rounds, 2)
-            self._iteration.value = rounds
-            self._iteration.disabled = rounds < 2
+            iterations = len(history["absolute"])
+            self._iteration.max = max(iterations, 2)
+            self._iteration.value = iterations
+            self._iteration.disabled = iterations < 2
             with self._charts:
                 self._chart = term_chart(self._server, history)
         self._charts.visible = history is not None
 
-    def _greet(self, client: Any) -> None:
-        scene = self._stage.scene
+    def _show_home_view(self, client: Any) -> None:
+        scene = self._nodes.scene
         if scene is None:
             return
         if scene.camera is not None:
             look_through(client, scene.camera)
         else:
-            look_at(client, *bounds_of(scene, self._stage.poses))
+            look_at(client, *bounds_of(scene, self._nodes.poses))
 
     def _show(self, layout: str) -> None:
         """Show the scene before or after the search."""
         target = self._target
         self._discard_simulation()
-        before = layout == "before" and target.before is not None
-        self._editor.scene = target.before if before and target.before else target.after
-        self._stage.show(self._editor.scene)
+        shows_before = layout == "before" and target.before is not None
+        self._editor.scene = target.before if shows_before and target.before else target.after
+        self._nodes.show(self._editor.scene)
         self._joints.show(self._editor.scene)
         self._show_colliders()
         self._show_contacts()
@@ -202,37 +204,37 @@ class SceneViewer:
     def _show_photo(self) -> None:
         camera, picture = self._target.after.camera, self._target.picture
         if camera is not None and picture is not None:
-            self._stage.blend(camera, picture, self._blend.value)
+            self._nodes.blend(camera, picture, self._blend.value)
             self._show_photo_box()
 
     def _show_colliders(self) -> None:
         with self._drawing:  # The last of several clicks wins.
-            self._stage.show_visible(not self._colliders.value)
+            self._nodes.show_visible(not self._colliders.value)
             if self._colliders.value:
-                self._stage.show_pieces()
+                self._nodes.show_pieces()
             else:
-                self._stage.hide_pieces()
+                self._nodes.hide_pieces()
 
     def _toggle_contacts(self) -> None:
-        self._stage.set_transparent(self._contacts.value)
+        self._nodes.set_transparent(self._contacts.value)
         self._show_contacts()
 
     def _show_contacts(self) -> None:
         if not self._contacts.value:
-            self._stage.hide_contacts()
+            self._nodes.hide_contacts()
             return
         fall = self._simulation()
         if fall is None:
             return
         contacts = fall.contacts()
-        self._stage.show_contacts(contacts.points, contacts.depths, contacts.normals)
+        self._nodes.show_contacts(contacts.points, contacts.depths, contacts.normals)
         if not fall.playing:
             self._status.content = message(contacts.summary())
 
     def _move_joint(self, name: str, key: str, value: float) -> None:
         self._discard_simulation()
         self._editor.set_joint(name, key, value)
-        self._stage.pose(part_poses(self._editor.scene))
+        self._nodes.pose(part_poses(self._editor.scene))
 
     # Free fall.
 
@@ -273,7 +275,7 @@ class SceneViewer:
             self._show_frame(fall)
 
     def _show_frame(self, fall: "FreeFall") -> None:
-        self._stage.pose(fall.poses())
+        self._nodes.pose(fall.poses())
         self._status.content = message(f"{fall.seconds:.2f} s simulated")
         if self._contacts.value:
             self._show_contacts()
@@ -313,7 +315,7 @@ class SceneViewer:
         self._show_handle()
 
     def _toggle_drag(self) -> None:
-        self._stage.pickable(not self._drag.value)
+        self._nodes.pickable(not self._drag.value)
         self._show_handle()
 
     def _show_handle(self) -> None:
@@ -328,7 +330,7 @@ class SceneViewer:
             )
             return
         handle, name = self._editor.handle_pose(self._selected), self._selected
-        low, high = bounds_of(self._editor.scene, self._stage.poses)
+        low, high = bounds_of(self._editor.scene, self._nodes.poses)
         self._handle = self._server.scene.add_transform_controls(
             "/handle",
             scale=0.35 * float(np.linalg.norm(high - low)),
@@ -346,7 +348,7 @@ class SceneViewer:
         self._editor.place(name, event.target.position, event.target.wxyz)
         if event.phase == "end":
             self._editor.snap()
-        self._stage.pose(part_poses(self._editor.scene))
+        self._nodes.pose(part_poses(self._editor.scene))
 
     def _begin_box(self, client: Any) -> None:
         if not self._selected:
@@ -434,7 +436,6 @@ class SceneViewer:
         run_job(self._busy, self._log, self._discard_patch)
 
     def _discard_patch(self, show_line: ShowLine) -> None:
-
         old, self._editor.patch = self._editor.patch, LayoutPatch()
         if self._target.run is not None and old.objects:
             self._reload(self._search_again(self._target.run, LayoutPatch()))

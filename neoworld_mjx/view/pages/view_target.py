@@ -28,7 +28,7 @@ class ViewTarget:
 
     title: str
     after: SceneSpec
-    """The scene; the refined one if a search has run."""
+    """The scene: the refined one if the run has one."""
     before: SceneSpec | None = None
     """The scene before the search, if any."""
     run: Path | None = None
@@ -41,7 +41,7 @@ class ViewTarget:
     """The photograph, uint8 [h, w, 3]."""
 
     def history(self) -> dict[str, Any] | None:
-        """Read the history of the search, if there is one.
+        """Read the history of the search; return None if there is none.
 
         Raises:
             RunError: the file is damaged.
@@ -54,15 +54,15 @@ class ViewTarget:
         """Return the file of an object's program, if known."""
         if self.program is not None:
             return self.program
-        home = self.home_of(name)
-        path = None if home is None else home / "program.py"
+        object_folder = self.object_folder(name)
+        path = None if object_folder is None else object_folder / "program.py"
         return path if path is not None and path.is_file() else None
 
-    def home_of(self, name: str) -> Path | None:
+    def object_folder(self, name: str) -> Path | None:
         """Return the folder of an object's files, if it exists."""
         base = self.run or (None if self.scene_file is None else self.scene_file.parent)
-        home = None if base is None else base / "objects" / name
-        return home if home is not None and home.is_dir() else None
+        object_folder = None if base is None else base / "objects" / name
+        return object_folder if object_folder is not None and object_folder.is_dir() else None
 
 
 def open_target(path: Path, config: Config) -> ViewTarget:
@@ -90,7 +90,9 @@ def open_target(path: Path, config: Config) -> ViewTarget:
 
         spec = object_of_file(path, config.program)
         program = path if path.suffix == ".py" else None
-        return ViewTarget(spec.name if is_spec else path.name, alone(spec), program=program)
+        return ViewTarget(
+            spec.name if is_spec else path.name, single_object_scene(spec), program=program
+        )
     if path.exists() and path.suffix != ".json":
         raise SpecError(
             f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
@@ -102,8 +104,8 @@ def open_target(path: Path, config: Config) -> ViewTarget:
     return ViewTarget(path.name, scene, scene_file=path, picture=picture)
 
 
-def alone(spec: ObjectSpec) -> SceneSpec:
-    """Return a scene with one object, fixed on the floor."""
+def single_object_scene(spec: ObjectSpec) -> SceneSpec:
+    """Return a scene of one object that is fixed to the floor."""
     return SceneSpec(objects=(SceneObject(name=spec.name, spec=spec, fixed_base=True),))
 
 
@@ -137,7 +139,7 @@ def _picture(folder: Path) -> NDArray | None:
 
 
 def shown_picture(rgb: NDArray) -> NDArray:
-    """Return a picture of at most `SHOWN_PX` per side, uint8 [h, w, 3]."""
+    """Return a picture reduced to at most `SHOWN_PX` per side, uint8 [h, w, 3]."""
     image = Image.fromarray(rgb)
     image.thumbnail((SHOWN_PX, SHOWN_PX))
     return np.asarray(image)

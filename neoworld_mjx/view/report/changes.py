@@ -1,4 +1,4 @@
-"""Changes of each object's pose and size: by both fits, and by the search."""
+"""Changes of each object's pose and size by the two fits and the search."""
 
 import math
 from pathlib import Path
@@ -30,7 +30,9 @@ def changes(folder: Path) -> Markup:
     rows = []
     for name, change in parsed.items():
         box = change["before"]
-        hidden = [s for s, hidden in zip(_SIDES, change["hidden"], strict=True) if hidden]
+        hidden = [
+            side for side, is_hidden in zip(_SIDES, change["hidden"], strict=True) if is_hidden
+        ]
         rows.append(
             [
                 name,
@@ -49,7 +51,7 @@ def changes(folder: Path) -> Markup:
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the changes of each object of a run, formatted, by name and step."""
+    """Return the formatted changes of each object of a run, by name and step."""
     refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
     moves: dict[str, dict[str, str]] = {}
     for step, fitted in ((BOXES, _parse_fit(folder)), (SHAPES, refit)):

@@ -15,22 +15,22 @@ from .page import elements
 
 TITLE = "Convergence of the search"
 TERMS = ("d_pen", "d_drift", "s_sem", "prior")
-"""Reward terms of histories that do not name theirs."""
+"""Reward terms of a history without the array `term_names`."""
 LABELS = {
     "d_pen": ("D_pen, mm", 1000.0),
     "d_drift": ("D_drift, bounds", 1.0),
     "s_sem": ("S_sem", 1.0),
     "prior": ("prior, sigma²", 1.0),
 }
-"""Label with unit of the built-in terms, and the factor to that unit."""
+"""Label with unit of each built-in term, and the factor that converts values to this unit."""
 PRUNED, NOT_DRAWN = 5, -1
-"""Statuses in the history of pruned candidates, and of array entries without a candidate."""
+"""Status of a pruned candidate, and of an array entry without a candidate."""
 
 History = Mapping[str, NDArray]
 
 
 class TermHistory(NamedTuple):
-    """A reward term of every candidate."""
+    """Values of a reward term for every candidate."""
 
     name: str
     weight: float

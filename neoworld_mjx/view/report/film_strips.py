@@ -12,14 +12,14 @@ from ...render import View, render
 from ...render.rendering import compile_posed
 from ...spec import SceneSpec, read_scene
 from .page import elements
-from .pictures import embedded
+from .pictures import embed_pixels
 
-TITLE = "Free fall"
+TITLE = "Free fall_frames"
 SCENES = (
     ("compose/scene.json", "composed, before the search"),
     ("scene.json", "refined"),
 )
-SHARES = (0.0, 0.1, 0.3, 1.0)
+TIME_FRACTIONS = (0.0, 0.1, 0.3, 1.0)
 """Times of the frames, as fractions of the duration."""
 WIDTH, TIMESTEP_S = 200, 0.004
 
@@ -37,18 +37,18 @@ def film_strips(folder: Path, duration: float) -> Markup:
     rows = []
     for name, caption in SCENES:
         if (folder / name).is_file():
-            frames = fall(read_scene(folder / name), duration)
+            frames = fall_frames(read_scene(folder / name), duration)
             strip = np.concatenate([frame for _, frame in frames], axis=1)
             times = ", ".join(f"{seconds:.2g}" for seconds, _ in frames)
-            end = "" if len(frames) == len(SHARES) else "; then the simulation diverges"
-            rows.append(embedded(strip, f"{caption}: at {times} s{end}"))
+            end = "" if len(frames) == len(TIME_FRACTIONS) else "; then the simulation diverges"
+            rows.append(embed_pixels(strip, f"{caption}: at {times} s{end}"))
     return elements.section(TITLE, *(rows or [elements.missing("No scene yet.")]))
 
 
-def fall(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
+def fall_frames(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
     """Simulate a scene in C MuJoCo; return times [s] and frames, uint8 [h, w, 3].
 
-    If the simulation diverges, return the frames before.
+    If the simulation diverges, return the frames up to then.
     """
     model, data = compile_posed(scene)
     model.opt.timestep = TIMESTEP_S
@@ -56,18 +56,18 @@ def fall(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
     view = _view(scene, model, data)
     mujoco.mj_forward(model, data)
     frames: list[tuple[float, NDArray]] = []
-    for share in SHARES:
-        while data.time < share * duration - TIMESTEP_S / 2:
+    for fraction in TIME_FRACTIONS:
+        while data.time < fraction * duration - TIMESTEP_S / 2:
             with without_warnings():
                 mujoco.mj_step(model, data)
             if not np.isfinite(data.qpos).all():
                 return frames
-        frames.append((share * duration, render((model, data), view, supersample=1).color))
+        frames.append((fraction * duration, render((model, data), view, supersample=1).color))
     return frames
 
 
 def _view(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> View:
-    """Return the photograph's view, or a view of the whole scene without a camera."""
+    """Return the view of the scene's camera; without one, a view of the whole scene."""
     if scene.camera is not None:
         return View.of(scene.camera, WIDTH)
     low = (data.geom_xpos - model.geom_rbound[:, None]).min(axis=0)

@@ -1,4 +1,4 @@
-"""Values of a run folder as text: numbers with units, the status of a run, JSON files."""
+"""Formatting of a run folder's values: numbers with units, supports, the status of a run."""
 
 import math
 from collections.abc import Sequence
@@ -48,5 +48,7 @@ def support_of(entry: dict[str, Any]) -> str:
 
 def progress_of(run: dict[str, Any]) -> str:
     """Return the run's status and its finished steps."""
-    finished = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
+    finished = [
+        step for step in STEPS if any(name.partition("/")[0] == step for name in run["steps"])
+    ]
     return f"this run is {run['status']}; finished steps: {', '.join(finished) or 'none'}"

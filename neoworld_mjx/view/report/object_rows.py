@@ -9,14 +9,14 @@ from markupsafe import Markup
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
-from .pictures import cut_out, film_strip, picture
+from .pictures import cropped_picture, film_strip, picture
 
 TITLE = "Objects"
 MARGIN = 0.12
 """Margin around an object in its picture, relative to the longer edge of its box."""
 FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
-"""Films of an object's simulation that its folder may contain, and their names."""
-_LIMITS = (
+"""Stems of the films that an object's folder may contain, and their captions."""
+_METRIC_LIMITS = (
     ("depths_m", "max_depth_m", "m", "penetrates {other} by {value} (limit {limit})"),
     ("settled_depths_m", "max_depth_m", "m", "settles {value} deep in {other} (limit {limit})"),
     ("drift_m", "max_drift_m", "m", "moves by {value} (limit {limit})"),
@@ -24,7 +24,7 @@ _LIMITS = (
     ("joint_slide_m", "max_drift_m", "m", "{joint} slides by {value} (limit {limit})"),
     ("joint_turn_deg", "max_tilt_deg", "°", "{joint} turns by {value} (limit {limit})"),
 )
-"""Metric by object, its limit in the options, unit and message."""
+"""Metric by object, option that limits it, unit, and message."""
 
 
 def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Markup:
@@ -36,24 +36,24 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         tree: tree.json; empty before the parse.
     """
     nodes = {node["name"]: node for node in tree.get("nodes", [])}
-    homes = {path.name: path for path in (folder / "objects").glob("*") if path.is_dir()}
-    if not homes:
+    object_folders = {path.name: path for path in (folder / "objects").glob("*") if path.is_dir()}
+    if not object_folders:
         return elements.section(TITLE, elements.missing("No objects yet."))
-    moves, causes = all_moves(folder), unstable(run)
+    moves, causes = all_moves(folder), violated_limits(run)
     agreement = (run["metrics"].get("box_iou") or {}).get("objects", {})
     rows = []
-    for name, home in sorted(homes.items()):
-        verification = read_json(home / "verify.json")
+    for name, object_folder in sorted(object_folders.items()):
+        verification = read_json(object_folder / "verify.json")
         passed = None if verification is None else bool(verification.get("passed"))
         if name in causes:
             passed = False
         node = nodes.get(name, {})
         row = elements.object_row(
             name,
-            _pictures(folder, home, node, tree.get("camera")),
+            _pictures(folder, object_folder, node, tree.get("camera")),
             _facts(node, moves.get(name, {}), agreement.get(name, {}), causes.get(name, [])),
             passed,
-            _checks(home, verification),
+            _checks(object_folder, verification),
         )
         rows.append((passed is not False, row))
     rows.sort(key=lambda row: row[0])
@@ -63,11 +63,11 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
     return elements.section(TITLE, note, *(row for _, row in rows))
 
 
-def unstable(run: Mapping[str, Any]) -> dict[str, list[str]]:
+def violated_limits(run: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the violated limits of each object of the refined scene, as messages."""
     metrics, limits = run["metrics"], run["config"]["refine"]
     causes: dict[str, list[str]] = {}
-    for key, bound, unit, message in _LIMITS:
+    for key, bound, unit, message in _METRIC_LIMITS:
         limit = limits[bound]
         for names, value in (metrics.get(key) or {}).items():
             if value < limit or ("depth" in key and value == limit):
@@ -87,7 +87,7 @@ def _facts(
     agreement: Mapping[str, Any],
     causes: list[str],
 ) -> list[tuple[str, object]]:
-    """Return the result of each step for an object, and the agreement of its boxes."""
+    """Return the result of each step for an object, and the overlap of its boxes, with labels."""
     facts: list[tuple[str, object]] = []
     if causes:
         facts.append(("not valid", elements.span("; ".join(causes), "bad")))
@@ -102,11 +102,16 @@ def _facts(
     return facts
 
 
-def _pictures(folder: Path, home: Path, node: Mapping[str, Any], camera: Any) -> list[Markup]:
-    """Return the object in the photograph and in the scene, in the same frame."""
+def _pictures(
+    folder: Path, object_folder: Path, node: Mapping[str, Any], camera: Any
+) -> list[Markup]:
+    """Return crops of the photograph and of the rendered scene around the object."""
     box = node.get("box2d")
     if box is None or not isinstance(camera, dict):
-        files = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
+        files = [
+            (object_folder / "crop.png", "photograph"),
+            (object_folder / "render.png", "program"),
+        ]
         return [picture(path, caption) for path, caption in files if path.is_file()]
     width, height = camera["width"], camera["height_px"]
     margin = MARGIN * max(box["x1"] - box["x0"], box["y1"] - box["y0"])
@@ -119,10 +124,13 @@ def _pictures(folder: Path, home: Path, node: Mapping[str, Any], camera: Any) ->
     scene, caption = folder / "pictures" / "after.png", "refined"
     if not scene.is_file():
         scene, caption = folder / "pictures" / "before.png", "composed"
-    return [cut_out(folder / "photo.png", window, "photograph"), cut_out(scene, window, caption)]
+    return [
+        cropped_picture(folder / "photo.png", window, "photograph"),
+        cropped_picture(scene, window, caption),
+    ]
 
 
-def _checks(home: Path, verification: Mapping[str, Any] | None) -> Markup:
+def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
     """Return an object's program signals, its checks in verify.json, and its films."""
     signals = [
         [
@@ -131,7 +139,7 @@ def _checks(home: Path, verification: Mapping[str, Any] | None) -> Markup:
             with_unit(signal.get("value"), ""),
             with_unit(signal.get("threshold"), ""),
         ]
-        for signal in (read_json(home / "program.json") or {}).get("signals", [])
+        for signal in (read_json(object_folder / "program.json") or {}).get("signals", [])
     ]
     heads = ["signal of the program", "", "#value, SI", "#threshold, SI"]
     parts = [elements.table(heads, signals)] if signals else []
@@ -151,5 +159,5 @@ def _checks(home: Path, verification: Mapping[str, Any] | None) -> Markup:
     if findings := verification.get("seen"):
         heads = ["findings of the critic in key frames"]
         parts.append(elements.table(heads, [[finding] for finding in findings]))
-    parts += [film_strip(home / f"{kind}.gif", name) for kind, name in FILMS.items()]
+    parts += [film_strip(object_folder / f"{kind}.gif", name) for kind, name in FILMS.items()]
     return Markup("").join(parts)

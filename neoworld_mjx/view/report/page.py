@@ -1,4 +1,4 @@
-"""HTML of the report: macros and the whole page, as Jinja templates that escape all text."""
+"""HTML of the report, from Jinja templates that escape all text."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -20,7 +20,7 @@ elements: Any = _ENVIRONMENT.get_template("elements.html").module
 def document(title: str, body: Iterable[Markup], scripts: Iterable[str] = ()) -> str:
     """Return a self-contained page.
 
-    Its content security policy forbids network access, and scripts other than the listed ones.
+    Its content security policy forbids network access and all scripts but the listed ones.
 
     Args:
         title: title of the page.

@@ -22,11 +22,11 @@ _SMALL_BYTES = 300_000
 
 
 def picture(path: Path, caption: str) -> Markup:
-    """Embed a picture file, reduced if it is large; replace a missing or damaged one by a note."""
+    """Embed a picture file, reduced if it is large, or a note if it is missing or damaged."""
     if not path.is_file():
         return elements.missing_figure("not there yet", caption)
     try:
-        with _opened(path) as (raw, image):
+        with _open(path) as (raw, image):
             if image.format == "PNG" and len(raw) <= _SMALL_BYTES:
                 return elements.figure(_data_uri(raw, "png"), caption)
             image.thumbnail((_MAX_PX, _MAX_PX), Image.Resampling.LANCZOS)
@@ -35,7 +35,7 @@ def picture(path: Path, caption: str) -> Markup:
         return elements.missing_figure(f"{path.name} cannot be read", caption)
 
 
-def cut_out(
+def cropped_picture(
     path: Path, window: tuple[float, float, float, float], caption: str, height: int = 150
 ) -> Markup:
     """Embed a crop of a picture; return empty markup if the file is missing or damaged.
@@ -47,7 +47,7 @@ def cut_out(
         height: maximum height [pixels].
     """
     try:
-        with _opened(path) as (_, image):
+        with _open(path) as (_, image):
             x0, y0, x1, y1 = (
                 round(min(max(fraction, 0.0), 1.0) * size)
                 for fraction, size in zip(window, (*image.size, *image.size), strict=True)
@@ -60,7 +60,7 @@ def cut_out(
 
 
 def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
-    """Embed frames of an animation side by side; return empty markup if it is missing."""
+    """Embed frames of an animation side by side; return empty markup if the file is missing."""
     try:
         raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
         with open_image(raw, path.name, RunError) as image:
@@ -71,16 +71,18 @@ def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
                 pixels.append(np.asarray(image.convert("RGB")))
     except (EOFError, OSError, RunError):
         return Markup()
-    return embedded(np.concatenate(pixels, axis=1), f"{name}, {len(pixels)} frames of {path.name}")
+    return embed_pixels(
+        np.concatenate(pixels, axis=1), f"{name}, {len(pixels)} frames of {path.name}"
+    )
 
 
-def embedded(pixels: NDArray, caption: str) -> Markup:
+def embed_pixels(pixels: NDArray, caption: str) -> Markup:
     """Embed a picture, uint8 [h, w, 3]."""
     return _figure(Image.fromarray(pixels), caption)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[bytes, Image.Image]]:
+def _open(path: Path) -> Iterator[tuple[bytes, Image.Image]]:
     raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
     with open_image(raw, path.name, RunError) as image:
         image.load()

@@ -1,7 +1,7 @@
 """Write report.html: a run on one page that needs no server and no network.
 
-The report shows the contents of the run folder and names what is missing, so it can be written
-after any step. Verdicts and numbers are those in run.json and verify.json.
+The report can be written after any step: it shows the contents of the run folder and names missing
+files. Verdicts and numbers come from run.json and verify.json.
 """
 
 import json
@@ -22,13 +22,13 @@ from . import changes, charts, convergence, film_strips, object_rows, scene_3d
 from .formatting import progress_of, read_json
 from .page import document, elements
 from .pictures import picture
-from .tables import agreement, joints, parsed, penetrations, placed
+from .tables import agreement, joints, parse_section, penetrations, scene_section
 
 _ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, MemoryError, NeoWorldError),
     *(TemplateError, TypeError, ValueError),
 )
-"""Errors of files that were edited into another structure."""
+"""Exceptions that a file with an unexpected structure may raise."""
 
 
 def write_report(folder: Path) -> Path:
@@ -52,9 +52,9 @@ def write_report(folder: Path) -> Path:
         (object_rows.TITLE, lambda: object_rows.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
         (film_strips.TITLE, lambda: _film_strips(folder, run)),
-        ("Parse", lambda: parsed(folder, tree)),
+        ("Parse", lambda: parse_section(folder, tree)),
         (changes.TITLE, lambda: changes.changes(folder)),
-        ("Scene", lambda: placed(scene)),
+        ("Scene", lambda: scene_section(scene)),
         ("Agreement with the photograph", lambda: agreement(run)),
         (
             convergence.TITLE,
@@ -68,7 +68,7 @@ def write_report(folder: Path) -> Path:
     ]
     page = document(
         f"{title}: scene report",
-        [_draw(name, section) for name, section in sections],
+        [_draw_section(name, section) for name, section in sections],
         [scene_3d.script_hash()],
     )
     path = folder / "report.html"
@@ -80,8 +80,8 @@ def write_report(folder: Path) -> Path:
     return path
 
 
-def _draw(title: str, section: Callable[[], Markup]) -> Markup:
-    """Draw a section; if a file does not have the expected structure, draw a note instead."""
+def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
+    """Draw a section, or a note if a file does not have the expected structure."""
     try:
         return section()
     except _ERRORS as error:
@@ -90,11 +90,11 @@ def _draw(title: str, section: Callable[[], Markup]) -> Markup:
 
 
 def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
-    """Return the page's header with the status of the run and the reasons why it is not valid."""
+    """Return the header: status of the run, and reasons why its scene is not valid."""
     status = str(run["status"])
     color = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
     errors = [run["error"]] if run.get("error") else []
-    causes, passed = object_rows.unstable(run), run["metrics"].get("passed")
+    causes, passed = object_rows.violated_limits(run), run["metrics"].get("passed")
     if causes or passed is False:
         status, color = f"{status}, but the scene is not valid", "bad"
         details = "; ".join(f"{name} {', '.join(reasons)}" for name, reasons in causes.items())
@@ -102,7 +102,7 @@ def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
     elif passed:
         status = f"{status}, valid"
     check = read_json(folder / "compose" / "check.json") or {}
-    moving = [str(entry["phrase"]) for entry in check.get("unstable", [])]
+    moving = [str(entry["phrase"]) for entry in check.get("violated_limits", [])]
     if moving and not (passed and not causes):
         count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
         errors.append(f"Before the search {count} not stay in place: {'; '.join(moving)}")
@@ -263,7 +263,7 @@ def _settings(run: dict[str, Any]) -> Markup:
 
 
 def _differences(default: Any, configured: Any, path: str = "") -> list[tuple[str, Any, Any]]:
-    """Return path, default and value of the options that differ."""
+    """Return path, default and value of every option that differs from its default."""
     if isinstance(default, dict) and isinstance(configured, dict):
         return [
             difference

@@ -1,10 +1,10 @@
-// A scene that turns: WebGL, no library, no network. Data lies in the page as JSON.
+// Interactive 3D view of a scene in WebGL, without libraries or network. The page holds its data as JSON.
 "use strict";
 (() => {
   const canvas = document.getElementById("scene-3d");
   const controls = document.getElementById("scene-3d-controls");
   const gl = canvas.getContext("webgl2", {antialias: true, preserveDrawingBuffer: true});
-  if (!gl) { controls.textContent = "This browser shows no WebGL."; return; }
+  if (!gl) { controls.textContent = "This browser does not support WebGL."; return; }
   const scene = JSON.parse(document.getElementById("scene-3d-data").textContent);
 
   const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -25,19 +25,19 @@
       colour = vec4(pow(light, vec3(1.0 / 1.1)), rgba.a);
     }`;
   const shader = (kind, text) => {
-    const made = gl.createShader(kind);
-    gl.shaderSource(made, text); gl.compileShader(made);
-    if (!gl.getShaderParameter(made, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(made));
-    return made;
+    const compiled = gl.createShader(kind);
+    gl.shaderSource(compiled, text); gl.compileShader(compiled);
+    if (!gl.getShaderParameter(compiled, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(compiled));
+    return compiled;
   };
   const program = gl.createProgram();
   gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
   gl.attachShader(program, shader(gl.FRAGMENT_SHADER, FRAGMENT));
   gl.linkProgram(program); gl.useProgram(program);
-  const at = Object.fromEntries(["view", "world", "low", "span", "rgba", "eye"]
+  const uniforms = Object.fromEntries(["view", "world", "low", "span", "rgba", "eye"]
     .map(name => [name, gl.getUniformLocation(program, name)]));
 
-  // Meshes: places as shares of their box (uint16), normals (int8), triangles (uint32).
+  // Meshes: positions as fractions of the bounding box (uint16), normals (int8), triangles (uint32).
   for (const object of scene.objects) for (const part of object.parts) for (const mesh of part) {
     mesh.vao = gl.createVertexArray();
     gl.bindVertexArray(mesh.vao);
@@ -55,18 +55,18 @@
     mesh.count = faces.length / 4;
   }
 
-  // Poses: rotation 3x3 as rows, and a place.
+  // Poses: a row-major 3x3 rotation r and a position p.
   const mul = (a, b) => a.map((_, k) => a[3 * Math.floor(k / 3)] * b[k % 3]
     + a[3 * Math.floor(k / 3) + 1] * b[3 + k % 3] + a[3 * Math.floor(k / 3) + 2] * b[6 + k % 3]);
-  const turn = (r, p) => [0, 3, 6].map(k => r[k] * p[0] + r[k + 1] * p[1] + r[k + 2] * p[2]);
+  const rotate = (r, p) => [0, 3, 6].map(k => r[k] * p[0] + r[k + 1] * p[1] + r[k + 2] * p[2]);
   const plus = (a, b) => a.map((v, k) => v + b[k]), minus = (a, b) => a.map((v, k) => v - b[k]);
   const scaled = (a, f) => a.map(v => v * f);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
     a[0] * b[1] - a[1] * b[0]];
   const unit = a => scaled(a, 1 / (Math.hypot(...a) || 1));
-  const then = (a, b) => ({r: mul(a.r, b.r), p: plus(a.p, turn(a.r, b.p))});
-  const STILL = {r: [1, 0, 0, 0, 1, 0, 0, 0, 1], p: [0, 0, 0]};
+  const then = (a, b) => ({r: mul(a.r, b.r), p: plus(a.p, rotate(a.r, b.p))});
+  const IDENTITY = {r: [1, 0, 0, 0, 1, 0, 0, 0, 1], p: [0, 0, 0]};
   const rotation = (axis, angle) => {
     const [x, y, z] = unit(axis), c = Math.cos(angle), s = Math.sin(angle), d = 1 - c;
     return [c + x * x * d, x * y * d - z * s, x * z * d + y * s,
@@ -74,14 +74,14 @@
       z * x * d - y * s, z * y * d + x * s, c + z * z * d];
   };
   const motion = (joint, values) => {
-    if (joint.type === "prismatic") return {r: STILL.r, p: scaled(joint.axis, values[0])};
+    if (joint.type === "prismatic") return {r: IDENTITY.r, p: scaled(joint.axis, values[0])};
     const ball = joint.type === "ball";
     const angle = ball ? Math.hypot(...values) : values[0];
-    if (joint.type === "fixed" || !angle) return STILL;
+    if (joint.type === "fixed" || !angle) return IDENTITY;
     const r = rotation(ball ? values : joint.axis, angle);
-    return {r, p: minus(joint.pos, turn(r, joint.pos))};
+    return {r, p: minus(joint.pos, rotate(r, joint.pos))};
   };
-  const standing = (object, joint) => {
+  const jointValues = (object, joint) => {
     let factor = 1, offset = 0;
     for (let k = 0; joint.mimic && k <= object.joints.length; k++) {
       offset += factor * joint.mimic.offset; factor *= joint.mimic.multiplier;
@@ -93,13 +93,13 @@
     const moved = object.parts.map(() => null);
     for (const k of object.order) {
       const joint = object.joints[object.by[k]];
-      moved[k] = joint === undefined ? STILL
-        : then(moved[joint.parent], motion(joint, standing(object, joint)));
+      moved[k] = joint === undefined ? IDENTITY
+        : then(moved[joint.parent], motion(joint, jointValues(object, joint)));
     }
     return moved.map(link => then(object.pose, link));
   };
 
-  // The eye: an angle about the middle, dragged; a distance, by wheel or pinch.
+  // Orbit camera: azimuth and elevation (drag) and distance (wheel or pinch) about a center.
   const eye = {...scene.eye};
   let shown = -1, waiting = false;
   const frame = k => {
@@ -121,9 +121,9 @@
     requestAnimationFrame(() => { waiting = false; paint(); });
   };
   const paint = () => {
-    const wide = canvas.clientWidth * devicePixelRatio, tall = canvas.clientHeight * devicePixelRatio;
-    if (canvas.width !== Math.round(wide) || canvas.height !== Math.round(tall)) {
-      canvas.width = Math.round(wide); canvas.height = Math.round(tall);
+    const width = canvas.clientWidth * devicePixelRatio, height = canvas.clientHeight * devicePixelRatio;
+    if (canvas.width !== Math.round(width) || canvas.height !== Math.round(height)) {
+      canvas.width = Math.round(width); canvas.height = Math.round(height);
     }
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0.86, 0.88, 0.9, 1); gl.enable(gl.DEPTH_TEST); gl.depthMask(true);
@@ -136,23 +136,23 @@
     const view = new Float32Array([0, 1, 2].flatMap(k =>
       [f / aspect * right[k], f * up[k], a * back[k], -back[k]])
       .concat([f / aspect * t[0], f * t[1], a * t[2] + b, -t[2]]));
-    gl.uniformMatrix4fv(at.view, false, view);
-    gl.uniform3fv(at.eye, from);
-    for (const seeThrough of [false, true]) {
-      (seeThrough ? gl.enable : gl.disable).call(gl, gl.BLEND);
+    gl.uniformMatrix4fv(uniforms.view, false, view);
+    gl.uniform3fv(uniforms.eye, from);
+    for (const transparent of [false, true]) {
+      (transparent ? gl.enable : gl.disable).call(gl, gl.BLEND);
       gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-      gl.depthMask(!seeThrough);
+      gl.depthMask(!transparent);
       scene.objects.forEach((object, k) => {
         if (shown >= 0 && k !== shown) return;
         const poses = links(object);
         object.parts.forEach((meshes, part) => {
           const {r, p} = poses[part];
-          gl.uniformMatrix4fv(at.world, false,
+          gl.uniformMatrix4fv(uniforms.world, false,
             [r[0], r[3], r[6], 0, r[1], r[4], r[7], 0, r[2], r[5], r[8], 0, ...p, 1]);
           for (const mesh of meshes) {
-            if (mesh.rgba[3] < 1 !== seeThrough) continue;
-            gl.uniform3fv(at.low, mesh.low); gl.uniform3fv(at.span, mesh.span);
-            gl.uniform4fv(at.rgba, mesh.rgba);
+            if (mesh.rgba[3] < 1 !== transparent) continue;
+            gl.uniform3fv(uniforms.low, mesh.low); gl.uniform3fv(uniforms.span, mesh.span);
+            gl.uniform4fv(uniforms.rgba, mesh.rgba);
             gl.bindVertexArray(mesh.vao);
             gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
           }
@@ -161,9 +161,9 @@
     }
   };
 
-  // Hands: one turns, with a shifted key or two it moves; two fingers also zoom.
-  const fingers = new Map();
-  const closer = factor => {
+  // Pointers: drag rotates; Shift, the right button or two fingers pan; a pinch zooms.
+  const pointers = new Map();
+  const zoom = factor => {
     eye.distance = Math.min(Math.max(eye.distance * factor, 0.02), 200); draw();
   };
   const shift = (dx, dy) => {
@@ -172,21 +172,21 @@
   };
   canvas.addEventListener("pointerdown", event => {
     canvas.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
   for (const name of ["pointerup", "pointercancel"])
-    canvas.addEventListener(name, event => fingers.delete(event.pointerId));
+    canvas.addEventListener(name, event => pointers.delete(event.pointerId));
   canvas.addEventListener("pointermove", event => {
-    const before = fingers.get(event.pointerId);
+    const before = pointers.get(event.pointerId);
     if (!before) return;
     const spread = () => {
-      const [p, q] = [...fingers.values()];
+      const [p, q] = [...pointers.values()];
       return Math.hypot(p[0] - q[0], p[1] - q[1]);
     };
     const dx = event.clientX - before[0], dy = event.clientY - before[1];
-    const two = fingers.size === 2, old = two ? spread() : 1;
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (two) { shift(dx / 2, dy / 2); closer(old / (spread() || 1)); }
+    const two = pointers.size === 2, old = two ? spread() : 1;
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (two) { shift(dx / 2, dy / 2); zoom(old / (spread() || 1)); }
     else if (event.shiftKey || event.buttons === 2) shift(dx, dy);
     else {
       eye.azimuth -= dx * 0.008;
@@ -195,13 +195,13 @@
     draw();
   });
   canvas.addEventListener("wheel", event => {
-    event.preventDefault(); closer(Math.exp(event.deltaY * 0.001));
+    event.preventDefault(); zoom(Math.exp(event.deltaY * 0.001));
   }, {passive: false});
   canvas.addEventListener("contextmenu", event => event.preventDefault());
   canvas.addEventListener("dblclick", () => frame(shown));
   addEventListener("resize", draw);
 
-  // Controls: what is shown, and a slider for every joint that leads.
+  // Controls: a choice of the object to show, and a slider for every joint that mimics no other.
   const choice = document.createElement("select");
   choice.setAttribute("aria-label", "Shown");
   ["the whole scene", ...scene.objects.map(object => object.name)].forEach((name, k) =>

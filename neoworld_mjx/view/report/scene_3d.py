@@ -1,6 +1,6 @@
 """Interactive view of a scene in the report: WebGL with a slider for every joint, offline.
 
-The script is inlined; the page's content security policy allows it and no other.
+The page contains the script; its content security policy allows no other.
 """
 
 import base64
@@ -59,7 +59,7 @@ def scene_3d(scene: SceneSpec, max_triangles: int = MAX_TRIANGLES) -> Markup:
 
 
 def scene_data(scene: SceneSpec) -> dict[str, Any]:
-    """Return the script's data of a scene: meshes by part, joints, and viewpoints."""
+    """Return the data of a scene for the script: meshes by part, joints, and viewpoints."""
     poses = world_poses(scene)
     points = {
         obj.name: poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state))
@@ -67,18 +67,18 @@ def scene_data(scene: SceneSpec) -> dict[str, Any]:
     }
     movable = [points[o.name] for o in scene.objects if not o.static] or list(points.values())
     camera = scene.camera
-    eye = _eye(np.vstack(movable), None if camera is None else camera.position())
+    eye = _viewpoint(np.vstack(movable), None if camera is None else camera.position())
     return {
         "eye": eye,
         "objects": [
-            _object_data(obj, poses[obj.name]) | {"eye": _eye(points[obj.name], None)}
+            _object_data(obj, poses[obj.name]) | {"eye": _viewpoint(points[obj.name], None)}
             for obj in scene.objects
         ],
     }
 
 
-def _eye(points: NDArray, position: NDArray | None) -> dict[str, Any]:
-    """Return a view of points [n, 3] m from a position, by default from the front right above."""
+def _viewpoint(points: NDArray, position: NDArray | None) -> dict[str, Any]:
+    """Return a view of points [n, 3] m from a position; by default from the front right, above."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     direction = np.array([-0.75, -0.45, 0.5]) if position is None else position - middle
@@ -141,21 +141,21 @@ def _mesh_data(mesh: PartMesh) -> dict[str, Any]:
     vertices, faces = mesh.vertices.astype(float), mesh.faces
     low = vertices.min(axis=0)
     span = np.maximum(vertices.max(axis=0) - low, 1e-9)
-    places = np.zeros((len(vertices), 4), np.uint16)
-    places[:, :3] = np.round((vertices - low) / span * _STEPS)
+    positions = np.zeros((len(vertices), 4), np.uint16)
+    positions[:, :3] = np.round((vertices - low) / span * _STEPS)
     normals = np.zeros((len(vertices), 4), np.int8)
-    at_corners = corner_normals(vertices, faces).reshape(-1, 3)
-    normals[faces.ravel(), :3] = np.round(np.nan_to_num(at_corners) * _NORMAL)
+    normals_at_corners = corner_normals(vertices, faces).reshape(-1, 3)
+    normals[faces.ravel(), :3] = np.round(np.nan_to_num(normals_at_corners) * _NORMAL)
     return {
         "low": np.round(low, 6).tolist(),
         "span": np.round(span, 9).tolist(),
         "rgba": [round(v / 255, 4) for v in mesh.rgb] + [round(mesh.alpha, 3)],
-        "places": _encoded(places),
-        "normals": _encoded(normals),
-        "faces": _encoded(faces.astype("<u4")),
+        "places": _base64(positions),
+        "normals": _base64(normals),
+        "faces": _base64(faces.astype("<u4")),
         "triangles": len(faces),
     }
 
 
-def _encoded(array: NDArray) -> str:
+def _base64(array: NDArray) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")

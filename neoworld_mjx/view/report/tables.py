@@ -11,7 +11,7 @@ from .page import elements
 from .pictures import picture
 
 
-def parsed(folder: Path, tree: dict[str, Any]) -> Markup:
+def parse_section(folder: Path, tree: dict[str, Any]) -> Markup:
     """Return the section with the nodes of tree.json and the picture of their boxes."""
     nodes = tree.get("nodes")
     if not nodes:
@@ -46,7 +46,7 @@ def parsed(folder: Path, tree: dict[str, Any]) -> Markup:
     return elements.section("Parse", elements.div("narrow", boxes), elements.table(heads, rows))
 
 
-def placed(scene: dict[str, Any]) -> Markup:
+def scene_section(scene: dict[str, Any]) -> Markup:
     """Return the section with the poses in scene.json and the size residuals after rescaling."""
     if not scene.get("objects"):
         return elements.section("Scene", elements.missing("No scene.json yet."))
