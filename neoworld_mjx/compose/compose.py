@@ -1,7 +1,7 @@
-"""Compose a scene: rescale objects to their parsed boxes and snap them onto their supports.
+"""Scene composition: rescale objects to their parsed boxes and snap them onto their supports.
 
-Paper Section 3.3, Step 4, and Appendix B: programs are written at a convenient size, so the parsed
-3D box gives each object its absolute scale; heights come from the support, not from the parse.
+Paper Section 3.3, Step 4, and Appendix B. Programs have arbitrary units; the parsed 3D box
+determines the absolute scale of each object, and the support determines its height.
 """
 
 from dataclasses import dataclass
@@ -29,27 +29,27 @@ from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul,
 from .inside import covers, entrance
 from .joint_friction import hold_joints
 from .leaning import lean
-from .resting_pose import on_level, resting_tilt, stands
+from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
 from .walls import clear_walls
 
 NOTED_TILT_DEG = 2.0
-"""Change of the tilt from which on a note says that an object rests otherwise than parsed."""
+"""Smallest change from the parsed tilt that is reported in a note."""
 NOTED_SLOPE_TILT_DEG = 10.0
-"""The same on a dish or a slope, where a picture hardly shows the tilt."""
+"""The same on a curved or sloped support, where an image constrains the tilt weakly."""
 NOTED_SHIFT_M = 0.03
-"""Horizontal shift from which on a note says so."""
+"""Smallest horizontal shift that is reported in a note."""
 
 
 @dataclass(frozen=True)
 class Composed:
-    """A composed scene, and how it departs from the parse."""
+    """Composed scene, with notes on its differences from the parse."""
 
     scene: SceneSpec
     scales: dict[str, float]
-    """Isotropic factor that each object was rescaled by."""
+    """Isotropic scale factor of each object."""
     notes: tuple[str, ...]
-    """Fallbacks taken, in words."""
+    """Descriptions of the differences and fallbacks."""
 
 
 def compose(
@@ -63,9 +63,9 @@ def compose(
 
     Args:
         tree: the parse.
-        objects: an object for every node, by node name.
-        options: clearance under snapped objects, whether tilted ones settle and joints are held.
-        name: of the scene.
+        objects: object of every node, by node name.
+        options: clearance under snapped objects, and switches for settling and joint friction.
+        name: name of the scene.
 
     Raises:
         SpecError: a node has no object.
@@ -82,37 +82,37 @@ def compose(
         notes += _unmatched_notes(node, fit)
         spec, state = fit.scaled()
         scales[node.name] = fit.factor
-        # An isotropic factor leaves this deviation of each edge from the parsed one.
+        # Deviation of each edge from the parsed one after isotropic scaling.
         residual = tuple((fit.factor / fit.ratio - 1.0).tolist())
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
         if options.settle:
-            placed[node.name] = _settled(node, tree, placed, notes)
+            placed[node.name] = _settle_tilted(node, tree, placed, notes)
             placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
             placed[node.name] = _with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene = snap(scene, options.gap_m)
     if options.settle:
-        scene, out = clear_walls(scene)
-        scene = snap(scene, options.gap_m) if out else scene
-        for item, way in out.items():
+        scene, cleared = clear_walls(scene)
+        scene = snap(scene, options.gap_m) if cleared else scene
+        for item, distance in cleared.items():
             notes.append(
-                f"{item}: composition moved it by {1e3 * way:.0f} mm sideways, out of a wall of "
-                f"{scene.object(item).parent}"
+                f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
+                f"of {scene.object(item).parent}"
             )
         scene, moved = lean(scene)
         scene = snap(scene, options.gap_m) if moved else scene
-        for leaning, (way, other) in moved.items():
-            to = "up to" if way > 0 else "out of"
+        for leaning, (distance, other) in moved.items():
+            direction = "up to" if distance > 0 else "out of"
             notes.append(
-                f"{leaning}: composition moved it by {1e3 * abs(way):.0f} mm {to} {other}, on "
-                "which it leans"
+                f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
+                f"{other}, on which it leans"
             )
     return Composed(scene, scales, tuple(notes))
 
 
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
-    """Set every object down on the surface under its footprint, `gap` [m] above it."""
+    """Place every object on the surface under its footprint, with a clearance of `gap` [m]."""
     arrangement = arrange(scene, gap=gap)
     z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))[0]
     objects = [
@@ -123,11 +123,11 @@ def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:
-    """Return a note for every part that is open in the photo and that no joint matches."""
+    """Return a note for every open part in the photo without a matching joint."""
     names = ", ".join(joint.name for joint in fit.spec.joints) or "none"
     return [
         f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
-        f"joint of the program fits it (joints: {names}); composition left it closed"
+        f"joint of the program matches it (joints: {names}); composition left it closed"
         for part in fit.unmatched
         if part.opening > 0
     ]
@@ -147,20 +147,20 @@ def _place(
         parent = placed[node.parent]
         if link is not None and link not in [part.name for part in parent.spec.parts]:
             joint = matching_joint(parent.spec, link, "prismatic")
-            other = None if joint is None else joint.child
+            substitute = None if joint is None else joint.child
             notes.append(
                 f"{node.name}: {node.parent} has no part {link!r}; composition placed it on "
-                f"{'the whole object' if other is None else other}"
+                f"{'the whole object' if substitute is None else substitute}"
             )
-            link = other
+            link = substitute
         parent_box = _parsed_pose(tree.node(node.parent))
         origin = parent_box.then(_origin_in_box(parent.spec, parent.joint_state))
         frame = support_frame(parent, origin, link)
     box = _parsed_pose(node, tilted=False)
-    here = frame.inverse().then(box).then(_origin_in_box(spec, state))
+    local_pose = frame.inverse().then(box).then(_origin_in_box(spec, state))
     level = on_level(node, tree)
     tilt, shift = _rest(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
-    here = here.then(pose(shift))
+    local_pose = local_pose.then(pose(shift))
     fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
         notes.append(
@@ -168,7 +168,7 @@ def _place(
         )
         fixed = False
     elif fixed and not node.fixed_base and not node.environment:
-        notes.append(f"{node.name}: composition fastened it to {node.parent}, as it is attached")
+        notes.append(f"{node.name}: composition fixed it to {node.parent}, because it is attached")
     elif node.relation == "attached" and not fixed:
         notes.append(f"{node.name}: composition left it loose, held by {node.held_by}")
     _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
@@ -180,9 +180,9 @@ def _place(
         relation=node.relation,
         environment=node.environment,
         fixed_base=fixed,
-        xy=tuple(here.pos[:2].tolist()),
-        z=float(here.pos[2]),
-        yaw=yaw_of(here.quat),
+        xy=tuple(local_pose.pos[:2].tolist()),
+        z=float(local_pose.pos[2]),
+        yaw=yaw_of(local_pose.quat),
         base_tilt=tilt,
         joint_state=state,
         box2d=node.box2d,
@@ -193,18 +193,18 @@ def _place(
     )
 
 
-def _settled(
+def _settle_tilted(
     node: TreeNode, tree: SceneTree, placed: dict[str, SceneObject], notes: list[str]
 ) -> SceneObject:
-    """Return an object as it rests on its parent, where it lies tilted there.
+    """Return a tilted object settled on its parent by simulation; other objects unchanged.
 
-    On a dish or a slope the resting pose depends on the parent: a simulation finds it.
+    On a curved or sloped support the resting pose depends on the parent.
     """
     obj = placed[node.name]
-    lies = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
-    if node.parent is None or not lies or node.relation not in ("on", "in"):
+    settles = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
+    if node.parent is None or not settles or node.relation not in ("on", "in"):
         return obj
-    resting = settle(placed[node.parent], obj, _beside(obj, placed))
+    resting = settle(placed[node.parent], obj, _neighbors(obj, placed))
     if resting is None:
         notes.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
@@ -223,39 +223,39 @@ def _settled(
 
 
 def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
-    """Return what stands upright in a container, or covers it, as it stands in it."""
+    """Move an upright object in a container, or a lid on it, to where it stands inside."""
     upright = np.allclose(obj.base_tilt, IDENTITY)
     if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
         return obj
     parent = placed[obj.parent]
     if obj.relation == "on" and (parent.environment or not covers(parent, obj)):
         return obj
-    place = entrance(parent, obj, _beside(obj, placed))
-    if place is None:
+    position = entrance(parent, obj, _neighbors(obj, placed))
+    if position is None:
         return obj
-    shift = float(np.hypot(*np.subtract(place, obj.xy)))
+    shift = float(np.hypot(*np.subtract(position, obj.xy)))
     notes.append(
-        f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, on whose "
-        "rim it would have stood"
+        f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, because it "
+        "would have stood on the rim"
     )
-    return obj.model_copy(update={"xy": tuple(place.tolist())})
+    return obj.model_copy(update={"xy": tuple(position.tolist())})
 
 
-def _beside(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneObject]:
-    """Return the objects that are in an object's container already."""
-    where = obj.parent, obj.parent_link
+def _neighbors(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneObject]:
+    """Return the other placed objects on or in the same parent."""
+    location = obj.parent, obj.parent_link
     others = [other for name, other in placed.items() if name != obj.name]
-    return [other for other in others if (other.parent, other.parent_link) == where]
+    return [other for other in others if (other.parent, other.parent_link) == location]
 
 
 def _with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
-    """Return an object with joints that stay where the parse shows them."""
+    """Return an object whose joints stay at their parsed positions."""
     holding, changes = hold_joints(obj)
     for joint, (before, after) in changes.items():
         unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
         notes.append(
             f"{obj.name}: composition raised the dry friction of joint {joint} from {before:.2g} "
-            f"to {after:.2g} {unit}, as its weight would move it from where the parse shows it"
+            f"to {after:.2g} {unit}, because gravity would move it from its parsed position"
         )
     return holding
 
@@ -265,11 +265,11 @@ def _rest(
 ) -> tuple[Quat, NDArray]:
     """Return the tilt of an object's resting pose on level ground, and the shift of its origin [m].
 
-    What is upright stays so where it stands; a spoon with a round handle rolls onto its side.
+    A stable upright object stays upright; a spoon with a round handle rolls onto its side.
     """
     parsed = node.base_tilt
     upright = np.allclose(parsed, IDENTITY)
-    if node.fastened or node.environment or (upright and stands(spec, state)):
+    if node.fastened or node.environment or (upright and is_stable_upright(spec, state)):
         return parsed, np.zeros(3)
     tilt = resting_tilt(spec, state, parsed)
     if tilt is None:
@@ -293,9 +293,9 @@ def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:
 
 
 def _origin_in_box(spec: ObjectSpec, state: dict[str, float]) -> Pose:
-    """Return the object's origin seen from the middle of its box's bottom, as posed.
+    """Return the object's origin relative to the center of its box's bottom, with posed joints.
 
-    At rest they coincide; an open drawer moves the box's middle, not the origin.
+    They coincide with closed joints; an open drawer moves the box's center, not the origin.
     """
     low, high = bounds(spec, state)
     return pose([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])

@@ -1,8 +1,8 @@
-"""Put what is in a container where it goes in, though its parsed place is across a rim.
+"""Placement of objects inside containers whose rim their parsed position overlaps.
 
-A rim is a centimetre wide and a parsed place some centimetres off: a pot in a pot, a tube in a
-rack, a lid on its jar. Snapped there, it would stand on the rim, and the search would have to find
-the way down.
+Rims are about a centimetre wide, and parsed positions are off by some centimetres: nested pots,
+tubes in a rack, a lid on its jar. Snapped at its parsed position, such an object would stand on the
+rim.
 """
 
 from collections.abc import Iterable
@@ -19,33 +19,33 @@ from ..spec.extent import part_bounds
 from ..spec.pose import IDENTITY
 
 SIDE = 48
-"""Places along each side of the grid over a container: 2 mm apart over 10 cm."""
+"""Grid points along each side of a container: 2 mm apart over 10 cm."""
 LOWER, LOWER_M = 0.1, 0.005
-"""Least gain of height, over the object's and [m]: a tilted floor is no reason to move."""
+"""Smallest drop in height, relative to the object's and [m]; a tilted floor causes smaller ones."""
 DEEP = 0.5
-"""Share of the largest gain that makes a place one of the container's inside."""
+"""Fraction of the largest drop above which a grid point is inside the container."""
 AS_LOW_M = 0.002
-"""Height within which a place is as low as another."""
+"""Tolerance for equal heights."""
 WITHIN = 0.9
-"""Share of an object's half width by which its place is within the container's outline."""
+"""Smallest distance of a position from the container's outline, over the object's half width."""
 CLEAR = 1
-"""Distance from a wall, over the grid's spacing, up to which a place is moved away from it."""
+"""Neighborhood, in grid spacings, over which a position is centered between walls."""
 ALIKE = 0.12
-"""Difference of two footprints, over the larger one, up to which one covers the other."""
+"""Largest relative difference of two footprints at which one object covers the other."""
 
 
 def entrance(
     parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the place nearest to an object's own at which it stands inside its container.
+    """Return the position nearest to an object's own at which it stands inside its container.
 
     Args:
         parent: the container.
-        obj: an object in it, or a lid on it; taken as upright.
-        others: what is in the container already: no two stand in one place.
+        obj: an object in it, or a lid on it; assumed upright.
+        others: objects already in the container, which the result avoids.
 
     Returns:
-        The place [m], in the frame of `SceneObject.xy`; None if it stands nowhere lower.
+        Position [m] in the frame of `SceneObject.xy`; None if no position is lower.
     """
     root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**root, "z": 0.0, "yaw": 0.0})
@@ -55,36 +55,40 @@ def entrance(
     step = (high - low)[:2] / (SIDE - 1)
     sides = np.linspace(low[:2], high[:2], SIDE).T
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-    places = np.concatenate([(low + high)[None, :2] / 2, grid])
-    own = np.array(obj.xy)
-    first, *heights = _heights(scene, np.concatenate([own[None], places]))
+    positions = np.concatenate([(low + high)[None, :2] / 2, grid])
+    parsed_xy = np.array(obj.xy)
+    parsed_height, *heights = _heights(scene, np.concatenate([parsed_xy[None], positions]))
     bottom, top = bounds(obj.spec, obj.joint_state)
-    depths = _depths(parent, obj.parent_link, places)
+    depths = _depths(parent, obj.parent_link, positions)
     reach = min(float((top - bottom)[:2].min()) / 2, float(depths.max()))
-    gains = np.where(depths > WITHIN * reach, first - np.array(heights), -np.inf)
+    gains = np.where(depths > WITHIN * reach, parsed_height - np.array(heights), -np.inf)
     for other in others:
-        gains[np.linalg.norm(places - other.xy, axis=1) < _room(obj, other)] = -np.inf
+        gains[np.linalg.norm(positions - other.xy, axis=1) < _min_separation(obj, other)] = -np.inf
     if gains.max() < max(LOWER * float(top[2] - bottom[2]), LOWER_M):
         return None
     inside = gains > DEEP * gains.max()
-    nearest = places[inside][np.linalg.norm(places[inside] - own, axis=1).argmin()]
-    near = inside & (np.abs(places - nearest) <= (CLEAR + 0.5) * step).all(axis=1)
-    near &= gains > gains[near].max() - AS_LOW_M
-    centred = places[near].mean(axis=0)
-    fits = first - _heights(scene, centred[None])[0] > gains[near].max() - AS_LOW_M
-    return centred if fits else places[near][gains[near].argmax()]
+    nearest = positions[inside][np.linalg.norm(positions[inside] - parsed_xy, axis=1).argmin()]
+    nearby = inside & (np.abs(positions - nearest) <= (CLEAR + 0.5) * step).all(axis=1)
+    nearby &= gains > gains[nearby].max() - AS_LOW_M
+    centred = positions[nearby].mean(axis=0)
+    fits = parsed_height - _heights(scene, centred[None])[0] > gains[nearby].max() - AS_LOW_M
+    return centred if fits else positions[nearby][gains[nearby].argmax()]
 
 
 def covers(parent: SceneObject, obj: SceneObject) -> bool:
-    """Tell whether an object on another has its footprint, as a lid has its jar's."""
-    ours = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
+    """Return whether an object has the footprint of its parent, as a lid has its jar's."""
+    size = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
     low, high = _bounds_of(parent, obj.parent_link)
-    theirs = (high - low)[:2]
-    return bool(np.all(np.abs(np.sort(ours) - np.sort(theirs)) <= ALIKE * np.maximum(ours, theirs)))
+    parent_size = (high - low)[:2]
+    return bool(
+        np.all(
+            np.abs(np.sort(size) - np.sort(parent_size)) <= ALIKE * np.maximum(size, parent_size)
+        )
+    )
 
 
-def _room(a: SceneObject, b: SceneObject) -> float:
-    """Return a distance [m] below which two objects are in the same place."""
+def _min_separation(a: SceneObject, b: SceneObject) -> float:
+    """Return the smallest distance [m] of two objects in a container."""
     widths = [np.ptp(bounds(o.spec, o.joint_state), axis=0)[:2].min() for o in (a, b)]
     return float(sum(widths)) / 4
 
@@ -96,19 +100,19 @@ def _bounds_of(parent: SceneObject, link: str | None) -> Float[np.ndarray, "2 3"
 
 
 def _depths(
-    parent: SceneObject, link: str | None, places: Float[np.ndarray, "n 2"]
+    parent: SceneObject, link: str | None, positions: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Return how far [m] places are within a container's outline."""
+    """Return the distances [m] of positions from a container's outline, positive inside."""
     if link is not None:
         low, high = _bounds_of(parent, link)
-        return np.minimum(places - low[:2], high[:2] - places).min(axis=1)
+        return np.minimum(positions - low[:2], high[:2] - positions).min(axis=1)
     sides = ConvexHull(extreme_points(parent)[:, :2]).equations
-    return -(places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+    return -(positions @ sides[:, :2].T + sides[:, 2]).max(axis=1)
 
 
-def _heights(scene: SceneSpec, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Return the heights [m] at which the second object of a scene stands at places."""
-    layout = Layout.zero(len(places), 2)
-    xy = np.zeros((len(places), 2, 2), np.float32)
-    xy[:, 1] = places - scene.objects[1].xy
+def _heights(scene: SceneSpec, positions: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """Return the heights [m] at which the second object of a scene stands at each position."""
+    layout = Layout.zero(len(positions), 2)
+    xy = np.zeros((len(positions), 2, 2), np.float32)
+    xy[:, 1] = positions - scene.objects[1].xy
     return snapped_heights(arrange(scene), Layout(xy, layout.yaw, layout.log_scale))[:, 1]

@@ -1,8 +1,7 @@
-"""Hold joints where the photograph shows them: dry friction for what gravity pulls at them.
+"""Dry friction that holds joints at their parsed positions against gravity.
 
-What stands half open at rest is held there by something. A program states a friction for the
-object that it imagined; at the parsed size and opening it may be too little, and the joint moves
-in every rollout, wherever the search puts the object.
+A half-open part at rest is held by friction. The friction in a program may be too small at the
+parsed size and opening; the joint then moves in every rollout, for any layout.
 """
 
 from ..errors import SpecError
@@ -10,18 +9,18 @@ from ..physics.exact import start_state
 from ..spec import JointSpec, SceneObject, SceneSpec, joint_position
 
 MARGIN = 1.5
-"""Friction over the load that it holds."""
+"""Ratio of the friction to the load."""
 AT_LIMIT = 1e-3
-"""Distance [rad or m] within which a joint is at its limit, which holds it."""
+"""Distance [rad or m] within which a joint is at its limit."""
 NEGLIGIBLE = 1e-9
-"""Load [N m or N] of nothing but rounding errors."""
+"""Load [N m or N] that is zero up to rounding."""
 
 
 def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, float]]]:
-    """Raise the dry friction of joints that would not stay where they are composed.
+    """Raise the dry friction of joints that gravity would move from their composed positions.
 
-    Joints that springs move, balls and followers stay as they are; a follower's load is its
-    leader's.
+    Joints with springs, ball joints and mimic joints do not change; the load of a mimic joint acts
+    on its leader.
 
     Args:
         obj: an object in its composed orientation.
@@ -46,19 +45,19 @@ def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, f
             changes[joint.name] = joint.friction, MARGIN * abs(load)
     if not changes:
         return obj, {}
-    own = tuple(
+    held_joints = tuple(
         j.model_copy(update={"friction": changes[j.name][1]}) if j.name in changes else j
         for j in obj.spec.joints
     )
-    spec = obj.spec.model_copy(update={"joints": own})
+    spec = obj.spec.model_copy(update={"joints": held_joints})
     return obj.model_copy(update={"spec": spec}), changes
 
 
 def joint_loads(obj: SceneObject) -> dict[str, float]:
-    """Return how gravity pulls at each joint that moves, springs left out [N m or N].
+    """Return the gravity load of each movable joint, without springs [N m or N].
 
-    Positive loads move a joint towards its upper limit. A follower's load is its leader's; that of
-    a ball joint is 0.
+    Positive loads move a joint toward its upper limit. The load of a mimic joint is added to its
+    leader; that of a ball joint is 0.
     """
     as_root = {"parent": None, "parent_link": None, "relation": "on", "environment": True}
     alone = SceneSpec(name="held", objects=(obj.model_copy(update=as_root),))
@@ -81,7 +80,7 @@ def joint_loads(obj: SceneObject) -> dict[str, float]:
 
 
 def _blocked(obj: SceneObject, joint: JointSpec, load: float) -> bool:
-    """Tell whether a joint's limit holds its load."""
+    """Return whether a joint is at the limit that its load pushes against."""
     if joint.type == "continuous":
         return False
     value = joint_position(obj.spec, joint, obj.joint_state)

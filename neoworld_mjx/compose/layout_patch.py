@@ -1,7 +1,7 @@
-"""Poses, boxes and joint states that a person gave, laid over a composed scene.
+"""Manual edits of poses, boxes and joint states, applied to a composed scene.
 
-The patch lies in the run folder beside the files of the steps. Composition applies it last, so it
-holds whatever is programmed, fitted or composed again.
+The patch is stored in the run folder with the files of the steps. Composition applies it last, so
+the edits persist when earlier steps run again.
 """
 
 from pathlib import Path
@@ -18,43 +18,43 @@ LAYOUT_PATCH = "layout.patch.json"
 
 
 class ObjectPlacement(Spec):
-    """What a person set of one object; None leaves what composition says."""
+    """Manual edits of one object; None keeps the value of composition."""
 
     xy: tuple[Number, Number] | None = None
     """Position in the parent's frame [m]."""
     yaw: Number | None = None
     """Heading in the parent's frame [rad]."""
     box2d: Box2D | None = None
-    """Its box in the photograph [px]."""
+    """Box in the photograph [px]."""
     joint_state: dict[JointKey, Number] = Field(default_factory=dict)
-    """Joint values [rad or m]; joints not named stay."""
+    """Joint values [rad or m]; other joints keep their values."""
 
 
 class LayoutPatch(Spec):
-    """All placements of a scene that a person set, by object."""
+    """Manual edits of a scene, by object."""
 
     objects: dict[Name, ObjectPlacement] = Field(default_factory=dict)
 
     def merged(self, name: str, placement: ObjectPlacement) -> "LayoutPatch":
-        """Return the patch with what `placement` sets of an object, over what it set before."""
+        """Return the patch updated with the fields that `placement` sets for an object."""
         before = self.objects.get(name, ObjectPlacement())
         update = {key: getattr(placement, key) for key in placement.model_fields_set}
         update["joint_state"] = before.joint_state | placement.joint_state
         return LayoutPatch(objects=self.objects | {name: before.model_copy(update=update)})
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same patch."""
+        """Serialise deterministically."""
         return self.model_dump_json(indent=1, exclude_none=True) + "\n"
 
 
 def apply_layout(
     scene: SceneSpec, patch: LayoutPatch, gap: float = 1e-4
 ) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Place objects as a patch says and snap them onto their supports.
+    """Apply a patch to a scene, and snap the objects onto their supports.
 
     Args:
         scene: the composed scene.
-        patch: the placements.
+        patch: the edits.
         gap: clearance under snapped objects [m].
 
     Returns:
@@ -89,10 +89,10 @@ def apply_layout(
 
 
 def read_layout_patch(folder: Path) -> LayoutPatch:
-    """Read the patch of a run folder; an empty one if there is none.
+    """Read the patch of a run folder; return an empty one if there is none.
 
     Raises:
-        SpecError: the file cannot be read or is no patch.
+        SpecError: the file cannot be read or is not a patch.
     """
     path = folder / LAYOUT_PATCH
     if not path.is_file():

@@ -1,7 +1,7 @@
-"""Move what leans, at its parsed tilt, up to what it leans on, or out of it.
+"""Placement of leaning objects in contact with the object that they lean on.
 
-A parse judges a distance to some percent: a board leans a hand's breadth before its wall, onto
-which it falls in every rollout, and ends at another tilt. Or it leans as far within the wall.
+Parsed distances are accurate to a few percent: a leaning board may be some centimetres in front of
+its wall, fall onto it in every rollout and settle at another tilt, or it may overlap the wall.
 """
 
 import mujoco
@@ -11,169 +11,172 @@ from numpy.typing import NDArray
 from ..physics.exact import geom_distance
 from ..spec import SceneSpec, bounds, world_poses
 from ..spec.pose import matrix
-from .sliding import SceneColliders, colliders, riding, shifted
+from .sliding import SceneColliders, colliders, shift_object, supported_geoms
 
 FARTHEST = 0.5
-"""Longest way, over the object's height: beyond it leans on something else, or on nothing."""
+"""Largest displacement, over the object's height; farther objects are not what it leans on."""
 LEAST_M = 0.001
-"""Shorter ways are left to the search."""
+"""Smallest displacement; smaller ones are left to the search."""
 TOUCHING_M = 2e-4
-"""Distance at which two touch."""
+"""Distance at which two objects touch."""
 STEPS = 60
-"""Most steps, each by the distance to what is nearest ahead, or out of what is deepest."""
+"""Maximum number of steps, each to the nearest geom ahead or out of the deepest one."""
 LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
-"""Tilts between which a thing leans: below it stands, above it lies."""
+"""Range of tilts of a leaning object [rad]: below it stands, above it lies."""
 FOOT = 0.1
-"""Share of the height up to which what touches an object carries it."""
+"""Fraction of the height below which a contact is a support."""
 AHEAD = 0.3
-"""Least cosine between the way and the direction to what an object can lean on."""
+"""Smallest cosine between the direction of motion and that to an object to lean on."""
 
 
 def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
-    """Move each leaning object until it touches what is ahead of it, and overlaps nothing there.
+    """Move each leaning object until it touches the object ahead of it without overlap.
 
-    Those that are farthest along come first: a book leans on a book that leans on a wall.
+    Objects are processed from the farthest along their direction: a book may lean on a book that
+    leans on a wall.
 
     Args:
-        scene: composed and snapped.
+        scene: the composed and snapped scene.
 
     Returns:
-        The scene, and by the name of each object that moved how far [m], and to which other;
-        negative is backwards, out of it.
+        The scene, and for each moved object the distance [m], negative if backward out of an
+        overlap, and the name of the object that it leans on.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
     """
-    ways = _ways(scene)
-    if not ways:
+    directions = _lean_directions(scene)
+    if not directions:
         return scene, {}
-    solid = colliders(scene)
+    collision_scene = colliders(scene)
     moved: dict[str, tuple[float, str]] = {}
-    for name, way in ways:
-        found = _gap(scene, name, way, solid)
-        if found is not None:
-            moved[name] = found
-            scene = shifted(scene, name, found[0] * way)
+    for name, direction in directions:
+        gap = _gap(scene, name, direction, collision_scene)
+        if gap is not None:
+            moved[name] = gap
+            scene = shift_object(scene, name, gap[0] * direction)
     return scene, moved
 
 
-def _ways(scene: SceneSpec) -> list[tuple[str, NDArray]]:
-    """Return what leans and the level unit direction in which its top is, farthest along first."""
-    ways = []
-    for name, at in world_poses(scene).items():
-        obj, up = scene.object(name), matrix(at.quat)[:, 2]
+def _lean_directions(scene: SceneSpec) -> list[tuple[str, NDArray]]:
+    """Return leaning objects and their horizontal directions of lean, farthest along first."""
+    directions = []
+    for name, world_pose in world_poses(scene).items():
+        obj, up = scene.object(name), matrix(world_pose.quat)[:, 2]
         tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
         if obj.relation == "leaning" and not obj.static and LEAST_LEAN < tilt < MOST_LEAN:
-            way = up[:2] / np.linalg.norm(up[:2])
-            ways.append((float(way @ at.pos[:2]), name, way))
-    return [(name, way) for _, name, way in sorted(ways, key=lambda entry: -entry[0])]
+            direction = up[:2] / np.linalg.norm(up[:2])
+            directions.append((float(direction @ world_pose.pos[:2]), name, direction))
+    return [
+        (name, direction) for _, name, direction in sorted(directions, key=lambda entry: -entry[0])
+    ]
 
 
 def _gap(
     scene: SceneSpec,
     name: str,
-    way: NDArray,
-    solid: SceneColliders,
+    direction: NDArray,
+    collision_scene: SceneColliders,
 ) -> tuple[float, str] | None:
-    """Return how far an object is from what is ahead of it [m], and what; move its geoms there.
+    """Return the distance [m] to the object ahead, and its name; move the geoms by it.
 
-    Negative is how far it has to go back out of it. None, and nothing moved, where it touches that
-    already, nothing is near, or the way out is too long.
+    The distance is negative if the object has to move back out of an overlap. Return None, and move
+    nothing, if the objects already touch, none is near, or the distance is too long.
     """
-    model, data, owner = solid
-    moving = riding(scene, owner, name)
-    own = np.flatnonzero(owner == scene.index(name))
+    model, data, owner = collision_scene
+    moving = supported_geoms(scene, owner, name)
+    geoms = np.flatnonzero(owner == scene.index(name))
     others = np.flatnonzero((owner >= 0) & ~moving)
     obj = scene.object(name)
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
     foot = data.body(name).xpos[2] + bottom[2] + FOOT * height
-    before, gone, out_of = data.geom_xpos.copy(), 0.0, -1
-    beyond = _beyond(data, own, others, owner, way)
+    before, moved, overlapped = data.geom_xpos.copy(), 0.0, -1
+    ahead = _geoms_ahead(data, geoms, others, owner, direction)
     for _ in range(STEPS):
-        back, other = _overlap_ahead(model, data, own, beyond, way)
+        back, other = _overlap_ahead(model, data, geoms, ahead, direction)
         if other is None or back <= LEAST_M:
             break
-        gone, out_of = gone - back, other
-        data.geom_xpos[moving, :2] -= back * way
-    if gone < -FARTHEST * height:
+        moved, overlapped = moved - back, other
+        data.geom_xpos[moving, :2] -= back * direction
+    if moved < -FARTHEST * height:
         data.geom_xpos[:] = before
         return None
-    if gone:
-        return gone, scene.objects[owner[out_of]].name
+    if moved:
+        return moved, scene.objects[owner[overlapped]].name
     for _ in range(STEPS):
-        reach = FARTHEST * height - gone
-        step, other = _nearest_ahead(model, data, own, others, way, reach, foot)
+        reach = FARTHEST * height - moved
+        step, other = _nearest_ahead(model, data, geoms, others, direction, reach, foot)
         if other is None:
             break
         if step <= TOUCHING_M:
-            if gone < LEAST_M:
+            if moved < LEAST_M:
                 break
-            return gone, scene.objects[owner[other]].name
-        # Where two just touch, MuJoCo finds no direction between them.
+            return moved, scene.objects[owner[other]].name
+        # MuJoCo gives no direction between geoms that just touch.
         step -= TOUCHING_M / 2
-        gone += step
-        data.geom_xpos[moving, :2] += step * way
+        moved += step
+        data.geom_xpos[moving, :2] += step * direction
     data.geom_xpos[:] = before
     return None
 
 
-def _beyond(
-    data: mujoco.MjData, own: NDArray, others: NDArray, owner: NDArray, way: NDArray
+def _geoms_ahead(
+    data: mujoco.MjData, geoms: NDArray, others: NDArray, owner: NDArray, direction: NDArray
 ) -> NDArray:
-    """Return the geoms of the objects whose middle is ahead of an object's: it leans on these.
+    """Return the geoms of the objects whose centers are ahead of an object's center.
 
-    What stands before it and overlaps it is not to end up behind it.
+    Overlapping objects in front of it stay in front.
     """
-    along = data.geom_xpos[:, :2] @ way
-    middles = {k: along[owner == k].mean() for k in np.unique(owner[others])}
-    own_middle = along[own].mean()
-    return others[[middles[k] > own_middle for k in owner[others]]]
+    along = data.geom_xpos[:, :2] @ direction
+    centers = {k: along[owner == k].mean() for k in np.unique(owner[others])}
+    center = along[geoms].mean()
+    return others[[centers[k] > center for k in owner[others]]]
 
 
 def _overlap_ahead(
-    model: mujoco.MjModel, data: mujoco.MjData, own: NDArray, others: NDArray, way: NDArray
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, others: NDArray, direction: NDArray
 ) -> tuple[float, int | None]:
-    """Return how far back [m] an object has to go out of the geom ahead that takes it farthest.
+    """Return the largest distance [m] to move back out of an overlapping geom ahead, and the geom.
 
-    None if it overlaps nothing ahead.
+    The geom is None if there is no overlap ahead.
     """
-    farthest, which, ends = 0.0, None, np.zeros(6)
-    for a in own:
+    farthest, geom, ends = 0.0, None, np.zeros(6)
+    for a in geoms:
         gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[a], axis=1)
         gaps = gaps - model.geom_rbound[others] - model.geom_rbound[a]
         for b in others[(gaps < 0) & (model.geom_rbound[others] > 0)]:
             depth = -geom_distance(model, data, int(a), int(b), TOUCHING_M, ends)
-            to = ends[:3] - ends[3:]
-            cosine = float(to[:2] @ way) / max(float(np.linalg.norm(to)), 1e-12)
+            vector = ends[:3] - ends[3:]
+            cosine = float(vector[:2] @ direction) / max(float(np.linalg.norm(vector)), 1e-12)
             if depth > 0 and cosine > AHEAD and depth / cosine > farthest:
-                farthest, which = depth / cosine, int(b)
-    return farthest, which
+                farthest, geom = depth / cosine, int(b)
+    return farthest, geom
 
 
 def _nearest_ahead(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    own: NDArray,
+    geoms: NDArray,
     others: NDArray,
-    way: NDArray,
+    direction: NDArray,
     reach: float,
     foot: float,
 ) -> tuple[float, int | None]:
-    """Return the distance [m] to the nearest geom ahead and above the foot, and which it is.
+    """Return the distance [m] to the nearest geom ahead and above the foot, and the geom.
 
-    None if there is none within reach.
+    The geom is None if there is none within reach.
     """
-    nearest, which, ends = reach, None, np.zeros(6)
-    for a in own:
+    nearest, geom, ends = reach, None, np.zeros(6)
+    for a in geoms:
         gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[a], axis=1)
         gaps = gaps - model.geom_rbound[others] - model.geom_rbound[a]
-        # Planes have no radius, but are the floor: nothing leans on it.
+        # Skip planes, which have zero radius: objects do not lean on the floor.
         for b in others[(gaps < nearest) & (model.geom_rbound[others] > 0)]:
             gap = geom_distance(model, data, int(a), int(b), nearest, ends)
-            # Between solids that overlap, the ends have changed places.
-            to = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
-            ahead = to[:2] @ way > AHEAD * np.linalg.norm(to) and ends[2] > foot
+            # The ends are swapped for overlapping geoms.
+            vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
+            ahead = vector[:2] @ direction > AHEAD * np.linalg.norm(vector) and ends[2] > foot
             if gap < nearest and ahead:
-                nearest, which = max(gap, 0.0), int(b)
-    return nearest, which
+                nearest, geom = max(gap, 0.0), int(b)
+    return nearest, geom

@@ -1,8 +1,8 @@
 """Resting poses on level ground: the tilt nearest to a parsed one at which an object is stable.
 
-A parsed tilt is a round figure: a mushroom tipped by 90 degrees would float at its stem, as its cap
-is thicker. The search does not move tilts, so the parsed tilt is followed downhill until the centre
-of mass is at a local minimum of height.
+Parsed tilts are approximate: the stem of a mushroom tipped by exactly 90 degrees would float, as
+its cap is thicker. The search does not change tilts, so composition descends from the parsed tilt
+to a local minimum of the height of the centre of mass.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ from ..spec.convex import Piece
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MAX_TILT_RAD = np.radians(30.0)
-"""Beyond this the object is held by something else, or its parsed tilt is wrong."""
+"""Largest change of the tilt; beyond it the object has another support, or the parse is wrong."""
 LEVEL_M = 1e-7
-"""Height by which tilting lowers what is unstable, at least; a ball's middle stays level."""
+"""Smallest drop of the centre of mass on tilting an unstable object; zero for a ball."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
@@ -27,54 +27,55 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
 
     Args:
         spec: the object.
-        state: how its joints stand.
+        state: joint positions.
         tilt: parsed rotation before yaw.
 
     Returns:
-        The tilt, or None if no rest is within 30 degrees.
+        The tilt, or None if there is no resting pose within 30 degrees.
     """
     lowest = _lowest_points(spec, state)
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
-    low = float((lowest(down) @ down).max())
-    known = np.vstack([lowest(direction) for direction in (down, *_beside(down, step))])
+    best_height = float((lowest(down) @ down).max())
+    known = np.vstack([lowest(direction) for direction in (down, *_around(down, step))])
     while step > _LAST_STEP_RAD:
         direction, predicted = _lowered(known, down, step)
         points = lowest(direction)
         known = np.vstack([known, points])
         height = float((points @ direction).max())
-        if low - height > max(0.5 * (low - predicted), 1e-9):
-            down, low = direction, height
+        if best_height - height > max(0.5 * (best_height - predicted), 1e-9):
+            down, best_height = direction, height
         else:
-            step *= 0.85  # The points found there are known now.
+            step *= 0.85  # Its points have extended the linear model.
         if down @ parsed < np.cos(MAX_TILT_RAD):
             return None
     return _turned(tilt, down, parsed)
 
 
-def stands(spec: ObjectSpec, state: dict[str, float]) -> bool:
-    """Tell whether tilting an upright object lifts its centre of mass, so that it stays upright.
+def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
+    """Return whether tilting an upright object lifts its centre of mass, so that it stays upright.
 
-    What fails this may stand all the same, on a foot narrower than the tilt: see `resting_tilt`.
+    The test is sufficient only: an object on a foot narrower than the tilt may also be stable, see
+    `resting_tilt`.
     """
     lowest, down = _lowest_points(spec, state), np.array([0.0, 0.0, -1.0])
     least = float((lowest(down) @ down).max()) - LEVEL_M
-    sides = _beside(down, _FIRST_STEP_RAD)
+    sides = _around(down, _FIRST_STEP_RAD)
     sides += [(a + b) / np.linalg.norm(a + b) for a in sides[:2] for b in sides[2:]]
     return all(float((lowest(side) @ side).max()) >= least for side in sides)
 
 
 def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArray], NDArray]:
-    """Return a function of a unit vector down: each piece's furthest point that way, from the
+    """Return a function of a unit vector: each piece's furthest point along it, relative to the
     centre of mass [n, 3] m.
     """
-    moved = link_poses(spec, state)
+    links = link_poses(spec, state)
     placed = [
-        (piece, moved[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
+        (piece, links[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
     ]
-    bodies = [(inertial(spec, part), moved[part.name]) for part in spec.parts]
-    masses = [own.mass for own, _ in bodies]
-    centre = np.average([at.apply(own.pos) for own, at in bodies], axis=0, weights=masses)
+    bodies = [(inertial(spec, part), links[part.name]) for part in spec.parts]
+    masses = [inertia.mass for inertia, _ in bodies]
+    centre = np.average([at.apply(inertia.pos) for inertia, at in bodies], axis=0, weights=masses)
 
     def lowest(down: NDArray) -> NDArray:
         return (
@@ -86,24 +87,24 @@ def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArr
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:
-    """Tell whether an object is on an environment support made from its box: on level ground."""
-    carried = node.parent is not None and tree.node(node.parent).slab
-    return carried and node.relation == "on"
+    """Return whether an object is on level ground: an environment support built from its box."""
+    supported = node.parent is not None and tree.node(node.parent).slab
+    return supported and node.relation == "on"
 
 
 def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
-    """Return the tilt at which to verify an object by itself on level ground.
+    """Return the tilt at which to verify an object without its scene, on level ground.
 
-    A lying object is verified in its resting pose. One that its scene holds, as it leans, hangs, or
-    is tilted in or on something that is not level, would by itself only fall.
+    A lying object is verified in its resting pose. An object that leans, hangs, or is tilted on a
+    support that is not level depends on its scene, and would fall without it.
 
     Args:
         node: the object, as parsed.
         spec: the object.
-        level: whether it is on level ground in its scene.
+        level: True if it is on level ground in its scene.
 
     Returns:
-        Its tilt, and whether its scene holds it.
+        The tilt, and True if the object depends on its scene.
     """
     tilt = node.base_tilt
     if node.environment or node.fastened or node.relation in ("leaning", "attached"):
@@ -114,8 +115,8 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
     return (tilt, not level) if rest is None else (rest, False)
 
 
-def _beside(down: NDArray, step: float) -> list[NDArray]:
-    """Return unit vectors to four sides of one."""
+def _around(down: NDArray, step: float) -> list[NDArray]:
+    """Return four unit vectors around a given one."""
     across = np.linalg.svd(down[None])[2][1:]
     return [(down + side) / np.hypot(1.0, step) for side in step * np.vstack([across, -across])]
 
@@ -123,8 +124,7 @@ def _beside(down: NDArray, step: float) -> list[NDArray]:
 def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
     """Minimise the extent of points [n, 3] along a direction within a step of `down`.
 
-    The extent is a maximum of linear functions, whose valleys have creases; a linear program
-    follows them.
+    The extent is a maximum of linear functions, so it is not smooth; a linear program minimizes it.
 
     Returns:
         The unit vector, and the extent along it [m].
@@ -160,7 +160,7 @@ def _furthest(piece: Piece, d: NDArray) -> NDArray:
 
 
 def _turned(tilt: Quat, normal: NDArray, down: NDArray) -> Quat:
-    """Add to a tilt the smallest rotation that takes `normal` to where `down` was."""
+    """Compose a tilt with the smallest rotation that takes `normal` to `down`."""
     axis = np.cross(normal, down)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-9:

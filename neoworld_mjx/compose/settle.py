@@ -1,7 +1,7 @@
-"""Settle an object onto a parent that is not level, such as a spoon onto a saucer.
+"""Settling of an object on a parent that is not level, such as a spoon on a saucer.
 
-The search does not move tilts. An object that starts at its parsed tilt settles by some degrees in
-every rollout, and that drift hides what else is wrong with a candidate.
+The search does not change tilts. An object at its parsed tilt would settle by some degrees in every
+rollout, and that drift would mask other errors of a candidate.
 """
 
 import itertools
@@ -29,42 +29,42 @@ from .inside import entrance
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
-"""Terminal speed of the fall: the drag lets the object neither bounce nor slide past its rest."""
+"""Terminal speed of the fall; the drag prevents bouncing and sliding past the resting pose."""
 MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 4.0, 0.002, 0.1
 STILL_M_S, CREEP_M_S = 5e-4, 0.003
-"""Speeds of an object's ends: below the first it rests; below the second at the end of the time its
-contacts only creep, which on a slope they do for ever."""
+"""Speeds of an object's ends: below the first it is at rest; below the second at the time limit,
+only its contacts creep, which on a slope never stops."""
 CLEAR_M, LIFT_M = 1e-4, 0.002
 MAX_SHIFT, MAX_SHIFT_INSIDE = 0.25, 1.0
-"""Horizontal shift over the object's diagonal beyond which it rests somewhere else; what is known
-to be in a container must get there."""
-LET_DOWN = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the way to a container's middle by which an object's lowest points are moved."""
+"""Largest horizontal shift over the object's diagonal; larger in a container, which the object must
+enter."""
+DROP_FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Fractions of the offset to a container's center by which an object's lowest points are moved."""
 SOLE_M = 0.002
-"""Height within which points are an object's lowest."""
+"""Height within which points count as an object's lowest."""
 SHIFT_COST = 0.2
-"""Height that a resting pose must gain over the horizontal shift to it."""
+"""Cost in height per horizontal shift of a resting pose."""
 JOINT_DRAG = 1e6
-"""Drag of joints over that of the fall: they keep their parsed positions."""
+"""Drag of joints over that of the fall, which keeps them at their parsed positions."""
 
 
 def settle(
     parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
 ) -> SceneObject | None:
-    """Let an object come to rest on or in its parent, in a simulation with strong drag.
+    """Settle an object on or in its parent, in a simulation with strong drag.
 
-    What is in a container may pierce its wall as parsed, and would end up on the rim. So it is also
-    let down with its lowest points nearer to the middle, and where it would stand upright inside;
-    the lowest resting pose that is not tilted for it is taken.
+    An object in a container may penetrate its wall as parsed, and would settle on the rim. So it is
+    also dropped with its lowest points nearer to the center, and from where it would stand upright
+    inside; the resting pose of the lowest cost of height, tilt and shift is returned.
 
     Args:
-        parent: its parent, which does not move.
+        parent: the parent, which does not move.
         obj: the object; it is first lifted until it touches nothing.
-        others: what is in the container already, see `entrance`; they are not simulated.
+        others: objects already in the container, see `entrance`; they are not simulated.
 
     Returns:
-        The object with the heading, tilt and place of its resting pose, or None if it has none
-        within 30 degrees and a quarter of its size, in a container within its size.
+        The object with the heading, tilt and position of its resting pose; None if there is none
+        within 30 degrees and a quarter of its size, or in a container within its size.
 
     Raises:
         SpecError: MuJoCo cannot compile the two.
@@ -82,25 +82,29 @@ def settle(
     drag = float(root.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
     model.dof_damping[:] = JOINT_DRAG * drag
     model.dof_damping[dofs] = np.repeat([drag, drag * (size / 2) ** 2], 3)
-    at = world_poses(scene)
-    frame = support_frame(base, at[base.name], obj.parent_link)
-    start = frame.inverse().then(at[obj.name])
+    poses = world_poses(scene)
+    frame = support_frame(base, poses[base.name], obj.parent_link)
+    start = frame.inverse().then(poses[obj.name])
     best, least = None, np.inf
     container = body_name(base, obj.parent_link or base.spec.root)
-    turned = at[obj.name].quat
-    starts = [(way, turned) for way in _shifts(model, root.id, obj, model.body(container).id)]
+    parsed_quat = poses[obj.name].quat
+    drops = [
+        (shift, parsed_quat) for shift in _shifts(model, root.id, obj, model.body(container).id)
+    ]
     tilt = float(angle_between(obj.base_tilt, IDENTITY))
-    place = entrance(parent, obj, others) if obj.relation == "in" and tilt < MAX_TILT_RAD else None
-    if place is not None:
-        # A narrow hole takes it upright only.
+    position = (
+        entrance(parent, obj, others) if obj.relation == "in" and tilt < MAX_TILT_RAD else None
+    )
+    if position is not None:
+        # It fits a narrow hole only upright.
         upright = quat_mul(frame.quat, from_yaw(obj.yaw))
-        starts.append((rotate(frame.quat, [*np.subtract(place, obj.xy), 0.0])[:2], upright))
-    for shift, quat in starts:
-        end, height = _rest(model, root.id, shift, quat, size)
+        drops.append((rotate(frame.quat, [*np.subtract(position, obj.xy), 0.0])[:2], upright))
+    for shift, quat in drops:
+        end, height = _drop(model, root.id, shift, quat, size)
         resting = None if end is None else _resting(obj, frame.inverse().then(end), start, size)
         if resting is None:
             continue
-        # An end that got stuck on the rim is as high as its tilt.
+        # The tilt term penalizes an end that got stuck on the rim.
         cost = height + size / 2 * float(angle_between(obj.base_tilt, resting.base_tilt))
         cost += SHIFT_COST * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
         if cost < least:
@@ -109,22 +113,22 @@ def settle(
 
 
 def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) -> list[NDArray]:
-    """Return where an object is let down, as horizontal shifts [m] from where it was parsed."""
+    """Return the horizontal shifts [m] from the parsed position at which an object is dropped."""
     if obj.relation != "in":
         return [np.zeros(2)]
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
     corners = _corners(model, data, container)
-    own = _corners(model, data, body)
-    middle = (corners.min(axis=0) + corners.max(axis=0))[:2] / 2
-    sole = own[own[:, 2] < own[:, 2].min() + SOLE_M]
-    way = middle - sole.mean(axis=0)[:2]
-    return [share * way for share in LET_DOWN]
+    object_corners = _corners(model, data, body)
+    center = (corners.min(axis=0) + corners.max(axis=0))[:2] / 2
+    sole = object_corners[object_corners[:, 2] < object_corners[:, 2].min() + SOLE_M]
+    offset = center - sole.mean(axis=0)[:2]
+    return [fraction * offset for fraction in DROP_FRACTIONS]
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
-    """Return the corners of the colliders' boxes of a body's subtree, in the world."""
+    """Return the corners of the boxes of a body subtree's collision geoms, in the world frame."""
     ids = np.arange(model.nbody)
     parts = ids == body
     for child in ids[body + 1 :]:
@@ -137,12 +141,12 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
     return (data.geom_xpos[geoms][:, None] + np.einsum("gkij,gkj->gki", turn, local)).reshape(-1, 3)
 
 
-def _rest(
+def _drop(
     model: mujoco.MjModel, body: int, shift: NDArray, quat: NDArray, size: float
 ) -> tuple[Pose | None, float]:
-    """Let a body down at a shift, turned so; return where it rests, and how high its middle is.
+    """Drop a body at a shift and rotation; return its resting pose, and its center of mass height.
 
-    The pose is None if it does not come to rest.
+    The pose is None if the body does not settle.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -165,19 +169,19 @@ def _rest(
 
 
 def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:
-    """Return an object at its resting pose, unless that is somewhere else than was parsed.
+    """Return an object at its resting pose, or None if that is too far from the parsed one.
 
     Args:
         obj: the object.
-        end: its pose at rest, in its parent's frame.
-        start: the parsed pose there.
-        size: its diagonal [m].
+        end: resting pose in the parent's frame.
+        start: parsed pose in the parent's frame.
+        size: diagonal of the object [m].
     """
     heading = yaw_of(quat_mul(end.quat, conjugate(start.quat)))
     tilt = quat_mul(conjugate(from_yaw(obj.yaw + heading)), end.quat)
     shift = float(np.linalg.norm(end.pos[:2] - np.array(obj.xy)))
-    most = MAX_SHIFT_INSIDE if obj.relation == "in" else MAX_SHIFT
-    if angle_between(obj.base_tilt, tilt) > MAX_TILT_RAD or shift > most * size:
+    limit = MAX_SHIFT_INSIDE if obj.relation == "in" else MAX_SHIFT
+    if angle_between(obj.base_tilt, tilt) > MAX_TILT_RAD or shift > limit * size:
         return None
     return obj.model_copy(
         update={
@@ -189,11 +193,11 @@ def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObje
     )
 
 
-def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, most: float) -> bool:
-    """Lift a free body until it is in nothing else."""
+def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, limit: float) -> bool:
+    """Lift a free body until it penetrates nothing; return False if `limit` [m] is exceeded."""
     height = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
     tree = model.body_rootid[model.geom_bodyid]
-    for _ in range(round(most / LIFT_M) + 1):
+    for _ in range(round(limit / LIFT_M) + 1):
         mujoco.mj_forward(model, data)
         # Contacts between parts of the parent do not count.
         touches = np.count_nonzero(tree[data.contact.geom] == body, axis=1) == 1

@@ -1,4 +1,4 @@
-"""Slide objects level among the colliders of a composed scene, without compiling it again."""
+"""Horizontal displacement of objects in a compiled scene, without compiling it again."""
 
 from typing import NamedTuple
 
@@ -14,16 +14,16 @@ from ..spec.pose import conjugate, rotate
 
 
 class SceneColliders(NamedTuple):
-    """A scene compiled as it starts."""
+    """Compiled scene in its initial state."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
     owner: NDArray
-    """Index of each geom's object; -1 of what collides with nothing."""
+    """Index of each geom's object; -1 for geoms that do not collide."""
 
 
 def colliders(scene: SceneSpec) -> SceneColliders:
-    """Compile a scene as it starts.
+    """Compile a scene in its initial state.
 
     Raises:
         SpecError: MuJoCo cannot compile it.
@@ -37,22 +37,22 @@ def colliders(scene: SceneSpec) -> SceneColliders:
     return SceneColliders(model, data, owner)
 
 
-def riding(scene: SceneSpec, owner: NDArray, name: str) -> NDArray:
-    """Tell which geoms are an object's, or of what stands in or on it."""
-    with_it = {name}
+def supported_geoms(scene: SceneSpec, owner: NDArray, name: str) -> NDArray:
+    """Return a mask of the geoms of an object and of all objects that it supports."""
+    names = {name}
     for item in scene.objects:
-        with_it |= {item.name} if item.parent in with_it else set()
-    return np.isin(owner, [scene.index(other) for other in with_it])
+        names |= {item.name} if item.parent in names else set()
+    return np.isin(owner, [scene.index(other) for other in names])
 
 
-def shifted(scene: SceneSpec, name: str, shift: Float[np.ndarray, " 2"]) -> SceneSpec:
-    """Return a scene with an object moved by a level shift [m] in the world."""
+def shift_object(scene: SceneSpec, name: str, shift: Float[np.ndarray, " 2"]) -> SceneSpec:
+    """Return a scene with an object moved by a horizontal shift [m] in the world frame."""
     obj = scene.object(name)
     local = np.array([*shift, 0.0])
     if obj.parent is not None:
-        at = world_poses(scene)[obj.parent]
-        frame = support_frame(scene.object(obj.parent), at, obj.parent_link)
+        parent_pose = world_poses(scene)[obj.parent]
+        frame = support_frame(scene.object(obj.parent), parent_pose, obj.parent_link)
         local = rotate(conjugate(frame.quat), local)
-    place = tuple((np.array(obj.xy) + local[:2]).tolist())
-    items = [o.model_copy(update={"xy": place}) if o is obj else o for o in scene.objects]
+    xy = tuple((np.array(obj.xy) + local[:2]).tolist())
+    items = [o.model_copy(update={"xy": xy}) if o is obj else o for o in scene.objects]
     return scene.model_copy(update={"objects": tuple(items)})

@@ -1,8 +1,8 @@
-"""Move what stands in or on its parent out of the walls that it overlaps sideways.
+"""Displacement of objects in or on a parent out of the walls that they overlap.
 
-A parse is a centimetre off, and an inside is hardly wider than what is in it. Such a thing stands
-at the right height with a corner in a wall; set down exactly, it would be raised onto the rim and
-topple, and the search would move the container for it.
+Parsed positions are off by about a centimetre, and containers are hardly wider than their contents.
+An object then stands at the right height with a corner in a wall; snapped exactly, it would be
+raised onto the rim and topple.
 """
 
 import mujoco
@@ -13,47 +13,47 @@ from numpy.typing import NDArray
 from ..physics.exact import geom_distance, pair_distance
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import IDENTITY
-from .sliding import SceneColliders, colliders, riding, shifted
+from .sliding import SceneColliders, colliders, shift_object, supported_geoms
 
 LEAST_M = 0.001
-"""Overlap from which on an object is moved: less passes the final check."""
+"""Smallest overlap that is cleared; less passes the final check."""
 CLEAR_M = 2e-4
-"""Distance from a wall to which it is moved."""
+"""Distance from a wall to which an object is moved."""
 FARTHEST = 0.5
-"""Longest way, over the object's least width: one that goes farther does not fit there."""
+"""Largest displacement, over the object's least width; beyond it the object does not fit."""
 STEPS = 30
-"""Most steps, each out of the wall that is overlapped deepest."""
+"""Maximum number of steps, each out of the deepest overlap."""
 LEVEL = 0.7
-"""Least share of an overlap's direction that is level: a floor or a slope is no wall."""
+"""Smallest horizontal component of an overlap's direction; floors and slopes are not walls."""
 
 
 def clear_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
-    """Move each object that overlaps a wall of its parent as little as it takes to clear it.
+    """Move each object that overlaps a wall of its parent by the shortest distance that clears it.
 
     Args:
-        scene: composed and snapped.
+        scene: the composed and snapped scene.
 
     Returns:
-        The scene, and by the name of each object that moved how far [m].
+        The scene, and the distance [m] of each moved object, by name.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
     """
-    standing = [o for o in scene.objects if _is_between(scene, o)]
-    if not standing:
+    items = [o for o in scene.objects if _may_have_walls(scene, o)]
+    if not items:
         return scene, {}
-    solid = colliders(scene)
+    collision_scene = colliders(scene)
     moved: dict[str, float] = {}
-    for item in standing:
-        way = _way_out(scene, item, solid)
-        if way is not None:
-            scene = shifted(scene, item.name, way)
-            moved[item.name] = float(np.linalg.norm(way))
+    for item in items:
+        shift = _clearing_shift(scene, item, collision_scene)
+        if shift is not None:
+            scene = shift_object(scene, item.name, shift)
+            moved[item.name] = float(np.linalg.norm(shift))
     return scene, moved
 
 
-def _is_between(scene: SceneSpec, item: SceneObject) -> bool:
-    """Tell whether a parent of what stands in or on it is higher than where it stands."""
+def _may_have_walls(scene: SceneSpec, item: SceneObject) -> bool:
+    """Return whether an object's parent extends above the object's bottom."""
     if item.parent is None or item.static or item.relation not in ("on", "in"):
         return False
     parent = scene.object(item.parent)
@@ -63,56 +63,56 @@ def _is_between(scene: SceneSpec, item: SceneObject) -> bool:
     return bool(bounds(parent.spec, parent.joint_state)[1][2] > bottom + LEAST_M)
 
 
-def _way_out(
-    scene: SceneSpec, item: SceneObject, solid: SceneColliders
+def _clearing_shift(
+    scene: SceneSpec, item: SceneObject, collision_scene: SceneColliders
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the level way [m] out of the parent's walls; move the object's geoms along it.
+    """Return the horizontal displacement [m] out of the parent's walls; move the geoms by it.
 
-    None, and nothing moved, where it overlaps none, does not fit between them, or would overlap
-    something else more.
+    Return None, and move nothing, if the object overlaps no wall, does not fit between the walls,
+    or would overlap other objects more.
     """
     assert item.parent is not None
-    model, data, owner = solid
-    own = np.flatnonzero(owner == scene.index(item.name))
+    model, data, owner = collision_scene
+    geoms = np.flatnonzero(owner == scene.index(item.name))
     walls = np.flatnonzero(owner == scene.index(item.parent))
-    moving = riding(scene, owner, item.name)
+    moving = supported_geoms(scene, owner, item.name)
     others = np.flatnonzero((owner >= 0) & ~moving & (owner != scene.index(item.parent)))
     low, high = bounds(item.spec, item.joint_state, item.base_tilt)
     farthest = FARTHEST * float((high - low)[:2].min())
-    before, way = data.geom_xpos.copy(), np.zeros(2)
-    out = _out_of_deepest(model, data, own, walls, -LEAST_M)
-    if out is None:
+    before, shift = data.geom_xpos.copy(), np.zeros(2)
+    step = _step_out(model, data, geoms, walls, -LEAST_M)
+    if step is None:
         return None
-    gap = min(pair_distance(model, data, own, others), 0.0)
+    gap = min(pair_distance(model, data, geoms, others), 0.0)
     for _ in range(STEPS):
-        way += out
-        data.geom_xpos[moving, :2] += out
-        out = _out_of_deepest(model, data, own, walls, CLEAR_M / 2)
-        if out is None or np.linalg.norm(way) > farthest:
+        shift += step
+        data.geom_xpos[moving, :2] += step
+        step = _step_out(model, data, geoms, walls, CLEAR_M / 2)
+        if step is None or np.linalg.norm(shift) > farthest:
             break
-    fits = out is None and np.linalg.norm(way) <= farthest
-    if fits and pair_distance(model, data, own, others) >= gap:
-        return way
+    fits = step is None and np.linalg.norm(shift) <= farthest
+    if fits and pair_distance(model, data, geoms, others) >= gap:
+        return shift
     data.geom_xpos[:] = before
     return None
 
 
-def _out_of_deepest(
-    model: mujoco.MjModel, data: mujoco.MjData, own: NDArray, walls: NDArray, least: float
+def _step_out(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, walls: NDArray, least: float
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the level way [m] out of the wall that is nearest, if it is nearer than `least`."""
-    nearest, out, ends = least, None, np.zeros(6)
-    for a in own:
+    """Return the horizontal displacement [m] out of the nearest wall, if nearer than `least`."""
+    nearest, shift, ends = least, None, np.zeros(6)
+    for a in geoms:
         gaps = np.linalg.norm(data.geom_xpos[walls] - data.geom_xpos[a], axis=1)
         gaps = gaps - model.geom_rbound[walls] - model.geom_rbound[a]
-        # Planes have no radius, but are no walls.
+        # Skip planes, which have zero radius and are not walls.
         for b in walls[(gaps < max(nearest, 0.0)) & (model.geom_rbound[walls] > 0)]:
             gap = geom_distance(model, data, int(a), int(b), CLEAR_M, ends)
             if gap >= nearest:
                 continue
-            # Between solids that overlap, the ends have changed places.
-            to = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
-            level = float(np.linalg.norm(to[:2]))
-            if level > LEVEL * np.linalg.norm(to):
-                nearest, out = gap, (gap - CLEAR_M) * to[:2] / level
-    return out
+            # The ends are swapped for overlapping geoms.
+            vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
+            level = float(np.linalg.norm(vector[:2]))
+            if level > LEVEL * np.linalg.norm(vector):
+                nearest, shift = gap, (gap - CLEAR_M) * vector[:2] / level
+    return shift

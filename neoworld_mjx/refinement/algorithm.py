@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper as data and pure functions: propose, evaluate, update, converged.
 
-`loop.search` calls them for one run or many; docs/architecture.md puts them beside the
-paper's lines. `evaluate` stands in `objective`.
+`loop.search` calls them for one run or many; docs/architecture.md maps them to the
+paper's lines. `evaluate` is in `objective`.
 """
 
 from collections.abc import Sequence
@@ -27,45 +27,45 @@ from .optimizer import Optimizer, open_optimizer, with_sigma
 from .rewards import Term
 
 by_gradient = stored_trace(refine_by_gradient, lambda scene, layouts, sigma: layouts)
-"""`refine_by_gradient`, whose traces are kept."""
+"""`refine_by_gradient` with lowered programs stored on disk."""
 
 
 class Problem(eqx.Module):
-    """What stays the same during one run; arrays are traced, so runs can be mapped over."""
+    """Constants of one run; arrays are traced, so runs can be mapped over."""
 
     objective: Objective
     optimizer: Optimizer
     sigma: Layout
     """Initial standard deviations, the unit of gradient steps; pop axis of length 1."""
     components: Float[Array, "object object"] | None
-    """Contact components, where elites may be chosen by object; else None."""
+    """Contact components, if elites may be chosen per object; else None."""
     stop_by: str = eqx.field(static=True)
-    """Whose gain ends the search: `best` or `elites`."""
+    """Quantity whose gain is tested for convergence: `best` or `elites`."""
     stop_gain: Float[Array, ""]
     patience: Int[Array, ""]
     elite_ratio: float = eqx.field(static=True)
     population: int = eqx.field(static=True)
-    """N; the optimizer learns nothing from an iteration with fewer candidates."""
+    """N; iterations with fewer candidates do not update the optimizer."""
     until_valid: bool = eqx.field(static=True)
-    """Whether elites are chosen by object only until a candidate is valid."""
+    """True if elites are chosen per object only until a candidate is valid."""
 
 
 class SearchState(eqx.Module):
-    """Where a run stands between two iterations."""
+    """State of a run between two iterations."""
 
     optimizer: Any
     """The optimizer's state."""
     iteration: Int[Array, ""]
     elite_mean: Float[Array, ""]
-    """Mean absolute reward of the last elites; -inf before the first."""
+    """Mean absolute reward of the last elites; initially -inf."""
     best: Float[Array, ""]
-    """Fidelity of the best valid candidate so far; -inf before."""
+    """Fidelity of the best valid candidate so far; initially -inf."""
     gain: Float[Array, ""]
-    """By how much `best` or `elite_mean` rose in the last update; inf when it was not known."""
+    """Increase of `best` or `elite_mean` in the last update; inf if the previous is infinite."""
     seen_valid: Bool[Array, ""]
-    """Whether any candidate so far was valid."""
+    """True once any candidate was valid."""
     stalled: Int[Array, ""]
-    """Iterations in a row that gained less than `stop_gain`."""
+    """Number of consecutive iterations that gained less than `stop_gain`."""
 
 
 def open_problem(
@@ -82,23 +82,23 @@ def open_problem(
 
     Args:
         scene: the scene's arrays.
-        options: of the search and the rewards.
+        options: options of the search and the rewards.
         origin: initial layout, pop axis of length 1.
-        moves: objects that the search may move; all that are no environment supports by default.
-        share: of the initial deviations of yaw and log scale, by object; 1 by default.
-        terms: reward terms besides those that the options name.
-        optimizer: in place of the one that the options name.
+        moves: objects that the search may move; default: all except environment supports.
+        share: factor of the initial deviations of yaw and log scale, per object; default: 1.
+        terms: reward terms in addition to those that the options name.
+        optimizer: replaces the optimizer that the options name.
 
     Raises:
-        ConfigError: options that exclude each other, or name what is not there.
+        ConfigError: options exclude each other, or name something that does not exist.
     """
     o = options
     check_credit(o, terms)
     if moves is not None:
         allowed = on_device(np.asarray(scene.optimised) & moves)
         scene = eqx.tree_at(lambda s: s.optimised, scene, allowed)
-    own = bool(o.reward.terms or terms)
-    by_object = o.cem.credit != "scene" and not own and o.semantic.scorer != "mllm"
+    has_user_terms = bool(o.reward.terms or terms)
+    by_object = o.cem.credit != "scene" and not has_user_terms and o.semantic.scorer != "mllm"
     share = np.ones(scene.count, np.float32) if share is None else share
     sigma = initial_sigma(scene, o.cem, share=share)
     return Problem(
@@ -116,27 +116,27 @@ def open_problem(
 
 
 def check_credit(options: RefineOptions, terms: Sequence[Term] = ()) -> None:
-    """Check that elites by object can be chosen where the options ask for it.
+    """Check that per-object elites are possible if the options request them.
 
     Raises:
-        ConfigError: terms or scores are of the whole scene.
+        ConfigError: a term or the scorer has no per-object values.
     """
     o = options
     if o.cem.credit in ("auto", "scene"):
         return
     if o.reward.terms or terms:
         raise ConfigError(
-            "refine.cem.credit: a user's own terms are of the whole scene; choose auto or scene"
+            "refine.cem.credit: user-defined terms have no per-object values; choose auto or scene"
         )
     if o.semantic.scorer == "mllm":
         raise ConfigError(
-            "refine.cem.credit: a model scores the whole scene; choose auto or scene, or "
+            "refine.cem.credit: a model scores whole scenes; choose auto or scene, or "
             "scorer geometric"
         )
 
 
 def initial_state(problem: Problem, mean: Layout) -> SearchState:
-    """Return the state in which a run starts at a layout."""
+    """Return the initial state of a run for a mean layout."""
     return SearchState(
         problem.optimizer.init(mean),
         *on_device((np.int32(0), -np.inf, -np.inf, np.inf, False, np.int32(0))),
@@ -151,7 +151,7 @@ def ask(
     seed: Integer[AnyArray, ""],
     population: int,
 ) -> Layout:
-    """Draw the population of an iteration; `seed` is the run's."""
+    """Draw the population of an iteration, from the run's seed and the iteration."""
     del scene
     key = jax.random.fold_in(jax.random.key(seed), state.iteration)
     return problem.optimizer.ask(key, state.optimizer, population)
@@ -165,16 +165,16 @@ def propose(
     population: int,
     projection: tuple[int, float, int] | None,
 ) -> Layout:
-    """Draw a population, and move it out of interpenetration (Algorithm 1, line 3).
+    """Draw a population, and optionally project it out of interpenetration (Algorithm 1, line 3).
 
     Args:
         scene: the scene's arrays.
-        problem: of the run.
-        state: of the run.
-        seed: of the run; the iteration is folded in.
+        problem: the run's problem.
+        state: the run's state.
+        seed: the run's seed; the iteration is folded in.
         population: N.
-        projection: steps, rate and samples of the gradient refinement; None leaves the draws as
-            they are, as the paper does.
+        projection: steps, rate and samples of the gradient refinement; None returns the draws
+            unchanged, as in the paper.
     """
     layouts = ask(scene, problem, state, seed, population)
     return layouts if projection is None else project(scene, problem, layouts, projection)
@@ -183,7 +183,7 @@ def propose(
 def project(
     scene: SceneArrays, problem: Problem, layouts: Layout, projection: tuple[int, float, int]
 ) -> Layout:
-    """Move drawn candidates out of interpenetration; `projection` as in `propose`."""
+    """Project candidates out of interpenetration; `projection` as in `propose`."""
     steps, rate, samples = projection
     return by_gradient(
         scene, layouts, problem.sigma, steps=steps, rate=rate, samples=samples, photo=False
@@ -191,7 +191,7 @@ def project(
 
 
 def projects(option: str, t: int, state: SearchState) -> bool:
-    """Tell whether the candidates of iteration t are projected, by `descent.project`."""
+    """Return whether `descent.project` projects the candidates of iteration t."""
     needed = option == "needed" and t > 0 and not bool(state.seen_valid)
     return option == "always" or needed
 
@@ -209,7 +209,7 @@ def update(
         credit = assigned_credit(scores.credit, scores.reward, problem.components, by_object)
     optimizer = state.optimizer
     if len(scores.reward) == problem.population:
-        # A first few candidates have a single elite, which would end the search for all others.
+        # A smaller population may have a single elite, which would collapse the deviations.
         optimizer = problem.optimizer.tell(
             optimizer, layouts, scores.reward, absolute=scores.absolute, credit=credit
         )
@@ -218,10 +218,10 @@ def update(
     absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[rows], 0.0))
     elite_mean = jnp.where(jnp.any(weight > 0), absolute / jnp.maximum(weight.sum(), 1.0), -jnp.inf)
     best = jnp.maximum(state.best, jnp.max(jnp.where(scores.valid, scores.fidelity, -jnp.inf)))
-    now, before = (
+    current, previous = (
         (best, state.best) if problem.stop_by == "best" else (elite_mean, state.elite_mean)
     )
-    gain = jnp.where(jnp.isfinite(before), now - before, jnp.inf)
+    gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
     return SearchState(
         optimizer=optimizer,
         iteration=state.iteration + 1,
@@ -234,15 +234,15 @@ def update(
 
 
 def converged(problem: Problem, state: SearchState) -> bool:
-    """Tell whether a run may stop (Algorithm 1, line 13).
+    """Return whether a run has converged (Algorithm 1, line 13).
 
-    It may when a valid candidate has been seen, and the best of them (or the elites, by `stop_by`)
+    It has if some candidate was valid, and the best valid candidate (or the elites, by `stop_by`)
     gained less than `stop_gain` for `patience` iterations.
     """
     return bool(state.seen_valid) and int(state.stalled) >= int(problem.patience)
 
 
 def resumed(state: SearchState) -> SearchState:
-    """Return the state of a run that goes on after it had converged, its patience renewed."""
+    """Return the state with the convergence test reset, to continue a converged run."""
     renewed = on_device((np.float32(np.inf), np.int32(0)))
     return eqx.tree_at(lambda s: (s.gain, s.stalled), state, renewed)

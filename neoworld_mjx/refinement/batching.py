@@ -17,13 +17,13 @@ from ..physics.settling import settle
 from ..traces import computes_on_cpu
 
 TILE = 8192
-"""Candidates that are drawn and scored at once, on accelerators."""
+"""Number of candidates that are drawn and scored at once on accelerators."""
 SHAPES = 4
-"""Rollouts of a falling number of runs have at most so many shapes, each half of the one before."""
+"""Largest number of rollout shapes as runs finish; each is half the size of the previous one."""
 
 
 def tile_of(runs: int, population: int) -> int:
-    """Return how many runs are drawn and scored at once."""
+    """Return the number of runs that are drawn and scored at once."""
     if computes_on_cpu():
         return 1
     return max(1, min(runs, TILE // population))
@@ -34,17 +34,17 @@ def map_runs(
 ) -> list[Any]:
     """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
 
-    The last tile is filled up by repeating its last row, so that one shape is compiled. With a tile
-    of one run `fn` is called as a single refinement calls it.
+    The last tile is padded by repeating its last row, so that only one shape is compiled. With a
+    tile of one run, `fn` is called without `vmap`, as in a single refinement.
     """
     if tile == 1 or len(rows) == 1:
         return [jax.device_get(fn(scene, *row)) for row in rows]
     results = []
     for first in range(0, len(rows), tile):
-        some = list(rows[first : first + tile])
-        stacked_rows = _stack([*some, *[some[-1]] * (tile - len(some))])
+        tile_rows = list(rows[first : first + tile])
+        stacked_rows = _stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
         out = jax.device_get(_mapped(fn)(scene, stacked_rows))
-        results += [jax.tree.map(lambda x, k=k: x[k], out) for k in range(len(some))]
+        results += [jax.tree.map(lambda x, k=k: x[k], out) for k in range(len(tile_rows))]
     return results
 
 
@@ -54,9 +54,9 @@ def _mapped(fn: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _stack(rows: Sequence[Any]) -> Any:
-    """Stack the arrays of equal trees; what is no array is taken from the first.
+    """Stack the arrays of trees of equal structure; other leaves are taken from the first tree.
 
-    On the host, whence one array travels: on the device each row would be an operation of its own.
+    Stacking on the host transfers one array; on the device each row would be an operation.
     """
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
     return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])
@@ -67,7 +67,7 @@ def _is_array(x: Any) -> bool:
 
 
 def take(tree: Any, rows: np.ndarray | slice) -> Any:
-    """Take some candidates of a population on the host."""
+    """Select candidates of a population on the host."""
     return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
@@ -78,17 +78,17 @@ def roll_out(
     o: RefineOptions,
     runs: int,
 ) -> list[Rollout]:
-    """Roll the placed candidates of several runs out at once.
+    """Roll out the placed candidates of several runs at once.
 
     Args:
         scene: the compiled scene.
-        poses: of each run's candidates, on the host, of padded objects too.
-        engine: what rolls them out.
+        poses: poses of each run's candidates, on the host, including padded objects.
+        engine: physics engine.
         o: options of the rollouts.
-        runs: how many there were at first.
+        runs: initial number of runs.
 
     Returns:
-        Rollouts on the host, without padded objects.
+        One rollout per run, on the host, without padded objects.
     """
     together, rows = _concatenate(poses, len(scene.names), runs)
     r = o.rollout
@@ -104,60 +104,72 @@ def roll_out(
         rollout = unmoved(scene, together)
     host = jax.device_get(rollout)
     by_run = []
-    for own_rows in rows:
-        own = jax.tree.map(lambda x, at=own_rows: x[at], host)
-        by_run.append(eqx.tree_at(lambda r: r.time, own, host.time))
+    for run_rows in rows:
+        part = jax.tree.map(lambda x, index=run_rows: x[index], host)
+        by_run.append(eqx.tree_at(lambda r: r.time, part, host.time))
     return by_run
 
 
-def settled(
+def settle_candidates(
     scene: SceneModel, poses: Sequence[Poses], engine: Engine, o: RefineOptions, runs: int
 ) -> list[Poses]:
-    """Let placed candidates of several runs come to rest, all at once; as `roll_out`."""
-    real = len(scene.names)
-    together, rows = _concatenate(poses, real, runs)
+    """Settle the placed candidates of several runs at once; arguments as in `roll_out`."""
+    object_count = len(scene.names)
+    together, rows = _concatenate(poses, object_count, runs)
     ends = settle(scene, together, engine, o.rollout.duration_s)
     return [
-        jax.tree.map(lambda whole, end, at=at: put(whole, end[at], np.s_[:, :real]), own, ends)
-        for own, at in zip(poses, rows, strict=True)
+        jax.tree.map(
+            lambda whole, end, index=index: put(whole, end[index], np.s_[:, :object_count]),
+            placed,
+            ends,
+        )
+        for placed, index in zip(poses, rows, strict=True)
     ]
 
 
-def _concatenate(poses: Sequence[Poses], real: int, runs: int) -> tuple[Poses, list[slice]]:
-    """Put the candidates of several runs together, without padded objects.
+def _concatenate(poses: Sequence[Poses], object_count: int, runs: int) -> tuple[Poses, list[slice]]:
+    """Concatenate the candidates of several runs, without padded objects.
 
-    They are filled up with candidates that no engine simulates, so that few shapes are compiled as
-    runs stop.
+    The result is padded with NaN candidates, which no engine simulates, so that few shapes are
+    compiled as runs finish.
 
     Args:
-        poses: of each run's candidates, on the host.
-        real: objects that are not padded.
-        runs: how many there were at first.
+        poses: poses of each run's candidates, on the host.
+        object_count: number of objects without padding.
+        runs: initial number of runs.
 
     Returns:
         The candidates, and each run's rows of them.
     """
-    counts = [len(own.scale) for own in poses]
-    total, sizes = sum(counts), [-(-runs // 2**k) * max(counts) for k in range(SHAPES)]
-    left = min(size for size in sizes if size >= total) - total
-    fill = lambda x: np.pad(x, [(0, left), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan)
-    together = jax.tree.map(lambda *x: fill(np.concatenate([a[:, :real] for a in x])), *poses)
+    counts = [len(placed.scale) for placed in poses]
+    candidate_count, sizes = sum(counts), [-(-runs // 2**k) * max(counts) for k in range(SHAPES)]
+    missing = min(size for size in sizes if size >= candidate_count) - candidate_count
+
+    def concatenate(*arrays: np.ndarray) -> np.ndarray:
+        whole = np.concatenate([x[:, :object_count] for x in arrays])
+        widths = [(0, missing), *[(0, 0)] * (whole.ndim - 1)]
+        return np.pad(whole, widths, constant_values=np.nan)
+
+    together = jax.tree.map(concatenate, *poses)
     ends = np.cumsum(counts)
     return together, [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
 
-def put(whole: np.ndarray, part: np.ndarray, at: Any) -> np.ndarray:
-    """Return an array with another one at some of its entries."""
+def put(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
+    """Return a copy of an array with the entries at an index replaced."""
     copied = np.array(whole)
-    copied[at] = part
+    copied[index] = part
     return copied
 
 
 def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
-    """Pad a rollout on the host to a padded scene: what is padded stays where it is."""
+    """Pad a rollout on the host to a padded scene; padded objects do not move."""
     objects, joints = scene.count, len(scene.joint_object)
     start = pad_objects(rollout.start, objects)
-    pad = lambda x, n: np.moveaxis(pad_axis(np.moveaxis(x, 2, 0), n), 0, 2)
+
+    def pad(x: np.ndarray, length: int) -> np.ndarray:
+        return np.moveaxis(pad_axis(np.moveaxis(x, 2, 0), length), 0, 2)
+
     return Rollout(
         time=rollout.time,
         pos=pad(rollout.pos, objects),
@@ -170,7 +182,7 @@ def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
 
 
 def early_stop_rule(o: RefineOptions) -> EarlyStop:
-    """Return when rollouts may end early: past what the verdict and the reward tell apart."""
+    """Return the drifts beyond which neither validity nor reward changes, so a rollout may stop."""
     distance, angle = o.reward.drift_scale_m, float(np.radians(o.reward.tilt_scale_deg))
     cap = o.reward.d_drift_cap
     return EarlyStop(distance=distance, angle=angle, drift=cap * distance, tilt=cap * angle)

@@ -16,7 +16,7 @@ from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
 PLATE = 0.3
-"""Thickness of a plate over its next longer side, at most."""
+"""Largest ratio of a plate's thickness to its next longer side."""
 
 
 class CEMParams(eqx.Module):
@@ -44,17 +44,17 @@ class CEM(eqx.Module):
     elite_ratio: float = eqx.field(static=True)
     """rho: K = rho N candidates are elites."""
     zero_candidate: bool = eqx.field(static=True, default=True)
-    """Whether the mean itself is the first candidate."""
+    """True if the mean itself is the first candidate."""
 
     def init(self, mean: Layout | None = None) -> CEMState:
-        """Start at `mean`, the composed scene by default, with the initial deviations."""
+        """Return the initial state; the default mean is the composed scene."""
         zero = on_device(jax.tree.map(lambda s: np.zeros(s.shape), self.params.sigma))
         return CEMState(zero if mean is None else mean, self.params.sigma)
 
     def ask(self, key: Key[Array, ""], state: CEMState, population: int) -> Layout:
         """Draw a population; `key` is consumed.
 
-        Objects whose deviation is zero (environment supports) stay where they are.
+        Objects with zero deviation (environment supports) do not move.
         """
         drawn = draw(key, state.mean, state.std, population)
         if not self.zero_candidate:
@@ -73,13 +73,13 @@ class CEM(eqx.Module):
         """Fit the Gaussian to the top-K candidates.
 
         Args:
-            state: before.
+            state: previous state.
             layouts: the candidates.
-            reward: what they are ranked by; -inf or NaN never becomes an elite, and when fewer than
-                K candidates are finite only those count.
-            absolute: not used.
-            credit: the reward by objects; given, each object's numbers are fitted to the K
-                candidates that are best for it.
+            reward: ranks the candidates; those with -inf or NaN are never elites, and if fewer
+                than K candidates are finite only those are used.
+            absolute: unused.
+            credit: per-object reward; if given, each object's numbers are fitted to the K
+                candidates that are best for that object.
         """
         del absolute
         elites = elite_count(self.elite_ratio, len(reward))
@@ -107,13 +107,13 @@ class CEM(eqx.Module):
             return jnp.where(any_finite, mean, old), jnp.where(any_finite, std, old_std)
 
         trees = (layouts, state.mean, state.std, self.params.sigma)
-        fitted = [fit(*of) for of in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
+        fitted = [fit(*leaves) for leaves in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
         return CEMState(Layout(*(mean for mean, _ in fitted)), Layout(*(std for _, std in fitted)))
 
 
 def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Layout:
     """Draw candidates from a diagonal Gaussian; `key` is consumed."""
-    # A key for each object, so that the same is drawn for it however many are padded.
+    # One key per object, so that draws do not depend on padding.
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(mean.yaw.shape[1]))
     numbers = jax.vmap(lambda k: jax.random.normal(k, (population, 4)), out_axes=1)(keys)
     noise = Layout(numbers[..., :2], numbers[..., 2], numbers[..., 3])
@@ -128,9 +128,9 @@ def elite_count(elite_ratio: float, population: int) -> int:
 def elite_rows(
     reward: Float[AnyArray, " pop"], elites: int
 ) -> tuple[Array, Float[Array, " elite"]]:
-    """Return the best candidates in order, and a weight of 0 for those that are not finite."""
+    """Return the best candidates in order, and their weights: 0 if not finite, else 1."""
     reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
-    # A stable sort, so that equal rewards are taken in the order of the population.
+    # The sort is stable: candidates of equal reward keep the order of the population.
     best = jnp.argsort(-reward, stable=True)[:elites]
     return best, jnp.isfinite(reward[best]).astype(jnp.float32)
 
@@ -143,28 +143,28 @@ def initial_sigma(
 ) -> Layout:
     """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
 
-    sigma_xy is a fraction of each object's horizontal bounding-box diagonal; supports of the
-    environment get zero, and so do objects that `moves` leaves out. Those of yaw and log scale are
-    multiplied by `share`. What is attached to an upright plate, such as a wall, moves along it and
-    does not turn.
+    sigma_xy is a fraction of each object's horizontal bounding-box diagonal. Environment supports
+    and objects outside `moves` have zero deviation. Deviations of yaw and log scale are multiplied
+    by `share`. Objects attached to an upright plate, such as a wall, move along it and do
+    not turn.
     """
     free = np.asarray(scene.optimised)
     moves = (free if moves is None else free & moves).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
     fastened = _fastened_along(scene)
-    own = moves if share is None else moves * np.asarray(share, np.float32)
+    shared = moves if share is None else moves * np.asarray(share, np.float32)
     sigma = Layout(
         (xy[:, None] * ~fastened)[None],
-        (np.radians(options.sigma_yaw_deg) * own * ~fastened.any(axis=1))[None],
-        (options.sigma_log_scale * own)[None],
+        (np.radians(options.sigma_yaw_deg) * shared * ~fastened.any(axis=1))[None],
+        (options.sigma_log_scale * shared)[None],
     )
     return on_device(sigma)
 
 
 def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
-    """Return along which axis of its parent's frame, x or y, an attached object cannot move.
+    """Return the axis (x or y of the parent's frame) along which an attached object is fixed.
 
-    It is the thin one of a parent that is thinner than PLATE of its next longer side.
+    It is the thickness direction of a parent that is a plate (see PLATE).
     """
     parent = np.asarray(scene.arrangement.parent)
     attached = (parent >= 0) & ~np.asarray(scene.arrangement.snapped) & np.asarray(scene.optimised)

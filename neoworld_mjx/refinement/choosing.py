@@ -1,4 +1,4 @@
-"""The winner of a search: the best candidate that also passes the exact check."""
+"""Choice of the winner: the best valid candidate that passes the exact check."""
 
 from dataclasses import dataclass, replace
 
@@ -18,12 +18,11 @@ from .feasibility import failing
 from .rounds import Round, ranked
 
 COARSE_REST_PHASES = ((True, 0.5), (False, 1.0), (True, 0.5))
-"""What an object that has come to rest in a coarse rollout does until the exact check; see
-`at_rest`."""
+"""Phases, as in `at_rest`, of a candidate settled by a coarse rollout before the exact check."""
 INITIAL_REST_PHASES = ((False, 3.0),)
-"""The same of the start, where no candidate passes: it moves freely for as long as it may take."""
+"""Phases of the initial layout, settled if no candidate passes: free motion."""
 ALIKE_M = 1e-3
-"""Mean distance up to which objects that failed a check are again where they failed."""
+"""Mean distance [m] up to which objects are at positions that failed an earlier check."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,9 @@ class Chosen:
     tried: int
     passed: bool
     moved_away: tuple[str, ...] = ()
-    """Objects that came to rest where the photograph does not show them; see `settled_by`."""
-    dropped: bool = False
-    """Whether it is the start, come to rest by itself."""
+    """Objects that settled farther than the bounds of `settled_by`."""
+    initial_settled: bool = False
+    """True if the winner is the settled initial layout."""
 
 
 def choose(
@@ -50,78 +49,85 @@ def choose(
 ) -> Chosen:
     """Choose the best valid candidate by absolute reward that also passes the exact check.
 
-    A check goes on for longer than a rollout: what it finds falling is not tried where it fell
-    before, while valid candidates have it elsewhere.
+    The check lasts longer than a rollout. While other valid candidates are left, those that place
+    an object where it has already failed the check are skipped.
 
-    When none of the first `finalists` passes, the start is dropped, unless candidates never come to
-    rest: it needs no luck to find what merely settling finds. If it does not pass either, the least
-    bad of all is chosen.
+    If none of the first `finalists` passes, the initial layout is settled and checked, unless
+    settling is disabled. If it does not pass either, the candidate closest to passing is chosen.
 
     Args:
         model: the compiled scene.
         rounds: all iterations.
         o: options of the check.
-        start: what is left where every candidate failed; None is the composed scene.
-        known: a scene whose check is known.
+        start: initial layout; None is the composed scene.
+        known: a scene and its check, which is not repeated.
     """
-    check = lambda scene: known[1] if known and known[0] == scene else measured(scene, o)
+
+    def check(scene: SceneSpec) -> SceneMeasure:
+        return known[1] if known and known[0] == scene else measured(scene, o)
+
     fallback: Chosen | None = None
-    left = [entry for entry, absolute in ranked(rounds) if np.isfinite(absolute)]
-    most = min(o.finalists, len(left))
-    places = _places(model, rounds, left)
-    fell: list[tuple[np.ndarray, np.ndarray]] = []
-    for tried in range(1, most + 1):
-        t, k = left.pop(_untried(left, rounds, places, fell))
-        update(done=tried, of=most, unit="final check", rate=None, left_s=None)
-        scene, away = finished(model, rounds[t], k)
+    remaining = [entry for entry, absolute in ranked(rounds) if np.isfinite(absolute)]
+    tries = min(o.finalists, len(remaining))
+    positions = _positions(model, rounds, remaining)
+    failures: list[tuple[np.ndarray, np.ndarray]] = []
+    for tried in range(1, tries + 1):
+        t, k = remaining.pop(_untried(remaining, rounds, positions, failures))
+        update(done=tried, of=tries, unit="final check", rate=None, left_s=None)
+        scene, far_objects = finished(model, rounds[t], k)
         measure = check(scene)
-        chosen = Chosen((t, k), scene, measure, tried, passes(measure, o) and not away, away)
+        chosen = Chosen(
+            (t, k), scene, measure, tried, passes(measure, o) and not far_objects, far_objects
+        )
         if chosen.passed:
             return chosen
         if fallback is None or _badness(chosen, o) < _badness(fallback, o):
             fallback = chosen
-        faulty = failing(model.names, measure, o) | np.isin(model.names, away)
-        fell.append((faulty, places[t, k]))
+        faulty = failing(model.names, measure, o) | np.isin(model.names, far_objects)
+        failures.append((faulty, positions[t, k]))
     if o.settle != "never" and o.rollout.duration_s:
-        chosen = _settled_initial(model, start, o, most)
+        chosen = _settled_initial(model, start, o, tries)
         if chosen.passed:
             return chosen
         if fallback is not None and _badness(chosen, o) < _badness(fallback, o):
             fallback = chosen
     if fallback is None:
-        # Every candidate failed in physics: the start is all there is.
+        # The rollout of every candidate failed: fall back to the initial layout.
         scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
         measure = check(scene)
         return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
-    return replace(fallback, tried=most)
+    return replace(fallback, tried=tries)
 
 
-def _places(
+def _positions(
     model: SceneModel, rounds: list[Round], entries: list[tuple[int, int]]
 ) -> dict[tuple[int, int], np.ndarray]:
-    """Return where each candidate's objects are from what carries them [object, 3]."""
-    carried = [k for k, item in enumerate(model.spec.objects) if item.parent]
-    carriers = [model.names.index(model.spec.objects[k].parent or "") for k in carried]
-    places = {}
+    """Return the positions of each candidate's objects relative to their supports [object, 3]."""
+    supported = [k for k, item in enumerate(model.spec.objects) if item.parent]
+    supports = [model.names.index(model.spec.objects[k].parent or "") for k in supported]
+    positions = {}
     for t, k in entries:
         pos = np.array(rounds[t].poses.pos[k])
-        pos[carried] -= pos[carriers]
-        places[t, k] = pos
-    return places
+        pos[supported] -= pos[supports]
+        positions[t, k] = pos
+    return positions
 
 
 def _untried(
-    left: list[tuple[int, int]],
+    remaining: list[tuple[int, int]],
     rounds: list[Round],
-    places: dict[tuple[int, int], np.ndarray],
-    fell: list[tuple[np.ndarray, np.ndarray]],
+    positions: dict[tuple[int, int], np.ndarray],
+    failures: list[tuple[np.ndarray, np.ndarray]],
 ) -> int:
-    """Return the first valid candidate in which nothing is where it fell; else the first of all."""
-    for n, (t, k) in enumerate(left):
+    """Return the index of the first valid candidate without an object where it fell, or else 0."""
+    for n, (t, k) in enumerate(remaining):
         if not rounds[t].scores.valid[k]:
             break
-        off = [np.linalg.norm((places[t, k] - was)[who], axis=1) for who, was in fell]
-        if all(not len(d) or d.mean() > ALIKE_M for d in off):
+        distances = [
+            np.linalg.norm((positions[t, k] - failed_positions)[failed_objects], axis=1)
+            for failed_objects, failed_positions in failures
+        ]
+        if all(not len(d) or d.mean() > ALIKE_M for d in distances):
             return n
     return 0
 
@@ -129,21 +135,21 @@ def _untried(
 def _settled_initial(
     model: SceneModel, start: Layout | None, o: RefineOptions, tried: int
 ) -> Chosen:
-    """Let the start come to rest without drag, and check it."""
+    """Settle the initial layout without drag, and check it."""
     placed = model.spec if start is None else model.apply(start, 0)
     sizes = np.zeros(len(model.names)) if start is None else np.asarray(start.log_scale)[0]
     scene = at_rest(snap_exactly(placed), INITIAL_REST_PHASES)
-    away = moved_away(model, snap_exactly(placed), scene, sizes)
+    far_objects = moved_away(model, snap_exactly(placed), scene, sizes)
     measure = measured(scene, o)
-    passed = passes(measure, o) and not away
-    return Chosen((-1, -1), scene, measure, tried, passed, away, dropped=True)
+    passed = passes(measure, o) and not far_objects
+    return Chosen((-1, -1), scene, measure, tried, passed, far_objects, initial_settled=True)
 
 
 def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Describe a candidate as the final check takes it: set down exactly, or come to rest.
+    """Return a candidate's scene for the final check: snapped exactly, or settled.
 
     Returns:
-        The scene, and the objects that came to rest beyond the bounds of `settled_by`.
+        The scene, and the objects that settled farther than the bounds of `settled_by`.
     """
     scene = model.apply(round_.layouts, k, round_.poses)
     if not round_.rests[k]:
@@ -158,23 +164,23 @@ def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple
 def moved_away(
     model: SceneModel, start: SceneSpec, end: SceneSpec, log_scale: np.ndarray
 ) -> tuple[str, ...]:
-    """Return the objects that came to rest beyond the bounds of `settled_by`.
+    """Return the objects that settled farther than the bounds of `settled_by`.
 
     Args:
         model: the compiled scene.
-        start: a layout of it, as placed.
-        end: the same at rest.
-        log_scale: of the layout, [object].
+        start: the placed scene.
+        end: the settled scene.
+        log_scale: log scales of the layout [object].
     """
     size = np.exp(log_scale)[None]
-    far = settled_by(model, world_pose(start, size), world_pose(end, size), np)[0] > 1.0
-    return tuple(model.names[n] for n in np.flatnonzero(far))
+    settled_far = settled_by(model, world_pose(start, size), world_pose(end, size), np)[0] > 1.0
+    return tuple(model.names[n] for n in np.flatnonzero(settled_far))
 
 
 def world_pose(scene: SceneSpec, scale: np.ndarray) -> Poses:
-    """Return where a scene's objects are, as poses of a single candidate."""
-    at = list(world_poses(scene).values())
-    pos, quat = (np.array([getattr(p, part) for p in at])[None] for part in ("pos", "quat"))
+    """Return the poses of a scene's objects, as those of a single candidate."""
+    poses = list(world_poses(scene).values())
+    pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
     return Poses(pos, quat, scale, pos[..., 2])
 
 

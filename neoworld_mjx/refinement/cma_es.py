@@ -20,18 +20,18 @@ WORST = 1e3
 
 
 class CMAES(eqx.Module):
-    """CMA-ES in units of the initial deviations, over the numbers that the search moves.
+    """CMA-ES over the free numbers of a layout, in units of their initial deviations.
 
-    Its distribution has a full covariance matrix, where CEM's is diagonal.
+    The covariance matrix is full; that of CEM is diagonal.
     """
 
     sigma: Layout
     """Initial standard deviations, pop axis of length 1."""
     free: tuple[int, ...] = eqx.field(static=True)
-    """Places of the numbers that move, in a flat layout."""
+    """Indices of the free numbers in a flattened layout."""
 
     def init(self, mean: Layout) -> tuple[Layout, Any]:
-        """Start at a layout; the state is that layout and evosax's state."""
+        """Return the state: the mean layout and evosax's state."""
         es = self._es(2)
         zero = jnp.zeros(len(self.free))
         return mean, es.init(jax.random.key(0), zero, es.default_params)
@@ -41,10 +41,10 @@ class CMAES(eqx.Module):
         mean, inner = state
         es = self._es(population)
         drawn, _ = es.ask(key, inner, es.default_params)
-        about, sigma = _flat(mean), _flat(self.sigma)
+        center, sigma = _flat(mean), _flat(self.sigma)
         free = jnp.asarray(self.free)
-        moved = drawn * sigma[:, free]
-        flat = jnp.repeat(about, population, axis=0).at[:, free].add(moved)
+        offset = drawn * sigma[:, free]
+        flat = jnp.repeat(center, population, axis=0).at[:, free].add(offset)
         return _unflat(flat, mean)
 
     def tell(
@@ -56,7 +56,7 @@ class CMAES(eqx.Module):
         absolute: Float[AnyArray, " pop"] | None = None,
         credit: Float[AnyArray, "pop object"] | None = None,
     ) -> tuple[Layout, Any]:
-        """Adapt mean, step size and covariance to the absolute rewards, which never saturate."""
+        """Update mean, step size and covariance from the absolute rewards, which never saturate."""
         del credit
         mean, inner = state
         es = self._es(len(reward))
@@ -64,7 +64,7 @@ class CMAES(eqx.Module):
         unit = (_flat(layouts) - _flat(mean))[:, free] / _flat(self.sigma)[:, free]
         reward = reward if absolute is None else absolute
         loss = jnp.where(jnp.isfinite(reward), -reward, WORST)
-        # `ask` returns layouts alone; what it works out of the covariance is needed here again.
+        # evosax's `ask` also decomposes the covariance, which `tell` needs.
         key = jax.random.key(0)
         _, inner = es.ask(key, inner, es.default_params)
         inner, _ = es.tell(key, unit, loss, inner, es.default_params)

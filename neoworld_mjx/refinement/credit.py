@@ -1,7 +1,7 @@
-"""Credit assignment by contact component: whose rewards choose an object's elites.
+"""Credit assignment by contact component: selection of elites per object.
 
-With many objects hardly any candidate is good everywhere, and elites of the whole scene say little
-of any one object. An object's own terms say more; those of what it touches belong to them.
+With many objects, few candidates are good for all of them, and a scene-wide reward carries little
+information about any one object. Each object is ranked by the terms of its contact component.
 """
 
 import jax
@@ -15,17 +15,17 @@ from ..physics.layout import Layout, compose_poses
 from ..physics.scene_arrays import SceneArrays
 
 REACH = 3.0
-"""Standard deviations of position within which two objects may come to touch."""
+"""Number of standard deviations of position within which two objects may touch."""
 
 
 def contact_components(
     scene: SceneArrays, options: CEMOptions
 ) -> Float[np.ndarray, "object object"]:
-    """Return which objects' terms count for which, as 0 and 1.
+    """Return a 0/1 matrix: entry [i, j] is 1 if the terms of object i count for object j.
 
-    `object`: itself, its support and what it supports. `island`: all objects connected to it by
-    support, or by being so near that noise may make them touch. Environment supports connect
-    nothing.
+    With credit `object`, these are the object, its support and the objects that it supports. With
+    `island`, they are its connected component, in which objects are linked by support, or if they
+    are close enough that sampling may make them touch. Environment supports link nothing.
     """
     moves = np.asarray(scene.optimised)
     arrangement = jax.tree.map(np.asarray, scene.arrangement)
@@ -36,10 +36,10 @@ def contact_components(
     linked |= linked.T
     if options.credit == "island":
         composed = jax.tree.map(np.asarray, Layout.zero(1, scene.count))
-        at = compose_poses(arrangement, composed, arrangement.z[None], np).pos[0, :, :2]
+        center = compose_poses(arrangement, composed, arrangement.z[None], np).pos[0, :, :2]
         half = np.asarray(scene.diagonal) / 2 * (1 + 2 * REACH * options.sigma_xy)
-        apart = np.linalg.norm(at[:, None] - at, axis=-1)
-        linked |= (apart < half[:, None] + half) & moves[:, None] & moves
+        distance = np.linalg.norm(center[:, None] - center, axis=-1)
+        linked |= (distance < half[:, None] + half) & moves[:, None] & moves
         while True:
             wider = linked.astype(int) @ linked.astype(int) > 0
             if (wider == linked).all():
@@ -57,11 +57,11 @@ def assigned_credit(
     """Sum each object's credit over its component; -inf for failed and pruned candidates.
 
     Args:
-        credit: the reward by objects.
-        reward: of the whole scene.
-        components: of `contact_components`.
-        by_object: False gives every object the reward of the scene, and so the scene's elites.
+        credit: per-object reward.
+        reward: scene-wide reward.
+        components: result of `contact_components`.
+        by_object: if False, every object gets the scene-wide reward.
     """
-    fine = jnp.all(jnp.isfinite(credit), axis=1, keepdims=True)
-    own = jnp.where(fine, jnp.where(fine, credit, 0.0) @ components, -jnp.inf)
-    return jnp.where(by_object, own, reward[:, None])
+    finite = jnp.all(jnp.isfinite(credit), axis=1, keepdims=True)
+    summed = jnp.where(finite, jnp.where(finite, credit, 0.0) @ components, -jnp.inf)
+    return jnp.where(by_object, summed, reward[:, None])

@@ -1,10 +1,10 @@
-"""What the search leaves alone: objects that are sound where they stand.
+"""Feasibility of the objects in the initial layout, and the choice of the objects to move.
 
-An object is sound if, in the layout that the search starts at, it penetrates nothing deeper than
-the bound, holds still in a rollout, and its box agrees with the photograph's within the noise. The
-search moves first what penetrates or does not hold still. Where that finds nothing valid, what they
-may come to touch makes room, and then everything may move. What merely disagrees with the
-photograph moves once the others are valid, so that a valid scene is known by then.
+An object is feasible if, in the initial layout, it penetrates nothing deeper than the bound, is
+stable in a rollout, and its box agrees with the photograph's within the noise. The search first
+moves only objects that penetrate others or are unstable. If no candidate is valid, it also moves
+their contact components, and then all objects. Objects that only disagree with the photograph
+move after a valid candidate is found.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from ..config import CEMOptions, RefineOptions
 from ..measure import SceneMeasure
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 from ..spec import SceneObject, SceneSpec, bounds
@@ -27,33 +28,34 @@ from .credit import contact_components
 from .objective import Placement, Scores
 
 AGREES = 3.0
-"""Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
+"""Largest error of a box side, in units of the noise, at which an object agrees with the photo."""
 BORDERLINE = 2.0
-"""The same up to which it gives no reason to doubt the heading and size of an object, not even of a
-faulty one."""
+"""Largest error, in the same units, at which the heading and size of a faulty object are not in
+question."""
 ITERATIONS_UNSETTLED = 1
-"""Iterations without a valid candidate after which candidates come to rest."""
+"""Number of iterations without a valid candidate after which candidates are settled."""
 SETTLE_BATCH = 64
-"""Candidates that come to rest at once, those first that agree best with the photograph; no more do
-so in an iteration once one is valid. Most elites were among them on photographs."""
+"""Number of candidates settled at once, in decreasing order of their bounds; in an iteration with a
+valid candidate, no further batch is settled. On photographs most elites are in the first batch."""
 ITERATIONS_PER_STAGE = 2
-"""Iterations without a valid candidate after which more objects may move."""
+"""Number of iterations without a valid candidate after which more objects may move."""
 MIN_ROLLED_OUT = 64
-"""Candidates in all of which an object must fall for the search to be without hope."""
+"""Smallest number of candidates for `always_falling`."""
 FARTHER_FACTOR = 4.0
-"""Of the initial deviation of x and y, for objects that fell in every candidate."""
+"""Factor of the initial deviation of x and y, for objects that fell in every candidate."""
 FALL_DRIFT = 2.0
-"""Drift, in units of the stability bounds, of an object that nothing holds."""
+"""Drift, in units of the stability bounds, beyond which an object is unsupported."""
 
 
 class InitialFeasibility(NamedTuple):
-    """Which objects are sound where they stand, and which are not for reasons of physics."""
+    """Feasibility of each object in the initial layout."""
 
-    sound: Bool[np.ndarray, " object"]
+    feasible: Bool[np.ndarray, " object"]
+    """True for objects that are not faulty and agree with the photograph."""
     faulty: Bool[np.ndarray, " object"]
-    """Objects that penetrate others or do not hold still."""
+    """True for objects that penetrate others or are unstable."""
     box_error: Float[np.ndarray, " object"]
-    """How far each object's box is off the photograph's, in units of the noise."""
+    """Error of each object's box in units of the noise; see `semantic.box_error`."""
 
 
 def assess_initial(
@@ -62,20 +64,19 @@ def assess_initial(
     failed: Bool[np.ndarray, " object"],
     o: RefineOptions,
 ) -> InitialFeasibility:
-    """Tell which objects are sound in the first candidate.
+    """Return the feasibility of each object in the first candidate.
 
     Args:
         placement: the candidates.
-        scores: theirs.
-        failed: objects that fail the final check as the first candidate leaves them; it goes on
-            for longer than a rollout.
+        scores: their scores.
+        failed: objects that fail the final check, which lasts longer than a rollout.
         o: options, for the bounds.
     """
-    still = np.asarray(scores.drift[0]) < 1.0
+    stable = np.asarray(scores.drift[0]) < 1.0
     apart = np.asarray(scores.depth[0]) < o.max_depth_m
     box_error = np.asarray(placement.box_error[0])
     agrees = box_error <= AGREES
-    faulty = ~(still & apart & np.isfinite(scores.absolute[0]))
+    faulty = ~(stable & apart & np.isfinite(scores.absolute[0]))
     faulty |= np.pad(failed, (0, len(faulty) - len(failed)))
     return InitialFeasibility(agrees & ~faulty, faulty, box_error)
 
@@ -83,75 +84,84 @@ def assess_initial(
 def failing(
     names: Sequence[str], measure: SceneMeasure, o: RefineOptions
 ) -> Bool[np.ndarray, " object"]:
-    """Return which objects overlap others or do not hold still in a final check."""
+    """Return a mask of the objects that penetrate others or are unstable in a final check."""
     deep = {n for p, d in measure.depths_m.items() if d > o.max_depth_m for n in p.split("|")}
-    restless = {
+    unstable = {
         name
         for name, drift in measure.drift_m.items()
         if not (drift < o.max_drift_m and measure.tilt_deg[name] < o.max_tilt_deg)
     }
-    return np.array([name in deep | restless for name in names])
+    return np.array([name in deep | unstable for name in names])
 
 
 def stages(
-    scene: SceneArrays, start: InitialFeasibility, options: CEMOptions
+    scene: SceneArrays, initial: InitialFeasibility, options: CEMOptions
 ) -> list[Bool[np.ndarray, " object"]]:
-    """Return the objects that may move at first, after ITERATIONS_PER_STAGE iterations, and so on."""
-    every = np.asarray(scene.optimised)
-    first = every & start.faulty
+    """Return the masks of movable objects, one per stage of ITERATIONS_PER_STAGE iterations."""
+    movable = np.asarray(scene.optimised)
+    first = movable & initial.faulty
     if not first.any():
-        first = every & ~start.sound
-    islands = contact_components(scene, options.model_copy(update={"credit": "island"})) > 0
-    wider = every & (islands[:, first].any(axis=1) | first)
-    steps: list[Bool[np.ndarray, " object"]] = []
-    for mask in (first, wider, every):
-        if not steps or (mask != steps[-1]).any():
-            steps.append(mask)
-    return steps
+        first = movable & ~initial.feasible
+    components = contact_components(scene, options.model_copy(update={"credit": "island"})) > 0
+    wider = movable & (components[:, first].any(axis=1) | first)
+    masks: list[Bool[np.ndarray, " object"]] = []
+    for mask in (first, wider, movable):
+        if not masks or (mask != masks[-1]).any():
+            masks.append(mask)
+    return masks
 
 
 def photo_mismatches(
-    scene: SceneArrays, start: InitialFeasibility, first: Bool[np.ndarray, " object"]
+    scene: SceneArrays, initial: InitialFeasibility, first: Bool[np.ndarray, " object"]
 ) -> Bool[np.ndarray, " object"] | None:
-    """Return the objects that only the photograph asks to move, unless they move from the first."""
-    later = np.asarray(scene.optimised) & ~start.sound & ~first
+    """Return the objects that only disagree with the photo; None if all of them move first."""
+    later = np.asarray(scene.optimised) & ~initial.feasible & ~first
     return later if later.any() else None
 
 
-def deviation_share(start: InitialFeasibility, options: CEMOptions) -> Float[np.ndarray, " object"]:
-    """Return which share of the initial deviations of yaw and scale each object has.
+def deviation_share(
+    initial: InitialFeasibility, options: CEMOptions
+) -> Float[np.ndarray, " object"]:
+    """Return the factor of the initial deviations of yaw and scale for each object.
 
-    Answers judge headings and sizes well: where a box agrees with the photograph's, nothing asks
-    for others, and what rests soundly beside its box is elsewhere rather than turned.
+    The parse estimates headings and sizes well, so only faulty objects whose boxes disagree with
+    the photograph get the full deviation. A stable object that disagrees is displaced rather than
+    rotated.
     """
-    doubted = start.faulty & (start.box_error > BORDERLINE)
-    return np.where(doubted, 1.0, options.sigma_agreeing).astype(np.float32)
+    uncertain = initial.faulty & (initial.box_error > BORDERLINE)
+    return np.where(uncertain, 1.0, options.sigma_agreeing).astype(np.float32)
 
 
-def initial_line(
-    names: Sequence[str], start: InitialFeasibility, optimised: Bool[np.ndarray, " object"]
+def initial_summary(
+    names: Sequence[str], initial: InitialFeasibility, optimised: Bool[np.ndarray, " object"]
 ) -> str:
-    """Say which objects stay and which move."""
+    """Return a progress line that lists the objects that move."""
     count = int(optimised.sum())
-    listed = lambda mask: ", ".join(names[k] for k in np.flatnonzero(optimised & mask).tolist())
-    faulty, off = listed(start.faulty), listed(~start.sound & ~start.faulty)
-    if not (faulty or off):
-        return f"all {count} objects are sound where they stand"
-    stay = int((optimised & start.sound).sum())
-    moving = ", then by the photograph ".join(text for text in (faulty, off) if text)
-    return f"{stay} of {count} objects are sound and stay; moving {moving}"
+
+    def listed(mask: Bool[np.ndarray, " object"]) -> str:
+        return ", ".join(names[k] for k in np.flatnonzero(optimised & mask).tolist())
+
+    faulty, mismatched = listed(initial.faulty), listed(~initial.feasible & ~initial.faulty)
+    if not (faulty or mismatched):
+        return f"all {count} objects are valid in the initial layout"
+    fixed_count = int((optimised & initial.feasible).sum())
+    moving = ", then to match the photograph ".join(text for text in (faulty, mismatched) if text)
+    return f"{fixed_count} of {count} objects are valid and stay fixed; moving {moving}"
 
 
 def widen_deviations(state: SearchState, sigma: Layout) -> SearchState:
-    """Give objects that may move from now on their initial deviation.
+    """Set zero deviations of objects that may move to their initial values.
 
     Args:
-        state: of a search by CEM, or one whose optimizer has no deviations of its own.
-        sigma: initial deviations of all that may move, pop axis of length 1.
+        state: state of a search; returned unchanged unless the optimizer is CEM.
+        sigma: initial deviations of the movable objects, pop axis of length 1.
     """
     if not isinstance(state.optimizer, CEMState):
         return state
-    keep = lambda old, new: np.where(np.asarray(old) > 0, old, new)
+
+    def keep(old: AnyArray, new: AnyArray) -> np.ndarray:
+        return np.where(np.asarray(old) > 0, old, new)
+
     std = on_device(jax.tree.map(keep, state.optimizer.std, sigma))
     return eqx.tree_at(lambda s: s.optimizer.std, state, std)
 
@@ -159,54 +169,56 @@ def widen_deviations(state: SearchState, sigma: Layout) -> SearchState:
 def search_farther(
     state: SearchState, sigma: Layout, falling: Bool[np.ndarray, " object"], spec: SceneSpec
 ) -> SearchState:
-    """Look for objects that fell in every candidate over what carries them, and farther around.
+    """Move the search distribution of falling objects over their supports, and widen it.
 
-    Their mean moves by `offset_from_support`, their deviation is FARTHER_FACTOR times that of the start.
+    The mean moves by `offset_from_support`; the deviation is FARTHER_FACTOR times the initial one.
 
     Args:
-        state: of a search by CEM, or one whose optimizer has no deviations of its own.
+        state: state of a search; returned unchanged unless the optimizer is CEM.
         sigma: initial deviations, pop axis of length 1.
-        falling: which they are.
+        falling: mask of the objects that fell in every candidate.
         spec: the composed scene.
     """
     if not isinstance(state.optimizer, CEMState):
         return state
     mean, std = state.optimizer.mean, state.optimizer.std
     padded = np.pad(falling, (0, sigma.yaw.shape[1] - len(falling)))
-    far = np.where(padded[None, :, None], FARTHER_FACTOR * np.asarray(sigma.xy), np.asarray(std.xy))
-    centre = np.array(mean.xy, np.float32)
+    deviation = np.where(
+        padded[None, :, None], FARTHER_FACTOR * np.asarray(sigma.xy), np.asarray(std.xy)
+    )
+    center = np.array(mean.xy, np.float32)
     for k in np.flatnonzero(falling):
-        centre[0, k] -= offset_from_support(spec, spec.objects[k], centre[0, k])
-    arrays = on_device((centre, far.astype(np.float32)))
+        center[0, k] -= offset_from_support(spec, spec.objects[k], center[0, k])
+    arrays = on_device((center, deviation.astype(np.float32)))
     return eqx.tree_at(lambda s: (s.optimizer.mean.xy, s.optimizer.std.xy), state, arrays)
 
 
 def offset_from_support(
     spec: SceneSpec, item: SceneObject, xy: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " 2"]:
-    """Return how far an object's middle is beside where its carrier's box can hold it [m].
+    """Return the offset of an object's center from the area of its support's box [m].
 
-    That is half the object's size within the box, but at most a quarter of the box's.
+    The area is the box inset by half the object's size, but at most by a quarter of the box's.
 
     Args:
         spec: the composed scene.
         item: the object.
-        xy: where a layout puts it, as in `Layout.xy`.
+        xy: position in a layout, as in `Layout.xy`.
     """
     if item.parent is None or item.parent_link is not None:
         return np.zeros(2)
     parent = spec.object(item.parent)
     low, high = (side[:2] for side in bounds(parent.spec, parent.joint_state, parent.base_tilt))
-    own_low, own_high = bounds(item.spec, item.joint_state, item.base_tilt)
-    margin = np.minimum((own_high - own_low)[:2] / 2, (high - low) / 4)
-    middle = rotate(from_yaw(item.yaw), (own_low + own_high) / 2)[:2] + np.array(item.xy) + xy
-    return middle - np.clip(middle, low + margin, high - margin)
+    object_low, object_high = bounds(item.spec, item.joint_state, item.base_tilt)
+    margin = np.minimum((object_high - object_low)[:2] / 2, (high - low) / 4)
+    center = rotate(from_yaw(item.yaw), (object_low + object_high) / 2)[:2] + np.array(item.xy) + xy
+    return center - np.clip(center, low + margin, high - margin)
 
 
 def should_settle(o: RefineOptions, iterations: int, scorer: object) -> bool:
-    """Tell whether candidates come to rest from now on, as nothing was valid so far.
+    """Return whether candidates are settled from this iteration on, if none was valid so far.
 
-    Not where there is no simulation, nor where a model scores pictures of layouts.
+    Always False without simulation, or if a model scores rendered images of layouts.
     """
     if o.settle == "never" or scorer is not None or not o.rollout.duration_s:
         return False
@@ -216,10 +228,10 @@ def should_settle(o: RefineOptions, iterations: int, scorer: object) -> bool:
 def always_falling(
     drifts: Sequence[Float[np.ndarray, "pop object"]],
 ) -> Bool[np.ndarray, " object"] | None:
-    """Tell which objects fell in every candidate so far; None while too few were rolled out.
+    """Return the objects that fell in every candidate so far; None if too few were rolled out.
 
     Args:
-        drifts: of each iteration's candidates, in units of the stability bounds; NaN where pruned.
+        drifts: drifts of each iteration's candidates, over the stability bounds; NaN if pruned.
     """
     rolled = np.concatenate(drifts)
     rolled = rolled[np.isfinite(rolled).all(axis=1)]

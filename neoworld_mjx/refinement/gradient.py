@@ -1,7 +1,7 @@
-"""Gradient refinement: Adam steps out of interpenetration and towards the photograph's boxes.
+"""Gradient refinement: Adam steps out of interpenetration and toward the photograph's boxes.
 
-Physics tells good layouts from bad ones but gives no direction; penetration and projected boxes
-do. A few steps on them cost less than one rollout.
+Rollouts give no gradient; penetration and projected boxes do. A few steps on them cost less than
+one rollout.
 """
 
 import equinox as eqx
@@ -17,9 +17,9 @@ from .rewards import deeper
 from .semantic import reprojection_error
 
 PEN_SCALE = (0.001, 0.0001)
-"""Penetration [m] that costs as much as a box off by its noise, at the first and at the last step.
+"""Penetration [m] that costs as much as a box error of one noise unit, at the first and last step.
 
-At first objects may pass through each other, at the end they must not.
+The early, larger value lets objects pass through each other.
 """
 
 
@@ -34,20 +34,20 @@ def refine_by_gradient(
     samples: int,
     photo: bool,
 ) -> Layout:
-    """Move candidates down D_pen, staying near where they are.
+    """Descend D_pen from each candidate, with a penalty on the distance moved.
 
-    Minimises, for each candidate by itself, the sum of pair depths over PEN_SCALE, plus half the
-    squared distance from where it was drawn in units of `sigma`, plus, with `photo`,
+    Minimizes, for each candidate separately, the sum of pair depths over PEN_SCALE, plus half the
+    squared distance from the given layout in units of `sigma`, plus, with `photo`,
     `reprojection_error`.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        sigma: standard deviations, pop axis of length 1; objects with none stay where they are.
-        steps: of Adam.
-        rate: length of a step in units of `sigma`; it falls to a tenth over the steps.
-        samples: surface samples of an object that depths are taken at, corners first.
-        photo: whether to follow the photograph's boxes too.
+        sigma: standard deviations, pop axis of length 1; objects with zero deviation do not move.
+        steps: number of Adam steps.
+        rate: learning rate in units of `sigma`; decays to a tenth over the steps.
+        samples: number of surface samples per object for the depths, corners first.
+        photo: True to include `reprojection_error`.
     """
     free = jax.tree.map(lambda s: (s > 0).astype(jnp.float32), sigma)
     start = jax.tree.map(lambda z, s: z / jnp.maximum(s, 1e-9), layouts, sigma)

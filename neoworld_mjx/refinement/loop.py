@@ -1,10 +1,10 @@
 """The loop of Algorithm 1, over one run or many.
 
-The host keeps the clock, prints progress, chooses the rollouts to make and requests scores from a
-model; all else are the pure functions of `algorithm` and `objective`. A sweep is this loop over
-many runs, a refinement over one. On accelerators those functions are mapped over runs by `vmap`, in
-tiles. On a CPU nothing is gained by that, and sums would round differently than in a refinement by
-itself: there a tile is one run, and every number is that of a separate refinement, to the last bit.
+The host measures time, reports progress, chooses the rollouts and requests scores from a model;
+the rest are the pure functions of `algorithm` and `objective`. A sweep is this loop over many runs,
+a refinement over one. On accelerators the functions are mapped over runs by `vmap`, in tiles. On a
+CPU a tile is one run: `vmap` would not be faster, and every number is bit-identical to that of a
+separate refinement.
 """
 
 import time
@@ -43,7 +43,7 @@ from .feasibility import (
     SETTLE_BATCH,
     always_falling,
     deviation_share,
-    initial_line,
+    initial_summary,
     photo_mismatches,
     search_farther,
     should_settle,
@@ -60,7 +60,7 @@ from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, bounded, population_at, prunes
 
 PADDED = ("cem", "random")
-"""Optimizers that take a padded scene."""
+"""Optimizers that accept a padded scene."""
 
 
 def search(
@@ -75,21 +75,21 @@ def search(
     clock: dict[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> list[SearchResult]:
-    """Run Algorithm 1 for every run at once, without the exact check of the winners.
+    """Run Algorithm 1 for all runs at once, without the exact check of the winners.
 
     Args:
         scene: the compiled scene.
-        runs: whose options differ in traced ones and those of the host alone.
-        engine: what rolls candidates out.
-        terms: reward terms besides those that the options name.
-        optimizer: in place of the one that the options name.
-        scorer: semantic scores by a model, of a single run.
-        keep: keep all candidates; else those of each iteration that may be finalists.
-        clock: seconds spent, by step; added to.
-        progress: called with one line a run and iteration.
+        runs: runs whose options differ only in traced values and in options of the host.
+        engine: physics engine of the rollouts.
+        terms: reward terms in addition to those that the options name.
+        optimizer: replaces the optimizer that the options name.
+        scorer: semantic scores by a model; for a single run.
+        keep: True to keep all candidates, False to keep only possible finalists.
+        clock: seconds spent, by step; updated in place.
+        progress: called with one line per run and iteration.
 
     Raises:
-        ConfigError: options that exclude each other, or a reward term that does not work.
+        ConfigError: options exclude each other, or a reward term is invalid.
     """
     clock = {} if clock is None else clock
     clock |= dict.fromkeys(("descent", "rollout", "score", "wait"), 0.0) | clock
@@ -98,12 +98,14 @@ def search(
     check_credit(o, terms)
     objective = open_objective(o, terms=terms)
     try_terms(scene, objective, o)
-    own_optimizer = optimizer is not None or o.optimizer not in PADDED
-    arrays = pad_scene(scene) if objective.padded and not own_optimizer else scene
+    unpadded_optimizer = optimizer is not None or o.optimizer not in PADDED
+    arrays = pad_scene(scene) if objective.padded and not unpadded_optimizer else scene
     tile = tile_of(len(runs), max(o.cem.population, o.cem.first))
     evaluation = Evaluation(scene, arrays, engine, o, len(runs), tile, clock, began)
-    keeps = not own_optimizer and scorer is None and has_builtin_terms_only(objective)
-    results = _opened(evaluation, runs, terms, optimizer, keeps, progress)
+    may_fix_objects = (
+        not unpadded_optimizer and scorer is None and has_builtin_terms_only(objective)
+    )
+    results = _opened(evaluation, runs, terms, optimizer, may_fix_objects, progress)
     for r in results:
         r.settles = should_settle(r.run.options, 0, scorer)
     live = results
@@ -116,7 +118,7 @@ def search(
         problems, rests = [r.problem for r in live], [_rests(r, pop) for r in live]
         placements = evaluation.place(problems, layouts, pop, [n > 0 for n in rests])
         layouts, placements = take((layouts, placements), slice(pop))
-        plans = [_plan(*of, scorer) for of in zip(live, placements, rests, strict=True)]
+        plans = [_plan(*row, scorer) for row in zip(live, placements, rests, strict=True)]
         if scorer is None:
             evaluation.run_plans(live, layouts, placements, plans)
         else:
@@ -145,7 +147,7 @@ def search(
                 if not r.settles and should_settle(r.run.options, len(r.rounds), scorer):
                     r.settles = True
                     r.stage_began = r.judged_from = len(r.rounds)
-                elif not own_optimizer:
+                elif not unpadded_optimizer:
                     _widen_proposal(arrays, scene.spec, r, terms)
         _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
@@ -155,19 +157,23 @@ def search(
 def _update_progress(
     results: Sequence[SearchResult], runs: Sequence[SearchRun], began: float
 ) -> None:
-    """Report the iteration, the rate of candidates and the time that is left at most."""
+    """Report the iteration, the rate of candidates and the longest remaining time."""
     seconds = time.perf_counter() - began
     done = sum(len(r.rounds) for r in results)
-    of = sum(run.options.cem.iterations for run in runs)
+    total = sum(run.options.cem.iterations for run in runs)
     candidates = sum(len(round_.scores.absolute) for r in results for round_ in r.rounds)
-    left = seconds / max(done, 1) * (of - done)
+    remaining = seconds / max(done, 1) * (total - done)
     update_progress(
-        done=done, of=of, unit="iteration", rate=candidates / max(seconds, 1e-9), left_s=left
+        done=done,
+        of=total,
+        unit="iteration",
+        rate=candidates / max(seconds, 1e-9),
+        left_s=remaining,
     )
 
 
 class _InitialScene(NamedTuple):
-    """What runs that start alike share; fields as in `SearchResult`."""
+    """Initial state shared by runs with equal initial layouts; fields as in `SearchResult`."""
 
     origin: Layout
     stages: list[np.ndarray]
@@ -182,42 +188,42 @@ def _opened(
     runs: Sequence[SearchRun],
     terms: Sequence[Term],
     optimizer: Optimizer | None,
-    keeps: bool,
+    may_fix_objects: bool,
     progress: Callable[[str], None] | None,
 ) -> list[SearchResult]:
-    """Open every run; those that start alike share what is known of their start."""
-    # Not a vmap over starts: its gradients round differently, and Adam carries that on.
-    known: dict[Any, _InitialScene] = {}
+    """Initialize every run; runs with equal initial layouts share the evaluation of the layout."""
+    # Not a vmap over layouts: its gradients round differently, and Adam amplifies that.
+    initial_scenes: dict[Any, _InitialScene] = {}
     scene, results = evaluation.arrays, []
     for run in runs:
         o = run.options
-        start = Layout.zero(1, scene.count) if run.start is None else run.start
-        start = on_device(pad_objects(start, scene.count))
-        alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale)
-        alike += (o.cem.sigma_agreeing, o.cem.keep_sound)
-        alike += (o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
-        alike += (o.check_duration_s, o.check_timestep_s)
-        alike += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
-        if alike not in known:
+        initial = Layout.zero(1, scene.count) if run.start is None else run.start
+        initial = on_device(pad_objects(initial, scene.count))
+        key = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale)
+        key += (o.cem.sigma_agreeing, o.cem.keep_sound)
+        key += (o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
+        key += (o.check_duration_s, o.check_timestep_s)
+        key += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(initial))
+        if key not in initial_scenes:
             mask, share = [np.asarray(scene.optimised)], None
-            later, first, checked = None, None, None
-            if keeps and o.cem.keep_sound:
-                first, sound, checked = evaluation.evaluate_initial(start, o, terms)
-                mask = stages(scene, sound, o.cem)
-                later = photo_mismatches(scene, sound, mask[0])
-                share = deviation_share(sound, o.cem)
+            mismatched, first, checked = None, None, None
+            if may_fix_objects and o.cem.keep_sound:
+                first, feasibility, checked = evaluation.evaluate_initial(initial, o, terms)
+                mask = stages(scene, feasibility, o.cem)
+                mismatched = photo_mismatches(scene, feasibility, mask[0])
+                share = deviation_share(feasibility, o.cem)
                 if progress is not None:
-                    progress(initial_line(evaluation.scene.names, sound, mask[-1]))
-            mean = _warm_start(scene, start, mask[0], share, o, evaluation.clock)
-            known[alike] = _InitialScene(mean, mask, share, later, first, checked)
-        mean, mask, share, later, first, checked = known[alike]
+                    progress(initial_summary(evaluation.scene.names, feasibility, mask[-1]))
+            mean = _warm_start(scene, initial, mask[0], share, o, evaluation.clock)
+            initial_scenes[key] = _InitialScene(mean, mask, share, mismatched, first, checked)
+        mean, mask, share, mismatched, first, checked = initial_scenes[key]
         problem = open_problem(
             scene, o, mean, moves=mask[0], share=share, terms=terms, optimizer=optimizer
         )
         result = SearchResult(run, mean, problem, initial_state(problem, mean), stages=list(mask))
-        result.share, result.later, result.checked = share, later, checked
+        result.share, result.later, result.checked = share, mismatched, checked
         if first is not None and not mask[0].any():
-            # All is sound: the start is the answer.
+            # All objects are feasible: the initial layout is the result.
             result.rounds, result.rollouts, result.finished = [first], 1, True
             result.summaries = [_summary(first.scores)]
             result.first_valid_s = time.perf_counter() - evaluation.began
@@ -228,15 +234,15 @@ def _opened(
 def _widen_proposal(
     scene: SceneArrays, spec: SceneSpec, r: SearchResult, terms: Sequence[Term]
 ) -> None:
-    """Let more objects move where nothing was valid, or end a search that has no hope."""
-    since = r.rounds[r.judged_from :]
-    falling = always_falling([np.asarray(round_.scores.drift) for round_ in since])
+    """Widen the proposal if no candidate was valid, or end the search if an object always falls."""
+    recent = r.rounds[r.judged_from :]
+    falling = always_falling([np.asarray(round_.scores.drift) for round_ in recent])
     if falling is not None and falling.any():
         on_support = np.asarray(scene.arrangement.snapped)[: len(falling)]
         if r.searched_farther or not (falling & on_support).any():
             r.falling, r.finished = falling, True
         else:
-            # Their support may be farther than they were looked for.
+            # Their support may be outside the search distribution.
             r.searched_farther, r.judged_from = True, len(r.rounds)
             r.state = search_farther(r.state, r.problem.sigma, falling, spec)
         return
@@ -252,36 +258,36 @@ def _widen_proposal(
 def _follow_photo(
     scene: SceneArrays, r: SearchResult, terms: Sequence[Term], clock: dict[str, float]
 ) -> None:
-    """Let what disagrees with the photograph move too, now that a valid candidate is known."""
+    """Also move objects that disagree with the photograph, once a valid candidate is known."""
     assert r.later is not None
-    o, later, r.later = r.run.options, r.later, None
+    o, mismatched, r.later = r.run.options, r.later, None
     if o.cem.iterations <= len(r.rounds):
         return
-    moves = r.stages[0] | later
+    moves = r.stages[0] | mismatched
     r.problem = open_problem(scene, o, r.origin, moves=moves, share=r.share, terms=terms)
     r.state = resumed(widen_deviations(r.state, r.problem.sigma))
     if isinstance(r.state.optimizer, CEMState):
-        mean = _warm_start(scene, r.state.optimizer.mean, later, r.share, o, clock)
+        mean = _warm_start(scene, r.state.optimizer.mean, mismatched, r.share, o, clock)
         r.state = eqx.tree_at(lambda s: s.optimizer.mean, r.state, mean)
     r.finished = False
 
 
 def _warm_start(
     scene: SceneArrays,
-    start: Layout,
+    initial: Layout,
     moves: np.ndarray,
     share: np.ndarray | None,
     o: RefineOptions,
     clock: dict[str, float],
 ) -> Layout:
     if not o.descent.warm_steps or not moves.any():
-        return start
+        return initial
     began = time.perf_counter()
-    # With a single candidate a GPU does nothing but start kernels.
+    # With a single candidate, kernel launches dominate on a GPU.
     with on_cpu():
         mean = by_gradient(
             scene,
-            start,
+            initial,
             initial_sigma(scene, o.cem, moves, share),
             steps=o.descent.warm_steps,
             rate=o.descent.rate,
@@ -296,9 +302,9 @@ def _warm_start(
 def _propose(
     scene: SceneArrays, live: Sequence[SearchResult], t: int, tile: int, clock: dict[str, float]
 ) -> list[Layout]:
-    """Propose a population for each run, projected where its options say so.
+    """Propose a population for each run, projected if its options request it.
 
-    The first iteration, too, draws the others' number, so that one shape is compiled.
+    The first iteration draws as many candidates as the others, so that one shape is compiled.
     """
     began = time.perf_counter()
     o = live[0].run.options
@@ -311,7 +317,7 @@ def _propose(
             k: (r.problem, r.state, np.asarray(r.run.seed, np.uint32), population)
             + ((projection,) if projected else (None,))
             for k, r in enumerate(live)
-            # What comes to rest is projected just before that.
+            # Settled candidates are projected just before settling.
             if (projects(d.project, t, r.state) and not r.settles) == projected
         }
         layouts |= zip(rows, map_runs(propose, scene, list(rows.values()), tile), strict=True)
@@ -335,7 +341,7 @@ def _plan(
 
 
 def _rests(r: SearchResult, population: int) -> int:
-    """Return how many candidates come to rest at once: all where none may be left out."""
+    """Return the number of candidates settled at once: all, if none may be left out."""
     if not r.settles:
         return 0
     return min(SETTLE_BATCH, population) if bounded(r.run.options, r.problem) else population
@@ -347,7 +353,7 @@ def _finalists(round_: Round, o: RefineOptions) -> Round:
     scores = host.scores
     order = best_first(*map(np.asarray, (scores.valid, scores.fidelity, scores.absolute)))
     best = order[: o.finalists]
-    # Sorted, as equal ones are taken in the order of the population.
+    # Sorted, because candidates of equal reward keep the order of the population.
     return jax.tree.map(lambda x: x[np.sort(best)], host)
 
 

@@ -1,4 +1,4 @@
-"""The objective of Step 5: the reward of its terms, and what makes a candidate valid."""
+"""Objective of Step 5: the reward as a sum of terms, and the validity of a candidate."""
 
 import dataclasses
 import importlib
@@ -37,7 +37,7 @@ from .rewards import (
 from .semantic import box_error
 
 EXTRA_CANDIDATES = 5
-"""Candidates beyond the number of objects on which a user's term is tried, for distinct shapes."""
+"""Number of trial candidates beyond the object count, so that the two axes differ in length."""
 
 
 def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
@@ -70,22 +70,22 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         padded=True,
     ),
 }
-"""The built-in terms. Those of ALWAYS have options of their own; another one is used when
-`refine.reward.terms` names it, with the weight given there."""
+"""Built-in terms. Those of ALWAYS have their own options; others are used if `refine.reward.terms`
+names them, with the weight given there."""
 ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
 PHYSICAL = ("d_pen", "d_drift")
-"""Terms that a valid candidate holds by its bounds."""
+"""Terms that the validity bounds limit for a valid candidate."""
 RESERVED = ("reward", "absolute", "status", "valid", "xy", "yaw", "log_scale", "s_sem_from")
 RESERVED += ("object_names", "term_names", "term_weights")
-"""Keys of the history that no term may have as its name."""
+"""Keys of the history, which are not available as names of terms."""
 
 
 class Objective(eqx.Module):
-    """What candidates are judged by; numbers are traced, so a sweep over them is one `vmap`."""
+    """Reward terms and validity bounds; numbers are traced, so a sweep over them is one `vmap`."""
 
     terms: tuple[Term, ...]
     max_depth: Float[Array, ""]
-    """Depth of a pair [m] from which a candidate is invalid."""
+    """Penetration depth of a pair [m] at which a candidate becomes invalid."""
     distance: Float[Array, ""]
     """Stability bound of an object's translation [m]."""
     angle: Float[Array, ""]
@@ -95,18 +95,18 @@ class Objective(eqx.Module):
 
     @property
     def bounded(self) -> "Objective":
-        """The same with only the terms that have a bound; all that `place` needs."""
+        """The objective restricted to terms that have a bound, as `place` uses it."""
         bounded = tuple(term for term in self.terms if term.bound is not None)
         return dataclasses.replace(self, terms=bounded)
 
     @property
     def padded(self) -> bool:
-        """Whether every term takes a padded scene."""
+        """True if every term accepts a padded scene."""
         return all(term.padded for term in self.terms)
 
     @property
     def unbounded(self) -> tuple[str, ...]:
-        """Names of the terms without a bound, which switch pruning off."""
+        """Names of the terms without a bound, which disable pruning."""
         return tuple(term.name for term in self.terms if term.bound is None)
 
 
@@ -120,58 +120,61 @@ def open_objective(
 
     Args:
         options: weights, scales, caps and bounds, and the names of further terms.
-        origin: initial layout that the prior counts from; None is the composed scene.
-        terms: further terms, besides those that the options name.
-        share: of the prior's deviations of yaw and log scale, by object; None is 1.
+        origin: center of the prior; None is the composed scene.
+        terms: terms in addition to those that the options name.
+        share: factor of the prior's deviations of yaw and log scale, per object; None is 1.
 
     Raises:
         ConfigError: a term cannot be found, or two have the same name.
     """
-    f = lambda x: jax.device_put(np.float32(x))
-    every = [TERMS[name](options) for name in ALWAYS] + named_terms(options) + list(terms)
-    names = [term.name for term in every]
+
+    def scalar(x: float) -> Array:
+        return jax.device_put(np.float32(x))
+
+    all_terms = [TERMS[name](options) for name in ALWAYS] + named_terms(options) + list(terms)
+    names = [term.name for term in all_terms]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
             raise ConfigError(f"reward term {name}: the name is taken; give the term another one")
     if origin is not None:
-        every = [
+        all_terms = [
             dataclasses.replace(t, fn=Prior(t.fn.sigma, origin, share))
             if isinstance(t.fn, Prior)
             else t
-            for t in every
+            for t in all_terms
         ]
     return Objective(
-        terms=tuple(every),
-        max_depth=f(options.max_depth_m),
-        distance=f(options.reward.drift_scale_m),
-        angle=f(np.radians(options.reward.tilt_scale_deg)),
+        terms=tuple(all_terms),
+        max_depth=scalar(options.max_depth_m),
+        distance=scalar(options.reward.drift_scale_m),
+        angle=scalar(np.radians(options.reward.tilt_scale_deg)),
         normalisation=options.reward.normalisation,
     )
 
 
 def has_builtin_terms_only(objective: Objective) -> bool:
-    """Tell whether all terms speak of the photograph and of physics.
+    """Return whether the objective has only the terms of ALWAYS.
 
-    A user's own may want what stands soundly to move.
+    A user-defined term may reward moving an object that is already feasible.
     """
     return all(term.name in ALWAYS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
-    """Find the terms of `refine.reward.terms`: built-in ones by name, others by import path.
+    """Return the terms of `refine.reward.terms`: built-in ones by name, others by import path.
 
-    A term of an import path "package.module:function" is called by its function's name, or by the
-    whole path where that name is taken.
+    A term with an import path "package.module:function" is named after its function, or by the
+    whole path if that name is taken.
 
     Raises:
-        ConfigError: a name is unknown, or a path has no such form or names no function.
+        ConfigError: a name is unknown, or a path is malformed or does not name a function.
     """
     terms: list[Term] = []
     taken = {*TERMS, *RESERVED}
     for path, weight in options.reward.terms.items():
         if path in ALWAYS:
             raise ConfigError(
-                f"refine.reward.terms: {path} is always there; weigh it by its option"
+                f"refine.reward.terms: {path} is always included; set its weight by its own option"
             )
         if path in TERMS:
             terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
@@ -179,27 +182,27 @@ def named_terms(options: RefineOptions) -> list[Term]:
         fn = imported(
             "refine.reward.terms", path, {n: t for n, t in TERMS.items() if n not in ALWAYS}
         )
-        own = path.partition(":")[2]
-        terms.append(Term(path if own in taken else own, fn, weight))
+        function_name = path.partition(":")[2]
+        terms.append(Term(path if function_name in taken else function_name, fn, weight))
         taken.add(terms[-1].name)
     return terms
 
 
 def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any]:
-    """Import what an option names as "package.module:function".
+    """Import the function that an option names as "package.module:function".
 
     Args:
-        option: its path, for messages.
-        path: its value.
-        table: names that need no import.
+        option: path of the option, for messages.
+        path: value of the option.
+        table: built-in names, for messages.
 
     Raises:
-        ConfigError: the path has no such form, or nothing callable is there.
+        ConfigError: the path is malformed, or does not name a callable.
     """
     module, _, name = path.partition(":")
     try:
         value = getattr(importlib.import_module(module), name)
-    except (Exception, SystemExit) as error:  # A module may do anything while it is imported.
+    except (Exception, SystemExit) as error:  # Importing a module may raise anything.
         named = f", or name a built-in one: {choices(path, table)}" if table else ""
         raise ConfigError(
             f"{option}: cannot import {path!r} ({error}); "
@@ -211,13 +214,13 @@ def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any
 
 
 def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -> None:
-    """Try every term that is not built in, once, before anything is simulated.
+    """Call every user-defined term once before anything is simulated.
 
     Raises:
         ConfigError: see `rewards.try_term`.
     """
-    own = [term for term in objective.terms if term.name not in TERMS]
-    if not own:
+    user_terms = [term for term in objective.terms if term.name not in TERMS]
+    if not user_terms:
         return
     pop = len(scene.names) + EXTRA_CANDIDATES
     layouts = Layout.zero(pop, len(scene.names))
@@ -225,14 +228,17 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
     timestep = float(scene.static.mjm.opt.timestep)
     records = record_steps(timestep, r.duration_s, r.record_every_s)[0] if r.duration_s else 1
     still = still_rollout(scene, layouts, records)
-    for term in own:
+    for term in user_terms:
         try_term(term, scene, still, layouts)
 
 
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
-    """Return a rollout in which nothing moves, with what terms share: all is as in the photo."""
+    """Return a rollout without motion or penetration, with all objects visible as parsed."""
     still = unmoved(scene, scene.place(layouts))
-    over_time = lambda x: jnp.repeat(x, records, axis=1)
+
+    def over_time(x: AnyArray) -> Array:
+        return jnp.repeat(x, records, axis=1)
+
     still = eqx.tree_at(
         lambda s: (s.time, s.pos, s.quat, s.joint_shift),
         still,
@@ -243,82 +249,92 @@ def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
             over_time(still.joint_shift),
         ),
     )
-    none = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
-    seen = as_parsed(scene.photo, len(none))
-    return measured_rollout(still, none, seen, jnp.zeros(layouts.yaw.shape))
+    zero_depth = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
+    visible = as_parsed(scene.photo, len(zero_depth))
+    return measured_rollout(still, zero_depth, visible, jnp.zeros(layouts.yaw.shape))
 
 
 class Placement(eqx.Module):
-    """Candidates where their layouts put them, and what is known of them before physics."""
+    """Placed candidates, with the values that are known before a rollout."""
 
     poses: Poses
     depth: Float[AnyArray, "pop object object"]
-    """Of `pair_depths` [m]."""
+    """Result of `pair_depths` [m]."""
     visible: Visible
-    """What the camera sees."""
+    """Visible regions of the objects in the camera image."""
     values: dict[str, TermValue]
-    """Of the terms that do not depend on physics."""
+    """Values of the terms that do not depend on physics."""
     bound: Float[AnyArray, " pop"]
     """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
     box_error: Float[AnyArray, "pop object"]
-    """How far each object's box is off the photograph's, in units of the noise; see `semantic`."""
+    """Error of each object's box in units of the parse noise; see `semantic.box_error`."""
     settled: Float[AnyArray, "pop object"]
-    """Of `Placed`."""
+    """Displacement by settling, as in `Placed`."""
 
 
 class Scores(eqx.Module):
-    """What an iteration's candidates are judged by."""
+    """Term values, rewards and validity of an iteration's candidates."""
 
     terms: Mapping[str, Float[AnyArray, " pop"]]
-    """Every term's value by name; NaN for terms of candidates that were not rolled out."""
+    """Value of every term, by name; NaN for candidates that were not rolled out."""
     valid: Bool[AnyArray, " pop"]
-    """No pair deeper than max_depth, no object past the stability bounds."""
+    """True if no pair is deeper than max_depth and no object exceeds the stability bounds."""
     status: Int[AnyArray, " pop"]
-    """RolloutStatus; FAILED also where a term is not finite."""
+    """RolloutStatus; FAILED also if a term is not finite."""
     reward: Float[AnyArray, " pop"]
-    """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
+    """Reward by which Algorithm 1 ranks; -inf for failed and pruned candidates."""
     absolute: Float[AnyArray, " pop"]
-    """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
+    """Reward with fixed scales, comparable between iterations; -inf as in `reward`."""
     fidelity: Float[AnyArray, " pop"]
-    """The absolute reward without D_pen and D_drift, which a valid candidate holds by its bounds,
-    but less for how far it has settled; -inf for failed and pruned candidates."""
+    """Absolute reward without D_pen and D_drift, which the validity bounds limit, but with a cost
+    for displacement by settling; -inf as in `reward`."""
     drift: Float[AnyArray, "pop object"]
-    """Each object's largest drift in units of the stability bounds; NaN where pruned."""
+    """Largest drift of each object in units of the stability bounds; NaN if pruned."""
     depth: Float[AnyArray, "pop object"]
-    """Each object's deepest pair [m]; NaN where pruned."""
+    """Deepest pair of each object [m]; NaN if pruned."""
     credit: Float[AnyArray, "pop object"] | None
-    """The reward by objects, with fixed normalisation; None where a term has no such share."""
+    """Per-object reward with fixed normalisation; None if a term has no per-object values."""
 
 
 @eqx.filter_jit
 def place(
     scene: SceneArrays, layouts: Layout, objective: Objective, known: Placed | None = None
 ) -> Placement:
-    """Place candidates, and evaluate terms that need no physics and the bounds of the others.
+    """Place candidates; evaluate the terms that need no physics, and the bounds of the others.
 
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
         objective: terms and bounds.
-        known: the candidates as `placed` has placed them, where it has.
+        known: result of `placed` for the candidates; computed if None.
     """
-    at = placed(scene, layouts) if known is None else known
-    still = measured_rollout(unmoved(scene, at.poses), at.depth, at.visible, at.settled)
+    candidates = placed(scene, layouts) if known is None else known
+    still = measured_rollout(
+        unmoved(scene, candidates.poses), candidates.depth, candidates.visible, candidates.settled
+    )
     values, bounds = {}, {}
     for term in objective.terms:
         if term.bound == "exact":
             values[term.name] = term_value(term, term.fn, scene, layouts, still)
         elif term.bound is not None:
             bounds[term.name] = term_value(term, term.bound, scene, layouts, still)
-    every = jnp.ones(layouts.yaw.shape[0], bool)
-    upper = sum(
-        contribution(term, (values | bounds)[term.name].charged, every, "fixed")
+    all_candidates = jnp.ones(layouts.yaw.shape[0], bool)
+    bound = sum(
+        contribution(term, (values | bounds)[term.name].charged, all_candidates, "fixed")
         for term in objective.terms
         if term.bound is not None
     )
-    upper = jnp.where(jnp.isfinite(upper), upper, -jnp.inf)
-    error = box_error(scene, at.visible.outlines)
-    return Placement(at.poses, at.depth, at.visible, values, upper, error, at.settled)
+    bound = jnp.where(jnp.isfinite(bound), bound, -jnp.inf)
+    error = box_error(scene, candidates.visible.outlines)
+    return Placement(
+        candidates.poses,
+        candidates.depth,
+        candidates.visible,
+        values,
+        bound,
+        error,
+        candidates.settled,
+    )
 
 
 @eqx.filter_jit
@@ -329,13 +345,13 @@ def evaluate(
     rollout: Rollout,
     objective: Objective,
 ) -> Scores:
-    """Evaluate every term of every candidate, and compose the reward.
+    """Evaluate every term of every candidate, and sum them to the reward.
 
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        placement: of `place`.
-        rollout: their free fall.
+        placement: result of `place`.
+        rollout: free-fall rollout of the candidates.
         objective: terms and bounds.
     """
     measured = measured_rollout(rollout, placement.depth, placement.visible, placement.settled)
@@ -352,13 +368,16 @@ def evaluate(
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
     drift = jnp.maximum(drift, placement.settled)
     deepest = jnp.max(deeper(placement.depth), axis=2)
-    total = lambda part: sum(part(term, values[term.name].charged) for term in objective.terms)
+
+    def total(contribute: Callable[[Term, Array], Array]) -> Any:
+        return sum(contribute(term, values[term.name].charged) for term in objective.terms)
+
     fidelity = sum(
         absolute_contribution(term, values[term.name].charged)
         for term in objective.terms
         if term.name not in PHYSICAL
     )
-    # Where they came to rest otherwise than the photograph shows them, candidates are less like it.
+    # Settling away from the layout lowers the agreement with the photograph.
     settled = jnp.sum(placement.settled, axis=1)
     fidelity += sum(
         absolute_contribution(term, settled) for term in objective.terms if term.name == "d_drift"
@@ -390,16 +409,16 @@ def evaluate(
 
 
 def contribution(term: Term, value: AnyArray, alive: Array, normalisation: str) -> Array:
-    """Return what a term adds to the reward: its weight times its normalised value.
+    """Return the contribution of a term to the reward: its weight times its normalised value.
 
     `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's
-    candidates to [0, 1], after clipping at the cap (as the paper does; a term with the same value
-    for all candidates counts zero). A term without a cap counts as it is.
+    candidates to [0, 1], after clipping at the cap, as in the paper; a term with the same value for
+    all candidates contributes zero. A term without a cap is not normalised.
 
     Args:
         term: the term.
-        value: of the candidates [pop], or by objects [pop, object].
-        alive: candidates that did not fail; only these set the range.
+        value: values of the candidates [pop], or per object [pop, object].
+        alive: candidates that did not fail; only these determine the range.
         normalisation: `fixed` or `iteration`.
     """
     if term.cap is None:
@@ -414,9 +433,9 @@ def contribution(term: Term, value: AnyArray, alive: Array, normalisation: str) 
 
 
 def absolute_contribution(term: Term, value: Float[AnyArray, " pop"]) -> Float[AnyArray, " pop"]:
-    """Return what a term adds to the absolute reward, which compares iterations.
+    """Return the contribution of a term to the absolute reward, comparable between iterations.
 
-    value / (value + scale) never saturates: half the weight is lost at the scale. A term without a
-    scale counts as it is.
+    value / (value + scale) never saturates; it is 1/2 at the scale. A term without a scale is not
+    normalised.
     """
     return term.weight * (value if term.scale is None else value / (value + term.scale))

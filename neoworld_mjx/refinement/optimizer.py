@@ -1,4 +1,4 @@
-"""Optimizers of Algorithm 1's loop: the protocol, and the table of those that options name."""
+"""Optimizer protocol of Algorithm 1's loop, and the table of the built-in optimizers."""
 
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
@@ -16,16 +16,15 @@ from .objective import imported
 
 
 @runtime_checkable
-@runtime_checkable
 class Optimizer(Protocol):
-    """Proposes layouts and learns from their rewards.
+    """Search distribution over layouts that is fitted to rewards.
 
-    Methods are pure and traceable by JAX. An `equinox.Module` whose numbers are arrays can be
+    Methods are pure and traceable by JAX. An `equinox.Module` whose parameters are arrays can be
     mapped over the runs of a sweep.
     """
 
     def init(self, mean: Layout) -> Any:
-        """Return the state in which a search starts at a layout, pop axis of length 1."""
+        """Return the initial state for a mean layout, pop axis of length 1."""
         ...
 
     def ask(self, key: Key[Array, ""], state: Any, population: int) -> Layout:
@@ -41,28 +40,28 @@ class Optimizer(Protocol):
         absolute: Float[AnyArray, " pop"] | None = None,
         credit: Float[AnyArray, "pop object"] | None = None,
     ) -> Any:
-        """Return the state after a population was evaluated.
+        """Return the state updated with an evaluated population.
 
-        Not called for a first iteration of fewer candidates (`refine.cem.first`).
+        Not called for a first iteration with a smaller population (`refine.cem.first`).
 
         Args:
-            state: before.
-            layouts: the candidates, as they were evaluated.
-            reward: what ranks them within this population; -inf for failed and pruned ones.
-            absolute: the reward that can be compared between populations.
-            credit: the reward by objects, while elites are chosen by object; else None.
+            state: previous state.
+            layouts: the evaluated candidates.
+            reward: ranks the candidates of this population; -inf for failed and pruned ones.
+            absolute: reward that is comparable between populations.
+            credit: per-object reward, while elites are chosen per object; else None.
         """
         ...
 
 
 class RandomSearch(eqx.Module):
-    """Draws every population from the initial Gaussian about the start."""
+    """Optimizer that draws every population from the initial Gaussian."""
 
     sigma: Layout
     """Standard deviations, pop axis of length 1."""
 
     def init(self, mean: Layout) -> Layout:
-        """Start at a layout; the state is where the search starts."""
+        """Return the mean layout, which is the state."""
         return mean
 
     def ask(self, key: Key[Array, ""], state: Layout, population: int) -> Layout:
@@ -70,7 +69,7 @@ class RandomSearch(eqx.Module):
         return draw(key, state, self.sigma, population)
 
     def tell(self, state: Layout, layouts: Layout, reward: AnyArray, **_: Any) -> Layout:
-        """Learn nothing."""
+        """Return the state unchanged."""
         return state
 
 
@@ -83,11 +82,11 @@ OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "cma_es": open_cma_es,
     "random": _open_random,
 }
-"""What builds each optimizer that `refine.optimizer` names, from the scene and `refine.cem`."""
+"""Factories of the optimizers that `refine.optimizer` names, from the scene and `refine.cem`."""
 
 
 def with_sigma(optimizer: Optimizer, sigma: Layout) -> Optimizer:
-    """Give CEM and random search other initial deviations; other optimizers keep their own."""
+    """Replace the initial deviations of CEM and random search; other optimizers are unchanged."""
     if isinstance(optimizer, CEM):
         return eqx.tree_at(lambda c: c.params.sigma, optimizer, sigma)
     if isinstance(optimizer, RandomSearch):
@@ -96,10 +95,10 @@ def with_sigma(optimizer: Optimizer, sigma: Layout) -> Optimizer:
 
 
 def open_optimizer(name: str, scene: SceneArrays, options: CEMOptions) -> Optimizer:
-    """Build an optimizer by name, or from what an import path "package.module:function" names.
+    """Build an optimizer by name, or by a factory's import path "package.module:function".
 
     Raises:
-        ConfigError: there is no such optimizer.
+        ConfigError: the optimizer does not exist.
         EngineError: its package is not installed.
     """
     build = OPTIMIZERS.get(name) or imported("refine.optimizer", name, OPTIMIZERS)

@@ -1,4 +1,4 @@
-"""The outcome of a refinement: the winner, checked exactly, and every candidate."""
+"""Outcome of a refinement: the winner with its exact check, and all candidates."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from .rounds import NOT_DRAWN, Round, stacked
 
 @dataclass(frozen=True, repr=False)
 class Refined:
-    """The outcome of a refinement."""
+    """Winner, final checks and history of a refinement."""
 
     scene: SceneSpec
     """The winner, snapped exactly."""
@@ -30,8 +30,8 @@ class Refined:
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
-    """Every candidate, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each
-    term under its name, `xy`, `yaw`, `log_scale`; beside them `object_names`, `term_names` and
+    """All candidates, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each
+    term under its name, `xy`, `yaw`, `log_scale`; in addition `object_names`, `term_names` and
     `term_weights`."""
     engine: str
     iterations: int
@@ -49,7 +49,7 @@ class Refined:
     seconds: dict[str, float] = field(default_factory=dict)
     fallbacks: tuple[str, ...] = ()
     kept: tuple[str, ...] = ()
-    """Objects that were sound where they stood, and stayed there."""
+    """Objects that were feasible in the initial layout and were not moved."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without one."""
 
@@ -79,15 +79,15 @@ class Refined:
 
 
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
-    """Sum up an iteration.
+    """Summarize an iteration.
 
     Args:
-        values: `absolute`, `valid`, `status` and the reward terms of its candidates, each [pop].
+        values: `absolute`, `valid`, `status` and reward terms of the candidates, each [pop].
         terms: names of the reward terms.
 
     Returns:
-        "best" and "mean" of the absolute reward over the candidates that have one, the share
-        "valid" of all drawn, and the terms of the best one; None where no candidate has a reward.
+        "best" and "mean" of the finite absolute rewards, the share "valid" of all drawn candidates,
+        and the terms of the best one; None if no candidate has a finite reward.
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
@@ -123,15 +123,15 @@ def outcome(
         rounds: all iterations.
         chosen: the winner.
         o: options of the check.
-        objective: of the search.
-        layout: the winner's, pop axis of length 1.
-        before: check of the layout at which the search started.
+        objective: objective of the search.
+        layout: layout of the winner, pop axis of length 1.
+        before: final check of the initial layout.
         engine: name of the physics engine.
         clock: seconds spent, by step.
         semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
         scoring: summary of the semantic scorer.
-        fallbacks: sentences on what earlier steps replaced or left out.
-        kept: objects that the search left where they stood.
+        fallbacks: descriptions of the fallbacks of earlier steps.
+        kept: objects that the search did not move.
     """
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
@@ -140,20 +140,19 @@ def outcome(
     t, k = chosen.index
     if o.settle == "needed" and t >= 0 and rounds[t].rests[k]:
         fallbacks += (
-            "nothing was valid where layouts put it, so candidates came to rest before they were "
-            "judged",
+            "no candidate was valid as placed, so candidates were settled before they were scored",
         )
-    if chosen.dropped:
+    if chosen.initial_settled:
         fallbacks += (
-            f"no candidate passed the final check in {chosen.tried} tries; the scene that the "
-            "search started at came to rest by itself",
+            f"no candidate passed the final check in {chosen.tried} tries; the initial scene was "
+            "settled instead",
         )
     if not chosen.passed:
         failed = [c.phrase() for c in scene_checks(chosen.measure, o) if not c.passed]
-        failed += [f"{name} came to rest elsewhere" for name in chosen.moved_away]
+        failed += [f"{name} settled away from its place" for name in chosen.moved_away]
         fallbacks += (
-            f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept: "
-            f"{'; '.join(failed)}",
+            f"no candidate passed the final check in {chosen.tried} tries; the closest one is "
+            f"used: {'; '.join(failed)}",
         )
     if o.cem.prune and objective.unbounded:
         names = ", ".join(objective.unbounded)

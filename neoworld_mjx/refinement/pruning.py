@@ -1,8 +1,8 @@
 """Exact pruning: candidates that cannot become elites are not rolled out.
 
-Under `fixed` normalisation physics can only lower a reward whose terms all have a bound. Candidates
-are rolled out in the order of their bounds, until the next bound is below the K-th best known
-reward: no candidate after that can be among the K best.
+With `fixed` normalisation, a rollout can only lower a reward whose terms all have a bound.
+Candidates are rolled out in decreasing order of their bounds, until the next bound is below the
+K-th best reward so far: no later candidate can be among the K best.
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ PRUNED = len(RolloutStatus)
 
 
 class RolloutPlan:
-    """Says which candidates of a population to roll out next, and puts their scores together.
+    """Order in which the candidates of a population are settled and rolled out, and their scores.
 
-    Where candidates come to rest before they are judged, the plan also says which do so next: some
-    at a time, those first that agree best with the photograph, until one is valid.
+    If candidates are settled before they are scored, they are settled in batches, in decreasing
+    order of their bounds, until one is valid.
 
     Args:
         placement: the candidates, with the upper bounds of their rewards.
-        batch: candidates rolled out at once; None rolls all of them out at once and prunes nothing.
+        batch: number of candidates rolled out at once; None rolls out all and prunes none.
         elites: K.
-        until_valid: prune nothing as long as no candidate is valid.
-        seen_valid: whether any was valid before.
-        rests: candidates that come to rest at once; with 0 none do, and all are ready.
+        until_valid: True to prune nothing until a candidate is valid.
+        seen_valid: True if a candidate of an earlier iteration was valid.
+        rests: number of candidates settled at once; 0 settles none.
     """
 
     def __init__(
@@ -52,25 +52,25 @@ class RolloutPlan:
 
     @property
     def rolled_out(self) -> int:
-        """Candidates that were rolled out."""
+        """Number of candidates that were rolled out."""
         return sum(len(rows) for rows, _ in self._parts)
 
     @property
     def ready(self) -> np.ndarray:
-        """Candidates that may be rolled out: all, or those that have come to rest."""
+        """Candidates that may be rolled out: all, or those that have settled."""
         return np.sort(self._order)
 
     def waiting(self) -> np.ndarray | None:
-        """Return the candidates to bring to rest now that `next` has none; None if that will do.
+        """Return the candidates to settle once `next` returns None; None if there are no more.
 
-        The first ones always, more only as long as nothing is valid.
+        The first batch is always settled, later ones only until a candidate is valid.
         """
         if not len(self._waiting) or (len(self._order) and self._seen_valid):
             return None
         return np.sort(self._waiting[: self.rests])
 
     def placed_at_rest(self, placement: Placement) -> None:
-        """Take in the placement in which those that were `waiting` rest."""
+        """Store the placement in which the `waiting` candidates have settled."""
         self._placement, self._upper = placement, np.asarray(placement.bound)
         new, self._waiting = np.split(self._waiting, [self.rests])
         self._first = len(self._order)
@@ -78,12 +78,10 @@ class RolloutPlan:
         self._order = np.concatenate([self._order, new])
 
     def next(self) -> np.ndarray | slice | None:
-        """Return the candidates to roll out now; None when the rest cannot become elites.
+        """Return the candidates to roll out next; None if no remaining one can become an elite.
 
-        Without a batch they are a slice of all.
-
-        The last batch repeats some of its candidates, so that all batches share one shape and one
-        compilation.
+        Without a batch size this is a slice of the whole population. The last batch is padded by
+        repeating its candidates, so that all batches share one shape and one compilation.
         """
         if self._batch is None:
             return None if self._parts else slice(None)
@@ -98,7 +96,7 @@ class RolloutPlan:
         return np.resize(rows, min(self._batch, len(self._upper)))
 
     def add(self, scores: Scores) -> None:
-        """Take in the scores of the candidates that `next` returned last."""
+        """Store the scores of the candidates that `next` returned last."""
         if self._batch is None:
             self._parts.append((np.arange(len(self._upper)), scores))
             self._seen_valid |= bool(np.any(scores.valid))
@@ -107,7 +105,7 @@ class RolloutPlan:
         self._parts.append((rows, scores))
         self._seen_valid |= bool(np.any(scores.valid))
         self._until_valid &= not self._seen_valid
-        # What filled the batch up comes a second time, and must count once.
+        # Repeated candidates that pad the batch must count once.
         reward = np.asarray(scores.reward)[: len(rows)]
         self._best = np.sort(np.concatenate([self._best, reward]))[-len(self._best) :]
         self._first += self._batch
@@ -115,8 +113,8 @@ class RolloutPlan:
     def scores(self) -> Scores:
         """Return the scores of all candidates.
 
-        Those that were not rolled out have status PRUNED, reward -inf, and NaN for the terms that
-        depend on physics.
+        Candidates that were not rolled out have status PRUNED, reward -inf, and NaN for the terms
+        that depend on physics.
         """
         if self._batch is None:
             return self._parts[0][1]

@@ -1,12 +1,12 @@
-"""Return objects that the search moved without need to where they were composed.
+"""Revert moves of the search that proved unnecessary.
 
-A search moves everything at once, and within the noise of the photograph one place is as good as
-another. So whatever may go back does: the scene must still pass the final check, and no visible box
-may agree less with the photograph's than within its noise. Objects are returned in groups, halved
-where that fails; one that cannot go back alone goes half the way. Headings and sizes are also
-returned by themselves: what had to make room seldom had to turn or shrink for it. Answers judge
-them well, and boxes show them badly, so they go back unless that is less likely by the boxes than
-it is likelier by the answer.
+A search moves many objects at once, and within the noise of the photograph many positions are
+equally good. A move is reverted if the scene still passes the final check and the visible boxes
+agree with the photograph's as well as before, within the noise. Objects are reverted in groups,
+which are halved on failure; a single object that cannot be fully reverted is reverted by half.
+Headings and sizes are also reverted separately, since resolving an overlap seldom needs a rotation
+or a change of size. The parse estimates them well and boxes constrain them weakly, so they are
+reverted unless the loss of likelihood by the boxes exceeds the gain by the parse.
 """
 
 from collections.abc import Sequence
@@ -32,43 +32,43 @@ from .choosing import Chosen, choose, moved_away, world_pose
 from .feasibility import failing
 from .objective import Objective, has_builtin_terms_only
 from .rounds import Round
-from .semantic import boxes_off
+from .semantic import reprojection_residual
 
 STILL_M, STILL = 1e-5, 1e-5
-"""Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
+"""Largest changes of position [m], and of yaw [rad] or log scale, of an unmoved object."""
 WHOLE = ("xy", "yaw", "log_scale")
-"""All that a layout says of an object."""
+"""All parts of an object's layout."""
 HEADING, SIZE = ("yaw",), ("log_scale",)
-"""Parts of it that are also returned by themselves."""
+"""Parts that are also reverted separately."""
 SHARES = {WHOLE: (1.0, 0.5), HEADING: (1.0, 0.5, 0.25), SIZE: (1.0,)}
-"""Shares of the way back that are tried with an object alone."""
+"""Fractions of a move that are reverted, tried in order for a single object."""
 RETURN_PHASES = ((True, 1.0), (False, 1.0), (True, 0.5))
-"""How a returned layout comes to rest; see `at_rest`."""
+"""Phases in which a reverted layout settles; see `at_rest`."""
 NOISE = 0.03
-"""Loss of an object's visible-box IoU that the noise of a parsed box explains."""
-JUDGED = {"yaw": np.radians(3.0), "log_scale": 0.03}
-"""Standard deviations of the headings [rad] and log scales of answers; see `_log_likelihood_gain`."""
-OUTLYING = 3.0
-"""Degrees of freedom of their distribution, Student's: few are much further off."""
+"""Loss of an object's visible-box IoU within the noise of a parsed box."""
+PARSE_SIGMA = {"yaw": np.radians(3.0), "log_scale": 0.03}
+"""Standard deviations of parsed headings [rad] and log scales; see `_log_likelihood_gain`."""
+STUDENT_DOF = 3.0
+"""Degrees of freedom of their Student's t-distribution."""
 
 
 class PhotoAgreement(NamedTuple):
-    """What the photograph says of a layout."""
+    """Agreement of a layout with the photograph."""
 
     ious: dict[str, float]
-    """Of each object's visible box with the photograph's."""
-    off: float
-    """Of `boxes_off`: half the squared errors of all boxes in units of their noise."""
+    """IoU of each object's visible box with the photograph's."""
+    residual: float
+    """Result of `reprojection_residual`: half the squared box errors in units of their noise."""
 
 
 class Winner(NamedTuple):
-    """The outcome of a search, checked exactly."""
+    """Winner of a search, with its exact check."""
 
     chosen: Chosen
     layout: Layout
-    """Pop axis of length 1; where the search started, if every candidate failed in physics."""
+    """Pop axis of length 1; the initial layout, if the rollout of every candidate failed."""
     before: SceneMeasure
-    """Final check of where the search started."""
+    """Final check of the initial layout."""
 
 
 def choose_and_revert(
@@ -79,17 +79,17 @@ def choose_and_revert(
     start: Layout | None = None,
     checked: SceneMeasure | None = None,
 ) -> Winner:
-    """Choose the winner of a search, and put back what it moved without need.
+    """Choose the winner of a search, and revert its unnecessary moves.
 
-    Nothing is put back where a term of the user's own, or a model's scores, decided too.
+    Nothing is reverted if the reward has user-defined terms or scores by a model.
 
     Args:
         model: the compiled scene.
         rounds: all iterations.
         o: options of the check.
-        objective: of the search.
-        start: layout at which the search started, pop axis of length 1; None is the composed scene.
-        checked: final check of that, where it is known.
+        objective: objective of the search.
+        start: initial layout, pop axis of length 1; None is the composed scene.
+        checked: final check of the initial layout; computed if None.
     """
     origin = Layout.zero(1, len(model.names)) if start is None else start
     exact = snap_exactly(model.apply(origin, 0))
@@ -113,63 +113,72 @@ def revert_moves(
     *,
     rests: bool = False,
 ) -> tuple[Chosen, Layout]:
-    """Return objects of a winner that passes the final check to the layout the search started at.
+    """Revert moves of a winner that passes the final check toward the initial layout.
 
     Args:
         model: the compiled scene.
         chosen: the winner.
-        layout: the winner's, pop axis of length 1.
-        start: the layout to return to, pop axis of length 1.
-        before: final check of `start`, which tells what had to move.
-        o: options; `returns` bounds the checks.
-        rests: whether the winner came to rest; then so does whatever is tried.
+        layout: layout of the winner, pop axis of length 1.
+        start: the initial layout, pop axis of length 1.
+        before: final check of `start`, which determines the objects that had to move.
+        o: options; `returns` limits the number of checks.
+        rests: True if the winner was settled; reverted layouts are then settled too.
 
     Returns:
-        The winner with its final check, and its layout; the given ones if nothing may return.
+        The winner with its final check, and its layout; the arguments if nothing is reverted.
     """
-    moved = _moved(layout, start) & np.asarray(model.optimised)
+    moved = _moved_mask(layout, start) & np.asarray(model.optimised)
     if not (chosen.passed and o.returns and moved.any()):
         return chosen, layout
     faulty = failing(model.names, before, o)
     groups = [(moved & ~faulty, WHOLE), (moved, HEADING), (moved & faulty, WHOLE), (moved, SIZE)]
     padded = pad_scene(model)
-    composed, as_placed = _placed_agreement(model, padded, [start, layout])
-    seen = _settled_agreement(model, padded, layout, chosen.scene) if rests else as_placed
-    steps, left = [(chosen, layout)], o.returns
-    looks: dict[_Attempt, tuple[Layout, PhotoAgreement]] = {}
-    while groups and left:
+    initial_agreement, placed_agreement = _placed_agreement(model, padded, [start, layout])
+    settled_agreement = (
+        _settled_agreement(model, padded, layout, chosen.scene) if rests else placed_agreement
+    )
+    steps, checks_left = [(chosen, layout)], o.returns
+    evaluated: dict[_Attempt, tuple[Layout, PhotoAgreement]] = {}
+    while groups and checks_left:
         group, parts = groups.pop(0)
-        group = group & _moved(layout, start, parts)
-        for key in _attempts(group, parts)[:left]:
-            left -= 1
-            if key not in looks:
-                # What may be next is looked at beside it: a few cost as much as one.
+        group = group & _moved_mask(layout, start, parts)
+        for key in _attempts(group, parts)[:checks_left]:
+            checks_left -= 1
+            if key not in evaluated:
+                # Likely next attempts are evaluated together: a few cost as much as one.
                 keys = _upcoming_attempts([(group, parts), *groups], layout, start)
-                new = [_blended(layout, start, *t.values()) for t in keys]
-                seen_new = _placed_agreement(model, padded, new)
-                looks = dict(zip(keys, zip(new, seen_new, strict=True), strict=True))
-            nearer, look = looks[key]
-            likelier = (
+                new_layouts = [_blended(layout, start, *t.values()) for t in keys]
+                new_agreements = _placed_agreement(model, padded, new_layouts)
+                evaluated = dict(
+                    zip(keys, zip(new_layouts, new_agreements, strict=True), strict=True)
+                )
+            nearer, agreement = evaluated[key]
+            likelihood_gain = (
                 -np.inf if parts == WHOLE else _log_likelihood_gain(layout, nearer, start, group)
             )
-            kept_placed = _accepted(look, as_placed, composed, likelier)
-            found = None if kept_placed is None else _checked_scene(model, nearer, o, rests)
-            if kept_placed is None or found is None:
+            accepted_placed = _accepted(
+                agreement, placed_agreement, initial_agreement, likelihood_gain
+            )
+            passing = None if accepted_placed is None else _checked_scene(model, nearer, o, rests)
+            if accepted_placed is None or passing is None:
                 continue
-            kept = kept_placed
+            accepted = accepted_placed
             if rests:
-                kept = _accepted(
-                    _settled_agreement(model, padded, nearer, found[0]), seen, composed, likelier
+                accepted = _accepted(
+                    _settled_agreement(model, padded, nearer, passing[0]),
+                    settled_agreement,
+                    initial_agreement,
+                    likelihood_gain,
                 )
-            if kept is not None:
-                layout, as_placed, seen = nearer, kept_placed, kept
-                steps.append((replace(chosen, scene=found[0], measure=found[1]), layout))
-                looks.clear()
+            if accepted is not None:
+                layout, placed_agreement, settled_agreement = nearer, accepted_placed, accepted
+                steps.append((replace(chosen, scene=passing[0], measure=passing[1]), layout))
+                evaluated.clear()
                 break
         else:
             if group.sum() > 1:
                 halves = [(half, parts) for half in _halves(group)]
-                # Headings first: there are few checks, and boxes tell least about them.
+                # Headings first: checks are limited, and boxes constrain headings least.
                 groups = halves + groups if parts == HEADING else groups + halves
     for best, layout in steps[:0:-1]:
         measure = measured(best.scene, o)
@@ -179,29 +188,29 @@ def revert_moves(
 
 
 def _accepted(
-    new: PhotoAgreement, seen: PhotoAgreement, composed: PhotoAgreement, likelier: float
+    new: PhotoAgreement, reference: PhotoAgreement, initial: PhotoAgreement, likelihood_gain: float
 ) -> PhotoAgreement | None:
-    """Return what is to be kept of the photograph's agreement if a return may be made, else None.
+    """Return the agreement that later attempts must maintain; None if the attempt is rejected.
 
     Args:
-        new: what is seen after it.
-        seen: what was to be kept before.
-        composed: what is seen where the search started.
-        likelier: by how much the return makes headings and sizes likelier, which boxes may be less
-            likely for; -inf where boxes decide.
+        new: agreement after the attempt.
+        reference: agreement to maintain.
+        initial: agreement of the initial layout.
+        likelihood_gain: log-likelihood gain of headings and sizes, which may offset a loss by the
+            boxes; -inf if only the boxes decide.
     """
-    if all(new.ious[name] >= iou - NOISE for name, iou in seen.ious.items()):
-        # What is lost in one step is not lost again in the next.
-        return new._replace(ious={n: max(iou, seen.ious[n]) for n, iou in new.ious.items()})
-    floor = {name: min(iou, composed.ious[name]) for name, iou in seen.ious.items()}
+    if all(new.ious[name] >= iou - NOISE for name, iou in reference.ious.items()):
+        # The best IoU so far stays the reference, so that losses do not accumulate.
+        return new._replace(ious={n: max(iou, reference.ious[n]) for n, iou in new.ious.items()})
+    floor = {name: min(iou, initial.ious[name]) for name, iou in reference.ious.items()}
     agrees = all(new.ious[name] >= iou - NOISE for name, iou in floor.items())
-    return new if agrees and new.off - seen.off <= likelier else None
+    return new if agrees and new.residual - reference.residual <= likelihood_gain else None
 
 
 def _checked_scene(
     model: SceneModel, layout: Layout, o: RefineOptions, rests: bool
 ) -> tuple[SceneSpec, SceneMeasure] | None:
-    """Return a layout's scene and its check if it passes one in which what rests sleeps."""
+    """Return a layout's scene and check if it passes with resting objects asleep, else None."""
     placed = model.apply(layout, 0)
     scene = at_rest(placed, RETURN_PHASES, sleeps=True) if rests else snap_exactly(placed)
     measure = measured(scene, o, sleeps=True)
@@ -215,33 +224,33 @@ def _checked_scene(
 def _log_likelihood_gain(
     layout: Layout, nearer: Layout, start: Layout, group: Bool[np.ndarray, " object"]
 ) -> float:
-    """Return how much likelier headings and sizes nearer to the start's are, as a logarithm."""
+    """Return the gain of log-likelihood of headings and sizes from moving to `nearer`."""
 
-    def unlikely(of: Layout) -> float:
+    def negative_log_likelihood(candidate: Layout) -> float:
         total = 0.0
-        for part, deviation in JUDGED.items():
-            off = (np.asarray(getattr(of, part)) - np.asarray(getattr(start, part)))[0, group]
-            total += float(np.sum(np.log1p((off / deviation) ** 2 / OUTLYING)))
-        return (OUTLYING + 1) / 2 * total
+        for part, deviation in PARSE_SIGMA.items():
+            values, initial = (np.asarray(getattr(z, part))[0, group] for z in (candidate, start))
+            total += float(np.sum(np.log1p(((values - initial) / deviation) ** 2 / STUDENT_DOF)))
+        return (STUDENT_DOF + 1) / 2 * total
 
-    return unlikely(layout) - unlikely(nearer)
+    return negative_log_likelihood(layout) - negative_log_likelihood(nearer)
 
 
 def _placed_agreement(
     model: SceneModel, padded: SceneArrays, layouts: list[Layout]
 ) -> list[PhotoAgreement]:
-    """Look at layouts as they are placed."""
+    """Return the agreement of placed layouts with the photograph."""
     if model.spec.camera is None:
         return [PhotoAgreement({}, 0.0)] * len(layouts)
-    many = jax.tree.map(lambda *x: np.concatenate([np.asarray(a) for a in x]), *layouts)
-    visible = placed_in_chunks(padded, pad_objects(many, padded.count)).visible
+    stacked = jax.tree.map(lambda *x: np.concatenate([np.asarray(a) for a in x]), *layouts)
+    visible = placed_in_chunks(padded, pad_objects(stacked, padded.count)).visible
     return [_agreement(model, padded, visible, k) for k in range(len(layouts))]
 
 
 def _settled_agreement(
     model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec
 ) -> PhotoAgreement:
-    """Look at where a layout came to rest."""
+    """Return the agreement of a settled layout with the photograph."""
     if model.spec.camera is None:
         return PhotoAgreement({}, 0.0)
     end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
@@ -250,14 +259,14 @@ def _settled_agreement(
 
 
 def _agreement(model: SceneModel, padded: SceneArrays, visible: Visible, k: int) -> PhotoAgreement:
-    """Compare what the camera sees of a candidate with the photograph."""
-    own = jax.tree.map(lambda x: np.asarray(x)[k : k + 1], visible)
-    off = float(boxes_off(padded, own.outlines, np)[0])
-    return PhotoAgreement(seen_box_iou(model.spec, padded, own), off)
+    """Return the agreement of a candidate's visible regions with the photograph."""
+    candidate = jax.tree.map(lambda x: np.asarray(x)[k : k + 1], visible)
+    residual = float(reprojection_residual(padded, candidate.outlines, np)[0])
+    return PhotoAgreement(seen_box_iou(model.spec, padded, candidate), residual)
 
 
 class _Attempt(NamedTuple):
-    """A share of the way back of parts of a group's layout."""
+    """Reversion of parts of a group's layout by a fraction."""
 
     group: tuple[bool, ...]
     share: float
@@ -272,11 +281,11 @@ def _upcoming_attempts(
     layout: Layout,
     start: Layout,
 ) -> list[_Attempt]:
-    """Return the next tries, those with halves of groups too; at most CPU_CHUNK."""
+    """Return the next attempts, including those with halves of groups; at most CPU_CHUNK."""
     queue, tries = list(groups), dict[_Attempt, None]()
     while queue and len(tries) < CPU_CHUNK:
         mask, parts = queue.pop(0)
-        group = mask & _moved(layout, start, parts)
+        group = mask & _moved_mask(layout, start, parts)
         tries |= dict.fromkeys(_attempts(group, parts))
         if group.sum() > 1:
             queue += [(half, parts) for half in _halves(group)]
@@ -284,22 +293,24 @@ def _upcoming_attempts(
 
 
 def _attempts(group: Bool[np.ndarray, " object"], parts: tuple[str, ...]) -> list[_Attempt]:
-    """Return what is tried with a group, one after the other until one may stay."""
+    """Return the attempts for a group, in order; the first accepted one ends the list."""
     shares = SHARES[parts] if group.sum() == 1 else (1.0,)
     return (
         [_Attempt(tuple(group.tolist()), share, parts) for share in shares] if group.any() else []
     )
 
 
-def _moved(
+def _moved_mask(
     layout: Layout, start: Layout, parts: tuple[str, ...] = WHOLE
 ) -> Bool[np.ndarray, " object"]:
-    """Tell which objects are elsewhere than at the start, by some parts of the layout."""
-    off = jax.tree.map(lambda a, b: np.abs(np.asarray(a)[0] - np.asarray(b)[0]), layout, start)
+    """Return a mask of the objects that differ from the initial layout in some parts."""
+    difference = jax.tree.map(
+        lambda a, b: np.abs(np.asarray(a)[0] - np.asarray(b)[0]), layout, start
+    )
     moved = {
-        "xy": off.xy.max(axis=-1) > STILL_M,
-        "yaw": off.yaw > STILL,
-        "log_scale": off.log_scale > STILL,
+        "xy": difference.xy.max(axis=-1) > STILL_M,
+        "yaw": difference.yaw > STILL,
+        "log_scale": difference.log_scale > STILL,
     }
     return np.any([moved[part] for part in parts], axis=0)
 
@@ -311,7 +322,7 @@ def _blended(
     share: float,
     parts: tuple[str, ...],
 ) -> Layout:
-    """Move parts of a group's layout by a share of the way back to the start."""
+    """Interpolate parts of a group's layout toward the initial layout."""
 
     def mix(a: AnyArray, b: AnyArray) -> np.ndarray:
         a, b = np.asarray(a), np.asarray(b)

@@ -32,24 +32,23 @@ __all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
 
 
 class TermValue(eqx.Module):
-    """A term's value of every candidate, with what a plain array does not say."""
+    """Value of a term for every candidate, with its charged and per-object parts."""
 
     value: Float[AnyArray, " pop"]
-    """What the history keeps."""
+    """Value stored in the history."""
     charged: Float[AnyArray, " pop"]
-    """What enters the reward: the value without the part that costs nothing."""
+    """Value that enters the reward: without the part that is free."""
     by_object: Float[AnyArray, "pop object"] | None = None
-    """The same of each object, for credit assignment; None where it cannot be told."""
+    """Charged value of each object, for credit assignment; None if there is none."""
 
 
 TermFunction = Callable[[Any, Layout, Rollout], Any]
-"""Maps (scene, layouts, rollout) to Float[Array, " pop"], or to a TermValue; traceable by JAX. The
-scene is a SceneModel, or the SceneArrays of a padded scene where the term says that it takes such.
-"""
+"""Function of (scene, layouts, rollout) that returns Float[Array, " pop"] or a TermValue; traceable
+by JAX. The scene is a SceneModel, or the SceneArrays of a padded scene if `Term.padded` is True."""
 
 
 def _number(x: Any) -> Array:
-    # NumPy makes the number, which compiles nothing.
+    # Conversion by NumPy does not compile a program.
     return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x, np.float32))
 
 
@@ -60,14 +59,14 @@ def _number_or_none(x: Any) -> Array | None:
 class Term(eqx.Module):
     """One term of the reward: R(z) = sum of weight * normalised value over the terms.
 
-    Weight, scale and cap are traced, so a sweep over them is one `vmap`; which function it is, and
-    whether there are a scale and a cap, is static.
+    Weight, scale and cap are traced, so a sweep over them is one `vmap`; the function, and the
+    presence of a scale and a cap, are static.
     """
 
     name: str = eqx.field(static=True)
     """Key of its values in history.npz and in the rows of a sweep."""
     fn: Any
-    """A TermFunction; `try_term` says what is wrong with anything else."""
+    """A TermFunction; `try_term` reports anything else."""
     weight: Float[Array, ""] = eqx.field(converter=_number)
     """Positive for a reward, negative for a cost."""
     scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
@@ -75,28 +74,28 @@ class Term(eqx.Module):
     cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
     """The value is clipped at the cap and normalised; None counts it as it is."""
     bound: TermFunction | Literal["exact"] | None = None
-    """Gives the best value that physics may lead to, from a rollout in which nothing has moved yet.
+    """Function that bounds the value before physics, from a rollout in which nothing moves.
 
-    "exact": the value itself, as it does not depend on physics. None: unknown; nothing is pruned.
+    "exact": the term does not depend on physics. None: no bound; nothing is pruned.
     """
     padded: bool = eqx.field(static=True, default=False)
-    """Whether the functions take a padded scene, and so are compiled once for many scenes.
+    """True if the functions accept a padded scene, and so are compiled once for many scenes.
 
-    They then get a `SceneArrays` whose object axis is longer than the scene has objects;
-    `optimised`, `movable`, `photo.judged` and `pair_mask` are false for what is padded. Otherwise
-    the whole search is compiled for each scene.
+    They are then called with a `SceneArrays` whose object axis is padded; `optimised`, `movable`,
+    `photo.judged` and `pair_mask` are False for padding. Otherwise the whole search is compiled
+    for each scene.
     """
 
 
 class MeasuredRollout(Rollout):
-    """A rollout beside what is known of its start, which terms share."""
+    """Rollout with measurements of the placed candidates, which terms share."""
 
     depth: Float[AnyArray, "pop object object"]
-    """Of `pair_depths`, at the placed poses [m]."""
+    """Result of `pair_depths` at the placed poses [m]."""
     visible: Visible
-    """What the camera sees of the placed candidates."""
+    """Visible regions of the placed candidates in the camera image."""
     settled: Float[AnyArray, "pop object"]
-    """Of `Placed`."""
+    """Displacement by settling, as in `Placed`."""
 
 
 def measured_rollout(
@@ -105,49 +104,49 @@ def measured_rollout(
     visible: Visible,
     settled: Float[AnyArray, "pop object"],
 ) -> MeasuredRollout:
-    """Put what is known of the placed candidates beside their rollout; see `Placed`."""
+    """Combine a rollout with measurements of the placed candidates; see `Placed`."""
     fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
     return MeasuredRollout(**fields, depth=depth, visible=visible, settled=settled)
 
 
 def deeper(depth: Float[AnyArray, "pop object object"]) -> Float[Array, "pop object object"]:
-    """Take the deeper of a pair's two directions."""
+    """Return the maximum of the two directions of each pair."""
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
 
 def _depth(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Array:
-    """Return the pair depths of the placed candidates, computed once where terms share them."""
+    """Return the pair depths of the placed candidates, from the rollout if it has them."""
     if isinstance(rollout, MeasuredRollout):
         return jnp.asarray(rollout.depth)
     return pair_depths(scene, scene.place(layouts))
 
 
 def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """D_pen [m], and of each object the sum over its pairs; see `d_pen`."""
+    """Compute D_pen [m], and per object the sum over its pairs; see `d_pen`."""
     pair = deeper(_depth(scene, layouts, rollout))
     total = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
     return TermValue(total, total, jnp.sum(pair, axis=2))
 
 
 def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """S_sem by geometry, and of each object by the criteria that it takes part in."""
+    """Compute the geometric S_sem, and per object by the criteria that involve it."""
     if isinstance(rollout, MeasuredRollout):
-        seen = rollout.visible
+        visible = rollout.visible
     else:
-        seen = visibility(scene, scene.place(layouts))
-    scored = semantic_score(scene, _depth(scene, layouts, rollout), seen)
+        visible = visibility(scene, scene.place(layouts))
+    scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
     return TermValue(scored.total, scored.total, scored.each)
 
 
 class Drift(eqx.Module):
-    """D_drift by the stability bounds, with a dead zone that costs nothing."""
+    """D_drift in units of the stability bounds, with a dead zone."""
 
     distance: Float[Array, ""] = eqx.field(converter=_number)
-    """[m]"""
+    """Stability bound of translation [m]."""
     angle: Float[Array, ""] = eqx.field(converter=_number)
-    """[rad]"""
+    """Stability bound of rotation [rad]."""
     free: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
-    """Drift of an object that costs nothing, in units of the bounds."""
+    """Dead zone: drift of an object that is free, in units of the bounds."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
         """Compute D_drift; see `d_drift`."""
@@ -158,7 +157,7 @@ class Drift(eqx.Module):
 
 
 def no_drift(scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
-    """Bound D_drift from below before physics: nothing drifts."""
+    """Return zero, the lower bound of D_drift before physics."""
     zero = jnp.zeros(layouts.yaw.shape[:2])
     return TermValue(zero[:, 0], zero[:, 0], zero)
 
@@ -170,16 +169,16 @@ def _settled(rollout: Rollout) -> Any:
 class Prior(eqx.Module):
     """Distance to the initial layout: the mean of (z / sigma)^2 over optimised objects and numbers.
 
-    It keeps what physics leaves open near the parse: without it elites wander, and shrinking
-    everything would lower D_pen. 1 is a typical draw.
+    It regularizes toward the parse: without it elites drift, and shrinking all objects would lower
+    D_pen. A typical draw has the value 1.
     """
 
     sigma: Float[Array, " 3"] = eqx.field(converter=_number)
     """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
     origin: Layout | None = None
-    """The initial layout, pop axis of length 1; None is the composed scene."""
+    """Initial layout, pop axis of length 1; None is the composed scene."""
     share: Float[AnyArray, " object"] | None = None
-    """Of the deviations of yaw and log scale, by object; None is 1."""
+    """Factor of the deviations of yaw and log scale, per object; None is 1."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:
         """Compute the prior."""
@@ -187,8 +186,8 @@ class Prior(eqx.Module):
         if self.origin is not None:
             layouts = jax.tree.map(jnp.subtract, layouts, self.origin)
         xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-        own = safe[1:, None] * (1.0 if self.share is None else self.share)
-        each = (xy + (layouts.yaw / own[0]) ** 2 + (layouts.log_scale / own[1]) ** 2) / 4
+        sigma = safe[1:, None] * (1.0 if self.share is None else self.share)
+        each = (xy + (layouts.yaw / sigma[0]) ** 2 + (layouts.log_scale / sigma[1]) ** 2) / 4
         each = jnp.where(scene.optimised, each, 0.0)
         total = jnp.sum(each, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
         return TermValue(total, total, each)
@@ -199,11 +198,11 @@ def drifts(
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
     """Return each object's largest distance [m] and angle [rad] from its layout pose over time.
 
-    These are of its base; `joint_drift` measures its joints.
+    They refer to its base; `joint_drift` measures its joints.
     """
-    far = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
+    distance = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
-    return jnp.max(far, axis=1), jnp.max(angle, axis=1)
+    return jnp.max(distance, axis=1), jnp.max(angle, axis=1)
 
 
 def drift_by_object(
@@ -212,12 +211,12 @@ def drift_by_object(
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
 ) -> Float[Array, "pop object"]:
-    """Return each object's largest drift in units of the stability bounds; 1 is just at a bound.
+    """Return each object's largest drift in units of the stability bounds; 1 is at the bound.
 
-    It is that of its base, where that is free, or of a joint, whichever is larger.
+    It is the larger of the drifts of its base, if that is free, and of its joints.
     """
-    far, turned = drifts(scene, rollout)
-    base = jnp.where(scene.movable, jnp.maximum(far / distance, turned / angle), 0.0)
+    moved, turned = drifts(scene, rollout)
+    base = jnp.where(scene.movable, jnp.maximum(moved / distance, turned / angle), 0.0)
     if not len(scene.joint_object):
         return base
     return jnp.maximum(base, joint_drift(scene, rollout, distance, angle))
@@ -229,15 +228,14 @@ def joint_drift(
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
 ) -> Float[Array, "pop object"]:
-    """Return how far an object's joints have moved by themselves, in units of the stability bounds.
+    """Return the largest passive joint displacement of each object over the stability bounds.
 
-    A door that swings open has drifted by its angle over `angle` [rad], a drawer that slides out by
-    its way over `distance` [m]; an object counts its largest.
+    Hinge displacements are divided by `angle` [rad], slide displacements by `distance` [m].
     """
-    far = jnp.max(rollout.joint_shift, axis=1)
-    shift = far / jnp.where(scene.joint_slides, distance, angle)
-    none = jnp.zeros((shift.shape[0], scene.count))
-    return none.at[:, scene.joint_object].max(shift)
+    largest = jnp.max(rollout.joint_shift, axis=1)
+    shift = largest / jnp.where(scene.joint_slides, distance, angle)
+    zero = jnp.zeros((shift.shape[0], scene.count))
+    return zero.at[:, scene.joint_object].max(shift)
 
 
 @eqx.filter_jit
@@ -260,11 +258,10 @@ def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -
 def d_pen(
     scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
 ) -> Float[Array, " pop"]:
-    """D_pen: the sum over object pairs of their penetration depth [m].
+    """Compute D_pen, the sum of the penetration depths of all object pairs [m].
 
-    A pair's depth is the deeper of its two directions. `rollout` is not used: the composed pose is
-    measured, before physics moves anything. Compiled; may be jitted, vmapped and differentiated
-    with respect to the layouts.
+    The depth of a pair is the maximum of its two directions, at the placed poses; `rollout` is
+    unused. Compiled; may be jitted, vmapped and differentiated with respect to the layouts.
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
@@ -280,10 +277,10 @@ def d_drift(
     distance: Float[Array, ""] | float = 0.01,
     angle: Float[Array, ""] | float = FIVE_DEGREES,
 ) -> Float[Array, " pop"]:
-    """D_drift: the sum over objects of their largest drift, in units of the stability bounds.
+    """Compute D_drift, the sum of the largest drifts of all objects over the stability bounds.
 
-    An object counts the largest of its translation over `distance` [m], its rotation over `angle`
-    [rad], and the same of its joints, so 1 is an object just at the bound. Compiled; may be jitted,
+    The drift of an object is the largest of its translation over `distance` [m], its rotation over
+    `angle` [rad], and the same for its joints; 1 is at the bound. Compiled; may be jitted,
     vmapped, and differentiated with respect to the rollout's poses (rollouts themselves give no
     gradients).
 
@@ -298,9 +295,9 @@ def d_drift(
 def s_sem(
     scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
 ) -> Float[Array, " pop"]:
-    """S_sem in [0, 1] by the geometric scorer, of the composed pose; see `semantic`.
+    """Compute the geometric S_sem in [0, 1] at the placed poses; see `semantic`.
 
-    `rollout` is not used. Compiled; may be jitted and vmapped. It is computed without gradients.
+    `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
 
     Raises:
         TypeError: an argument is of another type.
@@ -308,9 +305,9 @@ def s_sem(
     return _call(semantics, "s_sem", scene, layouts, rollout)
 
 
-def term_value(term: Term, fn: TermFunction, *given: Any) -> TermValue:
-    """Call a term's function, and wrap the plain array that a user's own returns."""
-    value = fn(*given)
+def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:
+    """Call a term's function, and wrap a plain array into a TermValue."""
+    value = fn(*args)
     if isinstance(value, TermValue):
         return value
     value = jnp.asarray(value, jnp.float32)
@@ -321,14 +318,14 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
     """Call a term once on a few candidates before the search.
 
     Args:
-        term: a user's own.
+        term: a user-defined term.
         scene: the compiled scene.
-        rollout: of the candidates; nothing moves in it.
+        rollout: rollout of the candidates in which nothing moves.
         layouts: the candidates.
 
     Raises:
-        ConfigError: the term is no function, takes other arguments, raises, or returns anything but
-            one finite number a candidate. The message names the term, its file and its line.
+        ConfigError: the term is not a function, takes other arguments, raises, or does not return
+            one finite number per candidate. The message names the term, its file and line.
     """
     pop = layouts.yaw.shape[0]
     where = f"reward term {term.name} ({source(term.fn)})"
@@ -341,7 +338,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
         got = getattr(shape, "shape", None)
         if got is None or not jnp.issubdtype(shape.dtype, jnp.number):
             raise ConfigError(
-                f"{where} must return an array of shape [pop], one number a candidate, "
+                f"{where} must return an array of shape [pop], one number per candidate, "
                 f"got {_described(shape)}"
             )
         if got != (pop,):
@@ -374,7 +371,7 @@ def _described(value: Any) -> str:
 
 
 def source(fn: Any) -> str:
-    """Return file:line of a function, as far as Python knows it."""
+    """Return file:line of a function, if Python knows it."""
     try:
         inner = inspect.unwrap(fn)
         inner = inner if inspect.isroutine(inner) or inspect.isclass(inner) else type(inner)

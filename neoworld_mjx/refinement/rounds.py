@@ -1,4 +1,4 @@
-"""Iterations of a search, and the order in which their candidates are tried."""
+"""Iterations of a search, and the ranking of their candidates."""
 
 from typing import Any, NamedTuple
 
@@ -15,27 +15,30 @@ NOT_DRAWN = -1
 
 
 class Round(NamedTuple):
-    """An iteration of one run."""
+    """One iteration of one run."""
 
     layouts: Layout
     poses: Poses
-    """Where the candidates were placed."""
+    """Poses of the placed or settled candidates."""
     scores: Scores
     rests: Bool[np.ndarray, " pop"]
-    """Whether the poses are those at which the candidates came to rest."""
+    """True if the poses are those of settled candidates."""
 
     def of_objects(self, count: int) -> "Round":
-        """Leave padded objects out of the layouts and poses."""
-        own = lambda tree: jax.tree.map(lambda x: np.asarray(x)[:, :count], tree)
+        """Remove padded objects; `count` is the number of real ones."""
+
+        def unpad(tree: Any) -> Any:
+            return jax.tree.map(lambda x: np.asarray(x)[:, :count], tree)
+
         s = self.scores
         scores = eqx.tree_at(
             lambda s: (s.drift, s.depth), s, (s.drift[:, :count], s.depth[:, :count])
         )
-        return Round(own(self.layouts), own(self.poses), scores, self.rests)
+        return Round(unpad(self.layouts), unpad(self.poses), scores, self.rests)
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
-    """Order all candidates: valid ones first, by fidelity, then the others, by absolute reward.
+    """Rank all candidates: valid ones first, by fidelity, then the others, by absolute reward.
 
     Returns:
         ((iteration, candidate), absolute reward) of each.
@@ -49,12 +52,12 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
 
 
 def best_first(valid: np.ndarray, fidelity: np.ndarray, absolute: np.ndarray) -> np.ndarray:
-    """Return the indices of candidates [pop] in the order in which they are tried; see `ranked`."""
+    """Return the indices of candidates [pop], best first; see `ranked`."""
     return np.lexsort((-np.where(valid, fidelity, absolute), ~valid))
 
 
 def stacked(rows: list[Any], fill: Any) -> np.ndarray:
-    """Stack iterations; fill shorter ones up to the largest population."""
+    """Stack iterations; pad shorter ones to the largest population with `fill`."""
     full = np.asarray(max(rows, key=len))
     stacked = np.full((len(rows), *full.shape), fill, full.dtype)
     for t, row in enumerate(rows):

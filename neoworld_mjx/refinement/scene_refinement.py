@@ -1,4 +1,4 @@
-"""Refining a composed scene: the search of Algorithm 1, and the exact check of its winner."""
+"""Refinement of a composed scene: the search of Algorithm 1, and the exact check of its winner."""
 
 import contextlib
 import functools
@@ -29,9 +29,9 @@ from .scorer import Mark, SemanticScorer
 from .search_run import SearchResult, SearchRun
 
 COMPOSED = "compose/scene.json"
-"""Where a run folder keeps the scene as composed."""
+"""Path of the composed scene in a run folder."""
 FEW = 256
-"""Candidates of an iteration, up to which the 16 cores of a host were as fast as its GPU."""
+"""Largest population for which the 16 cores of a host were as fast as its GPU."""
 
 
 def refine(
@@ -51,32 +51,32 @@ def refine(
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
-    Stops after T iterations, or when the elites have gained less than `stop_gain` for `patience`
-    iterations and a valid candidate has been seen. The winner is the best valid candidate by
-    absolute reward that also passes an exact check, with what it moved without need put back; when
-    none does, the best one that was tried is returned with `passed` False.
+    Stops after T iterations, or once some candidate was valid and the best one (or the elites, by
+    `stop_by`) gained less than `stop_gain` for `patience` iterations. The winner is the best valid
+    candidate by absolute reward that also passes an exact check, with its unnecessary moves
+    reverted; if none passes, the candidate closest to passing is returned with `passed` False.
 
     Args:
-        scene: the composed scene; one that is compiled already saves that time again. A path names
-            a scene.json, or a run folder, whose scene is taken as composed.
-        options: of the search, the rewards, the rollouts and the check.
-        seed: of the population draws.
-        start: the layout that the search starts at, pop axis of length 1; zero by default.
-        engine: what rolls candidates out, or its name; opened from the options by default.
-        terms: reward terms besides those that the options name.
-        optimizer: in place of the one that the options name; see `optimizer.Optimizer`.
+        scene: the composed scene, compiled or not. A path names a scene.json, or a run folder, of
+            which the composed scene is read.
+        options: options of the search, the rewards, the rollouts and the check.
+        seed: seed of the population draws.
+        start: initial layout, pop axis of length 1; default: zero.
+        engine: physics engine or its name; default: the engine that the options name.
+        terms: reward terms in addition to those that the options name.
+        optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
         photo: the photograph, for semantic scores by a model.
-        panel: who gives them.
-        scores: file to log them in.
-        recorded: log of an earlier run whose scores, and their order of arrival, are followed.
-        progress: called with one line an iteration.
+        panel: the models that score.
+        scores: log file of the scores.
+        recorded: log of an earlier run, whose scores are replayed in their order of arrival.
+        progress: called with one line per iteration.
 
     Raises:
-        ConfigError: options that exclude each other, a reward term that does not work, or scores by
-            a model without a photograph.
-        EngineError: the engine cannot run here.
+        ConfigError: options exclude each other, a reward term is invalid, or a model is to score
+            without a photograph.
+        EngineError: the engine is not available.
         SpecError: the path holds no scene.
-        TypeError: the scene is none of these.
+        TypeError: the scene has another type.
     """
     o = options or RefineOptions()
     steps = ("compile", "descent", "rollout", "score", "wait", "check")
@@ -141,12 +141,12 @@ def refine(
 
 
 def _open_engine(name: str, o: RefineOptions) -> Engine:
-    """Open an engine; `auto` is that of the CPU where an accelerator would only start kernels."""
+    """Open an engine; `auto` selects the CPU engine for small populations."""
     return open_engine("native" if name == "auto" and _suits_cores(o) else name)
 
 
 def _suits_cores(o: RefineOptions) -> bool:
-    """Whether populations are too small for an accelerator to gain by them."""
+    """Return whether populations are too small to benefit from an accelerator."""
     return max(o.cem.population, o.cem.first) <= FEW
 
 
@@ -163,16 +163,16 @@ def _ended_early(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
     names = [model.names[k] for k in np.flatnonzero(result.falling)]
     return (
         f"the search ended after {len(result.rounds)} iterations: in every candidate "
-        f"{', '.join(names)} fell or slid away, as nothing holds them where they are placed",
+        f"{', '.join(names)} fell or slid away, as nothing supports them where they are placed",
     )
 
 
 def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOptions) -> SceneModel:
-    """Compile a scene for a refinement, or read and compile it; a compiled one is taken as it is.
+    """Read and compile a scene for a refinement as needed; return a compiled one unchanged.
 
     Raises:
         SpecError: the path holds no scene.
-        TypeError: the scene is neither a description, nor compiled, nor a path.
+        TypeError: the scene has another type.
     """
     if isinstance(scene, SceneModel):
         return scene
@@ -187,7 +187,7 @@ def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOption
 
 
 def read_composed(path: Path) -> SceneSpec:
-    """Read a scene.json, or the scene of a run folder as composed, before it was refined.
+    """Read a scene.json, or the composed scene of a run folder, before refinement.
 
     Raises:
         SpecError: there is no scene.
@@ -197,7 +197,7 @@ def read_composed(path: Path) -> SceneSpec:
 
 
 def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
-    """Compile a scene as a search with these options needs it; the last few are kept."""
+    """Compile a scene for a search with these options; the last four results are cached."""
     reach = max(1 / 3, 6.7 * options.cem.sigma_xy)
     r = options.rollout
     return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach)
@@ -205,7 +205,7 @@ def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
 
 @functools.lru_cache(maxsize=4)
 def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
-    # JAX compiles anew for another SceneModel, however equal.
+    # JAX compiles again for another SceneModel, even if it is equal.
     spec = SceneSpec.model_validate_json(scene)
     return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)
 
@@ -213,7 +213,7 @@ def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneM
 def _with_late_scores(
     scorer: SemanticScorer, t: int, round_: Round, marks: np.ndarray, weight: float
 ) -> Round:
-    """Enter the scores of an iteration that came after its elites were taken."""
+    """Enter the scores of an iteration that arrived after its elites were selected."""
     s_sem = np.asarray(round_.scores.terms["s_sem"])
     change = np.zeros(len(marks), np.float32)
     for k in range(len(marks)):

@@ -1,8 +1,8 @@
-"""Records semantic scores, one line of scores.jsonl each, and lets a later run reuse them.
+"""Log of semantic scores, one line of scores.jsonl each, and its replay by a later run.
 
-A line holds the candidate's identity, the model's answer, the times of request and answer, and the
-iteration in which the score was first used. Unless a run waits for scores, that iteration depends
-on the server; a run that follows a record uses each score in the iteration of the recorded run.
+A line holds the candidate's identity, the model's response, the times of request and response, and
+the iteration in which the score was first used. Unless a run waits for scores, that iteration
+depends on the server; a replay uses each score in the iteration of the recorded run.
 """
 
 import hashlib
@@ -23,13 +23,13 @@ from ..spec import SceneSpec
 Identity = tuple[int, int]
 """(iteration, candidate)."""
 SAME_LAYOUT = 1e-3
-"""Largest difference of a number of two layouts [m, rad, 1] that show the same candidate."""
+"""Largest difference of any number [m, rad, 1] between two layouts of the same candidate."""
 Stage = int | Literal["final"]
-"""The iteration whose elites were taken with a score; "final": the choice of the winner."""
+"""Iteration whose elites were selected with a score; "final": the choice of the winner."""
 
 
 class Score(BaseModel):
-    """The outcome of scoring one candidate."""
+    """Score of one candidate, or the reason why there is none."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -40,25 +40,25 @@ class Score(BaseModel):
     layout: str
     """Digest of the candidate's layout."""
     numbers: tuple[float, ...] | None = None
-    """The layout, by which another machine knows the candidate: x, y [m], yaw [rad] and log scale
+    """Layout, which identifies the candidate on another machine: x, y [m], yaw [rad] and log scale
     of each object; None in older records."""
     value: float | None = None
-    """S_sem in [0, 1]; None when scoring failed."""
+    """S_sem in [0, 1]; None if scoring failed."""
     levels: dict[str, int] | None = None
     """Level of each criterion, 0 to 4."""
     reasons: dict[str, str] | None = None
     picture: str | None = None
     """Digest of the candidate's pixels."""
     drawn_s: float | None = None
-    """Seconds to draw the picture."""
+    """Time to render the image [s]."""
     model: str = ""
     asked: str | None = None
     """Time of the request, UTC."""
     answered: str | None = None
     cached: bool = False
-    """True if copied from another candidate whose picture is equal."""
+    """True if copied from another candidate with an identical image."""
     cost_usd: float | None = None
-    """None where it is unknown."""
+    """Cost [USD]; None if unknown."""
     error: str | None = None
     used: Stage | None = None
     """Stage of its first use; None if it was never used."""
@@ -77,12 +77,12 @@ class Job:
     rank: int
     layout: str
     layouts: Layout
-    """The candidate alone, NumPy, pop axis of length 1."""
+    """Layout of the candidate, NumPy, pop axis of length 1."""
     scene: SceneSpec | None = None
-    """The candidate's scene; None where nothing will be drawn."""
+    """Scene of the candidate; None if it will not be rendered."""
 
-    def score(self, **given: object) -> Score:
-        """Make a score of this candidate with the given fields."""
+    def score(self, **fields: object) -> Score:
+        """Build a score of this candidate with the given fields."""
         iteration, candidate = self.identity
         return Score.model_validate(
             {
@@ -91,13 +91,13 @@ class Job:
                 "rank": self.rank,
                 "layout": self.layout,
                 "numbers": layout_numbers(self.layouts),
-                **given,
+                **fields,
             }
         )
 
 
 def layout_digest(layout: Layout) -> str:
-    """Return 16 hex digits that change with any number of a single candidate's layout."""
+    """Return a hash of a single candidate's layout, 16 hex digits."""
     parts = (layout.xy, layout.yaw, layout.log_scale)
     data = b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts)
     return hashlib.sha256(data).hexdigest()[:16]
@@ -110,10 +110,10 @@ def layout_numbers(layout: Layout) -> tuple[float, ...]:
 
 
 class ScoreLog:
-    """Writes scores.jsonl, whole lines at a time.
+    """Writer of scores.jsonl, which appends whole lines.
 
     Args:
-        path: the file, replaced if it exists; None writes nothing.
+        path: the file, replaced if it exists; None disables the log.
 
     Raises:
         ModelError: the file cannot be written.
@@ -157,10 +157,10 @@ def read_scores(path: Path) -> list[Score]:
 
 
 class Recorded:
-    """Replays the scores of an earlier run, each in the stage of its first use.
+    """Replay of the scores of an earlier run, each in the stage of its first use.
 
-    Processors round differently, so a candidate is the recorded one if no number of its layout
-    differs by more than `SAME_LAYOUT`.
+    Rounding differs between processors, so a candidate matches the recorded one if no number of its
+    layout differs by more than `SAME_LAYOUT`.
 
     Args:
         path: scores.jsonl of that run.
@@ -189,7 +189,7 @@ class Recorded:
                 content = "no score" if score is None else "the score of another layout"
                 raise ModelError(
                     f"{self._path} has {content} for candidate {candidate} of iteration "
-                    f"{iteration}: it follows only the run it was recorded in "
+                    f"{iteration}: a record can only be replayed in the same run "
                     f"(same scene, options, seed, engine)"
                 )
             self._put.append(score)
@@ -209,7 +209,7 @@ class Recorded:
 def _same_layout(score: Score, job: Job) -> bool:
     if score.layout == job.layout:
         return True
-    own = layout_numbers(job.layouts)
-    if score.numbers is None or len(score.numbers) != len(own):
+    numbers = layout_numbers(job.layouts)
+    if score.numbers is None or len(score.numbers) != len(numbers):
         return False
-    return bool(np.max(np.abs(np.subtract(score.numbers, own)), initial=0.0) <= SAME_LAYOUT)
+    return bool(np.max(np.abs(np.subtract(score.numbers, numbers)), initial=0.0) <= SAME_LAYOUT)

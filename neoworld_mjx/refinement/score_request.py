@@ -1,7 +1,7 @@
-"""The request that scores a candidate: four criteria against the photograph (Appendix B).
+"""Request that scores a candidate: four criteria against the photograph (Appendix B).
 
 The system text and the photograph come first and are the same for every candidate of a run, so that
-a server that caches prompts is paid for them once.
+a server with a prompt cache charges for them once.
 """
 
 from functools import cache
@@ -33,7 +33,7 @@ class Judged(BaseModel):
 
     @field_validator("level", mode="before")
     @classmethod
-    def _a_number(cls, value: Any) -> Any:
+    def _reject_bool(cls, value: Any) -> Any:
         if isinstance(value, bool):
             raise ValueError("a level is a number from 0 to 4, not true or false")
         return value
@@ -56,28 +56,28 @@ class Judgement(BaseModel):
 
     @property
     def reasons(self) -> dict[str, str]:
-        """What was said of each criterion."""
+        """The reason for the level of each criterion."""
         return {name: getattr(self, name).reason for name in CRITERIA}
 
     @property
     def value(self) -> float:
-        """S_sem: the sum of the levels over the most it can be, in [0, 1]."""
+        """S_sem: the sum of the levels over its maximum, in [0, 1]."""
         return sum(self.levels.values()) / (MOST * len(CRITERIA))
 
 
 @cache
 def system_text() -> str:
-    """Read the text that tells the critic what to judge."""
+    """Return the critic's system text."""
     return resources.files("neoworld_mjx.refinement").joinpath("scorer.md").read_text("utf-8")
 
 
 def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Request[Judgement]:
-    """Ask about one candidate.
+    """Build the request that scores one candidate.
 
     Args:
         photo: the photograph, the same object for all candidates.
-        candidate: the rendering, labelled "candidate".
-        scene: any candidate of the scene; its names and hierarchy are told.
+        candidate: the rendered image, labelled "candidate".
+        scene: any candidate of the scene, for the names and hierarchy of its objects.
     """
     return Request(
         role="critic",
@@ -90,7 +90,7 @@ def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Reque
 
 
 def listing(scene: SceneSpec) -> str:
-    """List a scene's objects with what carries them, one a line."""
+    """List a scene's objects with their supports, one per line."""
     lines = []
     for item in scene.objects:
         place = "the environment" if item.environment else "stands by itself"

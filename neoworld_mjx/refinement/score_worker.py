@@ -1,8 +1,8 @@
-"""Workers that request scores of candidates from a model while physics runs.
+"""Worker threads that request scores of candidates from a model while rollouts run.
 
-Each worker takes the most urgent candidate, draws it, sends the request, and stores the answer
-under the identity of that candidate, so the order of answers does not matter. Pictures that are
-equal pixel by pixel are requested once.
+Each worker takes the most urgent candidate, renders it, sends the request, and stores the response
+under the identity of that candidate, so the order of responses does not matter. Identical images
+are requested once.
 """
 
 import heapq
@@ -30,12 +30,12 @@ from .score_request import Judgement, score_request
 Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
 
 AHEAD = 2
-"""Candidates drawn beyond the limit of concurrent requests, so that no worker waits for drawing."""
-_DROPPED = "not waited for: the search had ended"
+"""Number of workers beyond the limit of concurrent requests, to hide the time of rendering."""
+_ABANDONED = "abandoned: the search had ended"
 
 
 def drawer(options: SemanticOptions) -> Draw:
-    """Return a function that draws a candidate as composed, through the parsed camera."""
+    """Return a function that renders a candidate as composed, through the parsed camera."""
 
     def draw(scene: SceneSpec) -> UInt8[ndarray, "height width 3"]:
         assert scene.camera is not None
@@ -47,23 +47,23 @@ def drawer(options: SemanticOptions) -> Draw:
 
 
 class ScoreWorkers:
-    """Requests scores from a model, by a pool of worker threads.
+    """Pool of worker threads that request scores from a model.
 
     Args:
-        panel: its critic gives the scores.
+        panel: panel whose critic scores.
         photo: the photograph.
-        options: time limit, failures in a row before giving up, and the bound on costs.
-        draw: draws a candidate; called by one thread at a time.
+        options: time limit, consecutive failures before giving up, and the limit on costs.
+        draw: renders a candidate; called by one thread at a time.
 
     Raises:
-        ConfigError: costs are bounded, and the critic's model has no price.
+        ConfigError: costs are limited, but the critic's model has no price.
     """
 
     def __init__(
         self, panel: Panel, photo: Picture, options: SemanticOptions, draw: Draw | None = None
     ) -> None:
         self.stopped: str | None = None
-        """The reason why requests have ended, or None."""
+        """Reason why requests have ended, or None."""
         self.drawing_s = 0.0
         self._panel, self._photo, self._options = panel, photo, options
         self._draw = draw or drawer(options)
@@ -77,14 +77,14 @@ class ScoreWorkers:
         self._changed = threading.Condition()
         self._drawing = threading.Lock()
         self._queue: list[tuple[tuple[bool, int, int, int], Job]] = []
-        """A heap: awaited candidates first, then by iteration, rank and order of submission."""
+        """Heap: awaited candidates first, then by iteration, rank and order of submission."""
         self._count = 0
         self._pending: dict[Identity, Job] = {}
         """Candidates without an outcome yet."""
         self._outcomes: dict[Identity, Score] = {}
-        """Outcomes not taken yet."""
+        """Outcomes that `take` has not returned yet."""
         self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
-        """By digest: the score, or the candidates that wait for it and their drawing times."""
+        """By digest: the score, or the candidates that wait for it and their rendering times."""
         self._requests: set[Future[Response[Judgement]]] = set()
         self._failed_in_row = 0
         self._gave_up = self._closed = False
@@ -102,7 +102,7 @@ class ScoreWorkers:
             for job in jobs:
                 self._pending[job.identity] = job
                 if self.stopped is not None:
-                    self._finish(job.score(error=f"not asked: {self.stopped}"))
+                    self._finish(job.score(error=f"not requested: {self.stopped}"))
                 else:
                     self._count += 1
                     key = (True, job.identity[0], job.rank, self._count)
@@ -120,9 +120,9 @@ class ScoreWorkers:
 
         Args:
             stage: stored as the first use of each score.
-            must: candidates to wait for, requested before all others. After giving up on the server
-                none is waited for.
-            rest: return also the outcomes of other candidates that have arrived.
+            must: candidates to wait for, requested before all others. After giving up on the
+                server, the call does not wait.
+            rest: True to also return the outcomes of other candidates that have arrived.
         """
         must = set(must)
         with self._changed:
@@ -139,7 +139,7 @@ class ScoreWorkers:
             ]
 
     def close(self) -> list[Score]:
-        """End all requests and return the outcomes not taken, ordered by identity."""
+        """End all requests and return the remaining outcomes, ordered by identity."""
         with self._changed:
             self._closed = True
             self._queue.clear()
@@ -151,17 +151,17 @@ class ScoreWorkers:
             thread.join()
         with self._changed:
             for job in list(self._pending.values()):
-                self._finish(job.score(error=_DROPPED))
+                self._finish(job.score(error=_ABANDONED))
             remaining, self._outcomes = self._outcomes, {}
         return [remaining[key] for key in sorted(remaining)]
 
-    # The methods below run in the workers.
+    # The methods below run in the worker threads.
 
     def _work(self) -> None:
         while (job := self._next()) is not None:
             try:
                 self._serve(job)
-            except BaseException as error:  # Else `take` would wait forever.
+            except BaseException as error:  # Otherwise `take` would wait forever.
                 with self._changed:
                     self._crash = error
                     self._changed.notify_all()
@@ -194,23 +194,23 @@ class ScoreWorkers:
         with self._changed:
             earlier = self._pictures.get(key)
             if isinstance(earlier, Score):
-                self._finish(_same(job, draw_s, earlier))
+                self._finish(_copied(job, draw_s, earlier))
                 return
             if earlier is not None:
                 earlier.append((job, draw_s))
                 return
             if self.stopped is not None or self._closed:
-                self._finish(job.score(error=f"not asked: {self.stopped or _DROPPED}"))
+                self._finish(job.score(error=f"not requested: {self.stopped or _ABANDONED}"))
                 return
             self._pictures[key] = []
         request = score_request(self._photo, Picture.of("candidate", rgb), job.scene)
         outcome = {"picture": key[:16], "drawn_s": round(draw_s, 4), "asked": _now()}
-        outcome |= self._answer(request)
-        self._book(key, job.score(**outcome, answered=_now()))
+        outcome |= self._request_score(request)
+        self._store(key, job.score(**outcome, answered=_now()))
 
-    def _answer(self, request: Request[Judgement]) -> dict[str, Any]:
-        """Send a request; return the fields of a `Score` that the answer or its failure sets."""
-        # A person who answers has no time limit.
+    def _request_score(self, request: Request[Judgement]) -> dict[str, Any]:
+        """Send a request; return the fields of a `Score` that the response or its failure sets."""
+        # A person who responds has no time limit.
         timeout = self._options.timeout_s if self._panel.provider.online else None
         future = self._panel.ask_soon(request)
         with self._changed:
@@ -218,12 +218,12 @@ class ScoreWorkers:
             if self._closed:
                 future.cancel()
         try:
-            answer = future.result(timeout)
+            response = future.result(timeout)
         except TimeoutError:
             future.cancel()
-            return {"error": f"no answer in {timeout:g} s; see refine.semantic.timeout_s"}
+            return {"error": f"no response in {timeout:g} s; see refine.semantic.timeout_s"}
         except CancelledError:
-            return {"error": _DROPPED}
+            return {"error": _ABANDONED}
         except BudgetError as error:
             with self._changed:
                 self._stop(str(error))
@@ -236,18 +236,18 @@ class ScoreWorkers:
         if not self._panel.provider.online:
             cost = 0.0
         else:
-            cost = None if self._price is None else round(self._price.cost(answer.usage), 6)
-        judgement = answer.value
+            cost = None if self._price is None else round(self._price.cost(response.usage), 6)
+        judgement = response.value
         return {
             "value": judgement.value,
             "levels": judgement.levels,
             "reasons": judgement.reasons,
-            "model": answer.model,
+            "model": response.model,
             "cost_usd": cost,
         }
 
-    def _book(self, key: str, score: Score) -> None:
-        """Store a score for its candidate and for those that wait for the same picture."""
+    def _store(self, key: str, score: Score) -> None:
+        """Store a score for its candidate and for those that wait for the same image."""
         with self._changed:
             others = self._pictures.pop(key)
             if score.value is not None:
@@ -255,7 +255,7 @@ class ScoreWorkers:
             self._finish(score)
             assert not isinstance(others, Score)
             for job, draw_s in others:
-                self._finish(_same(job, draw_s, score))
+                self._finish(_copied(job, draw_s, score))
             if score.value is not None:
                 self._failed_in_row = 0
             elif not self._closed:
@@ -263,11 +263,11 @@ class ScoreWorkers:
                 if self._failed_in_row >= self._options.give_up_after and self.stopped is None:
                     self._gave_up = True
                     self._stop(
-                        f"{self._failed_in_row} scores failed one after the other; "
-                        f"the last: {score.error}"
+                        f"{self._failed_in_row} consecutive scores failed; "
+                        f"the last error: {score.error}"
                     )
 
-    # The methods below need the lock held.
+    # The methods below require the lock.
 
     def _finish(self, score: Score) -> None:
         if self._pending.pop(score.identity, None) is not None:
@@ -278,14 +278,14 @@ class ScoreWorkers:
         self.stopped = self.stopped or reason
         queue, self._queue = self._queue, []
         for _, job in queue:
-            self._finish(job.score(error=f"not asked: {self.stopped}"))
+            self._finish(job.score(error=f"not requested: {self.stopped}"))
         self._changed.notify_all()
 
 
-def _same(job: Job, draw_s: float, score: Score) -> Score:
-    """Copy to a candidate the score of another whose picture is equal."""
-    kept = score.model_dump(exclude={"iteration", "candidate", "rank", "layout"})
-    return job.score(**kept | {"drawn_s": round(draw_s, 4), "cached": True, "cost_usd": 0.0})
+def _copied(job: Job, draw_s: float, score: Score) -> Score:
+    """Copy a score to another candidate with an identical image."""
+    fields = score.model_dump(exclude={"iteration", "candidate", "rank", "layout"})
+    return job.score(**fields | {"drawn_s": round(draw_s, 4), "cached": True, "cost_usd": 0.0})
 
 
 def _now() -> str:

@@ -1,13 +1,13 @@
-"""S_sem by a model: scores of the best candidates, which arrive while physics runs.
+"""S_sem by a model: scores of the best candidates, which arrive while rollouts run.
 
     with SemanticScorer(model, photo, panel, options, log=path) as scorer:
         scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
         ...                                                       # the rollout
         scorer.collect(t)                                         # waits as options.wait says
-        s_sem, marks = scorer.fill(t, layouts, geometric)         # of every candidate
+        s_sem, marks = scorer.fill(t, layouts, geometric)         # for every candidate
 
-Before the winner is chosen, `await_for` waits for the finalists' scores, and `fill` returns S_sem
-of any iteration by the scores known then.
+Before the winner is chosen, `await_for` waits for the finalists' scores; `fill` then returns S_sem
+of any iteration from all known scores.
 """
 
 import time
@@ -30,7 +30,7 @@ from .surrogate import surrogate_scores
 
 
 class Mark(IntEnum):
-    """The source of a candidate's S_sem."""
+    """Source of a candidate's S_sem."""
 
     GEOMETRIC = 0
     ESTIMATED = 1
@@ -38,23 +38,23 @@ class Mark(IntEnum):
 
 
 class SemanticScorer:
-    """Scores candidates by a model, and estimates those that it has not scored.
+    """Scores of candidates by a model, with a surrogate for candidates without a score.
 
     Args:
         model: the compiled scene.
-        photo: the photograph; not needed to follow a record.
-        panel: its critic gives the scores; not needed to follow a record.
+        photo: the photograph; not needed for a replay.
+        panel: panel whose critic scores; not needed for a replay.
         options: the number of candidates to score, and the scores to wait for.
-        cem: its standard deviations scale layouts for the estimates.
+        cem: its standard deviations scale layouts for the surrogate.
         log: scores.jsonl to write; an existing file is replaced.
         recorded: scores.jsonl of an earlier run. Each score is used in the iteration that used it
             there; nothing is drawn and no request is sent.
-        draw: draws a candidate's scene as RGB bytes [height, width, 3]; default: as composed,
+        draw: renders a candidate's scene as RGB bytes [height, width, 3]; default: as composed,
             through the parsed camera.
 
     Raises:
-        ConfigError: the photograph or the panel is missing, the scene has no camera, or
-            costs cannot be bounded.
+        ConfigError: the photograph or the panel is missing, the scene has no camera, or costs
+            cannot be limited.
         ModelError: a file cannot be read or written.
     """
 
@@ -77,16 +77,16 @@ class SemanticScorer:
         self._moves = np.asarray(model.optimised)
         self._source: ScoreWorkers | Recorded
         if recorded is not None:
-            # Read before the log is begun, which may be the same file.
+            # Read before the log is opened, which may be the same file.
             self._source = Recorded(recorded)
         elif photo is None or panel is None:
             raise ConfigError(
-                "refine.semantic.scorer: mllm needs the photograph and somebody to ask; "
-                "choose geometric where there are none"
+                "refine.semantic.scorer: mllm needs the photograph and a model; "
+                "choose geometric without them"
             )
         elif draw is None and model.spec.camera is None:
             raise ConfigError(
-                "refine.semantic.scorer: mllm needs the parsed camera, and the scene has none; "
+                "refine.semantic.scorer: mllm needs the parsed camera, but the scene has none; "
                 "add it to the scene, or choose geometric"
             )
         else:
@@ -104,11 +104,11 @@ class SemanticScorer:
 
         Args:
             reward: ranks the candidates; equal ones keep the order of the population.
-            top: the most candidates to return; default: `options.top`.
+            top: largest number of candidates; default: `options.top`.
         """
-        given = np.asarray(reward, float)
-        order = np.argsort(-np.where(np.isfinite(given), given, -np.inf), kind="stable")
-        return [int(k) for k in order[: top or self.options.top] if np.isfinite(given[k])]
+        rewards = np.asarray(reward, float)
+        order = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
+        return [int(k) for k in order[: top or self.options.top] if np.isfinite(rewards[k])]
 
     def submit(
         self, iteration: int, candidates: Sequence[int], layouts: Layout, poses: Poses
@@ -116,13 +116,13 @@ class SemanticScorer:
         """Submit candidates for scoring and return at once; skip those submitted before.
 
         Args:
-            iteration: of the candidates.
-            candidates: their indices in the population, the most urgent first.
+            iteration: iteration of the candidates.
+            candidates: indices in the population, the most urgent first.
             layouts: the whole population.
-            poses: of the population, by `SceneModel.place` or a rollout; they give the heights.
+            poses: poses of the population, which determine the heights.
 
         Raises:
-            ModelError: a record is followed, and this run is not the one that was recorded.
+            ModelError: a record is replayed, and this run differs from the recorded one.
         """
         host = Layout(*(np.asarray(x) for x in (layouts.xy, layouts.yaw, layouts.log_scale)))
         placed = Poses(*(np.asarray(x) for x in (poses.pos, poses.quat, poses.scale, poses.height)))
@@ -130,20 +130,20 @@ class SemanticScorer:
         for rank, k in enumerate(candidates):
             if (iteration, k) in self._jobs:
                 continue
-            alone = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
-            drawn = isinstance(self._source, ScoreWorkers)
-            scene = self._model.apply(host, k, placed) if drawn else None
-            job = Job((iteration, k), rank, layout_digest(alone), alone, scene)
+            single = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
+            rendered = isinstance(self._source, ScoreWorkers)
+            scene = self._model.apply(host, k, placed) if rendered else None
+            job = Job((iteration, k), rank, layout_digest(single), single, scene)
             jobs.append(job)
             self._jobs[job.identity] = job
         self._source.put(jobs)
 
     def collect(self, iteration: int) -> list[Score]:
-        """Take in scores before the elites of an iteration are fitted; return the new ones.
+        """Collect scores before the elites of an iteration are selected; return the new ones.
 
         `wait: all` waits for every submitted candidate, so that the result does not depend on the
-        order of answers. `bounded` waits for those submitted `late` iterations ago or earlier,
-        `none` for none. Other answers that have arrived are taken in too.
+        order of responses. `bounded` waits for those submitted `late` iterations ago or earlier,
+        `none` does not wait. Other responses that have arrived are collected too.
         """
         wait, late = self.options.wait, self.options.late
         newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
@@ -170,13 +170,13 @@ class SemanticScorer:
         """Return S_sem of a whole population from the scores known now.
 
         Args:
-            iteration: of the population.
+            iteration: iteration of the population.
             layouts: the population.
-            geometric: its geometric scores.
+            geometric: geometric scores of the population.
 
         Returns:
             S_sem in [0, 1], float32, and for each candidate a `Mark`: scored by the model,
-            estimated from scored candidates, or geometric as long as none is scored.
+            estimated from scored candidates, or geometric if none is scored yet.
         """
         base = np.asarray(geometric, float)
         for key in self._jobs:
@@ -199,20 +199,20 @@ class SemanticScorer:
 
     @property
     def stopped(self) -> str | None:
-        """The reason why requests have ended, or None."""
+        """Reason why requests have ended, or None."""
         return self._source.stopped
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
-        """Sentences on the scores that are missing; empty when all arrived."""
+        """Descriptions of missing scores; empty if all arrived."""
         scores = list(self._known.values())
         failed = [score for score in scores if score.error is not None]
         if self.stopped is not None:
-            by = "geometry alone" if len(failed) == len(scores) else "estimates"
-            unasked = sum(score.asked is None for score in failed)
+            source = "geometry alone" if len(failed) == len(scores) else "estimates"
+            unrequested = sum(score.asked is None for score in failed)
             return (
-                f"S_sem by {by}, as {unasked} of {len(self._jobs)} candidates were not asked "
-                f"about: {self.stopped}",
+                f"S_sem by {source}, as {unrequested} of {len(self._jobs)} candidates were not "
+                f"requested: {self.stopped}",
             )
         if failed:
             return (
@@ -222,7 +222,7 @@ class SemanticScorer:
         return ()
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures for run.json; complete once closed."""
+        """Return the statistics for run.json; complete once closed."""
         scores = [*self._known.values(), *self._left]
         live = self._source if isinstance(self._source, ScoreWorkers) else None
         return {
@@ -239,7 +239,7 @@ class SemanticScorer:
         }
 
     def close(self) -> None:
-        """End all requests; the log marks pending candidates as dropped."""
+        """End all requests; the log marks pending candidates as abandoned."""
         if not self._closed:
             self._closed = True
             self._left = self._source.close()
@@ -263,11 +263,11 @@ class SemanticScorer:
         """Divide the four numbers of each optimised object by their initial standard deviations."""
         o, moves = self._sigma, self._moves
         diagonal = np.asarray(self._model.diagonal, float)[moves]
-        xy = np.asarray(layouts.xy, float)[:, moves] / (_some(o.sigma_xy) * diagonal[:, None])
-        yaw = np.asarray(layouts.yaw, float)[:, moves] / _some(np.radians(o.sigma_yaw_deg))
-        log = np.asarray(layouts.log_scale, float)[:, moves] / _some(o.sigma_log_scale)
+        xy = np.asarray(layouts.xy, float)[:, moves] / (_nonzero(o.sigma_xy) * diagonal[:, None])
+        yaw = np.asarray(layouts.yaw, float)[:, moves] / _nonzero(np.radians(o.sigma_yaw_deg))
+        log = np.asarray(layouts.log_scale, float)[:, moves] / _nonzero(o.sigma_log_scale)
         return np.concatenate([xy.reshape(len(xy), -1), yaw, log], axis=1)
 
 
-def _some(sigma: float) -> float:
+def _nonzero(sigma: float) -> float:
     return max(float(sigma), 1e-6)

@@ -1,4 +1,4 @@
-"""One run of a search: what it is asked to do, and how far it has come."""
+"""One run of a search: its inputs, and its progress and results."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -23,59 +23,59 @@ class SearchRun(NamedTuple):
 
 @dataclass
 class SearchResult:
-    """A run's search as far as it has come, before the exact check of its winner."""
+    """Progress and results of a run's search, before the exact check of its winner."""
 
     run: SearchRun
     origin: Layout
-    """Where the search starts, after the gradient refinement; pop axis of length 1."""
+    """Initial layout after the gradient refinement, pop axis of length 1."""
     problem: Problem
     state: SearchState
     rounds: list[Round] = field(default_factory=list)
     summaries: list[dict[str, Any]] = field(default_factory=list)
-    """Each iteration in numbers; see `outcome.iteration_summary`."""
+    """Summary of each iteration; see `outcome.iteration_summary`."""
     rollouts: int = 0
     pruned: int = 0
-    """Candidates that were drawn and not rolled out."""
+    """Number of candidates that were drawn but not rolled out."""
     first_valid_s: float = float("nan")
-    """When the batch of the first valid candidate was scored, since the start of the search."""
+    """Time from the start of the search to the score of the first valid candidate [s]."""
     marks: list[np.ndarray] = field(default_factory=list)
-    """How each S_sem came about, by iteration; see `scorer.Mark`."""
+    """Source of each S_sem, by iteration; see `scorer.Mark`."""
     stages: list[np.ndarray] = field(default_factory=list)
-    """Masks [object] of what moves: now, and after iterations in which nothing was valid."""
+    """Masks [object] of the movable objects, of the current and later stages."""
     share: np.ndarray | None = None
-    """Of the initial deviations of yaw and log scale [object]; None is 1."""
+    """Factor of the initial deviations of yaw and log scale [object]; None is 1."""
     later: np.ndarray | None = None
-    """Mask [object] of what may also move once the search has a valid candidate and converges."""
+    """Mask [object] of the objects that may also move after the search first converges."""
     checked: SceneMeasure | None = None
-    """Final check of where the run starts, where the search needed it."""
+    """Final check of the initial layout, if the search needed it."""
     stage_began: int = 0
-    """Iteration in which the first of `stages` began."""
+    """Iteration in which the current stage began."""
     judged_from: int = 0
-    """Iteration from which on what falls in every candidate counts."""
+    """First iteration that is examined for objects that always fall."""
     searched_farther: bool = False
-    """Whether what fell in every candidate was looked for farther away."""
+    """True once the search has been widened for objects that always fall."""
     falling: np.ndarray | None = None
-    """Mask [object] of what fell in every candidate, where that ended the search."""
+    """Mask [object] of the objects that always fell, if that ended the search."""
     settles: bool = False
-    """Whether candidates come to rest before they are judged."""
+    """True if candidates are settled before they are scored."""
     finished: bool = False
 
 
 def population_at(options: RefineOptions, t: int) -> int:
-    """Return N of an iteration; the first one may be smaller."""
+    """Return N of an iteration; the first population may be smaller."""
     c = options.cem
     return min(c.first, c.population) if t == 0 and c.first else c.population
 
 
 def prunes(options: RefineOptions, problem: Problem) -> bool:
-    """Tell whether candidates that cannot become elites are left out."""
+    """Return whether candidates that cannot become elites are pruned."""
     return options.cem.prune and bounded(options, problem)
 
 
 def bounded(options: RefineOptions, problem: Problem) -> bool:
-    """Tell whether rewards are known to lie below bounds before physics.
+    """Return whether rewards have upper bounds before physics.
 
-    Only where every term has a bound, and elites are those of the whole scene.
+    They do if every term has a bound, and elites are those of the whole scene.
     """
     fixed = options.reward.normalisation == "fixed" and options.cem.credit in ("auto", "scene")
     return fixed and not problem.objective.unbounded

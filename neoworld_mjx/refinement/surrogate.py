@@ -1,9 +1,9 @@
-"""Surrogate of the model's score for candidates that it has not scored.
+"""Surrogate of the model's score for candidates without a score.
 
-It predicts the difference between the model's score and the geometric one: its mean and, where the
-scored candidates show that the layout predicts it, a ridge regression on the layout's standardised
-numbers, their squares, and the geometric score. Without evidence the difference is zero, so that a
-handful of scores leaves the geometric score as it is.
+It predicts the difference between the model's score and the geometric one: its mean and, if
+cross-validation on the scored candidates shows a gain, a ridge regression on the standardised
+layout, its squares, and the geometric score. Without evidence the difference is zero, so that a few
+scores hardly change the geometric score.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def surrogate_scores(
 ) -> NDArray:
     """Estimate scores in [0, 1].
 
-    The result depends on the order of the scored candidates by rounding alone; callers sort them.
+    The order of the scored candidates affects only rounding; callers sort them.
 
     Args:
         layouts: standardised layouts of the candidates, float [pop, number].
@@ -41,7 +41,7 @@ def surrogate_scores(
     if not count:
         return np.clip(geometric, 0.0, 1.0)
     difference = np.asarray(scores, float) - scored_geometric
-    # Shrinks the mean as one more candidate of difference zero would.
+    # Shrinkage of the mean, equivalent to one more candidate with difference zero.
     mean = difference.sum() / (count + 1)
     known, targets = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
     centre = known.mean(axis=0)
@@ -50,13 +50,13 @@ def surrogate_scores(
 
 
 def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
-    # Clipping at 3 deviations keeps outliers from being extrapolated to.
+    # Clipping at 3 deviations prevents extrapolation to outliers.
     z = np.clip(np.asarray(layouts, float), -3.0, 3.0)
     return np.concatenate([z, z**2 - 1.0, 5.0 * np.asarray(geometric, float)[:, None]], axis=1)
 
 
 def _regressed(known: NDArray, residuals: NDArray, targets: NDArray) -> NDArray:
-    """Predict residuals at `targets` by ridge regression, shrunk by its gain on left-out ones."""
+    """Predict residuals at `targets` by ridge regression, shrunk by its leave-one-out gain."""
     count = len(residuals)
     zeros = np.zeros(len(targets))
     if count < FEWEST or not np.any(residuals):
@@ -73,7 +73,7 @@ def _regressed(known: NDArray, residuals: NDArray, targets: NDArray) -> NDArray:
     best, slopes = base, None
     for penalty in LAMBDAS:
         weight = 1.0 / (eigenvalues + penalty)
-        # The residual of a candidate that is left out follows from the hat matrix's diagonal.
+        # Leave-one-out residuals follow from the diagonal of the hat matrix.
         left_out = (residuals - along @ (weight * projected)) / (1.0 - (along**2) @ weight)
         error = float(np.mean(left_out**2))
         if error < best:

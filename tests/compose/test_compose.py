@@ -68,76 +68,78 @@ def composed(nodes, specs):
     return compose(tree, {"table": scenes.table(), **specs})
 
 
-def test_a_program_of_any_size_gets_the_size_of_its_box():
+def test_an_object_is_rescaled_to_its_box():
     small = scale(scenes.cup(), 0.01)
     low, high = bounds(scenes.cup())
-    made = composed([node("cup", scenes.cup(), (1.0, 0, 0))], {"cup": small})
-    assert made.scales["cup"] == pytest.approx(100.0)
-    item = made.scene.object("cup")
+    result = composed([node("cup", scenes.cup(), (1.0, 0, 0))], {"cup": small})
+    assert result.scales["cup"] == pytest.approx(100.0)
+    item = result.scene.object("cup")
     a, b = bounds(item.spec)
     assert np.allclose(b - a, high - low)
     assert np.allclose(item.scale_residual, 0, atol=1e-9)
 
 
-def test_what_an_isotropic_factor_cannot_fit_is_recorded_per_axis():
+def test_the_residual_of_isotropic_scaling_is_recorded_per_axis():
     box = scenes.single("box", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    made = composed([node("box", box, (1.0, 0, 0), size=(0.1, 0.1, 0.2))], {"box": box})
+    result = composed([node("box", box, (1.0, 0, 0), size=(0.1, 0.1, 0.2))], {"box": box})
     factor = 2 ** (1 / 3)
-    assert made.scales["box"] == pytest.approx(factor)
+    assert result.scales["box"] == pytest.approx(factor)
     expected = (factor - 1, factor - 1, factor / 2 - 1)
-    assert made.scene.object("box").scale_residual == pytest.approx(expected)
+    assert result.scene.object("box").scale_residual == pytest.approx(expected)
 
 
-def test_places_and_headings_are_those_of_the_parse():
+def test_positions_and_headings_match_the_parse():
     cup = scenes.cup()
-    made = composed([node("cup", cup, (1.1, -0.2, 0.0), yaw=1.0)], {"cup": cup})
-    pose = world_poses(made.scene)["cup"]
+    result = composed([node("cup", cup, (1.1, -0.2, 0.0), yaw=1.0)], {"cup": cup})
+    pose = world_poses(result.scene)["cup"]
     assert pose.pos[:2] == pytest.approx([1.1, -0.2])
     assert pose.pos[2] == pytest.approx(1e-4, abs=1e-6)
     assert pose.quat == pytest.approx([math.cos(0.5), 0, 0, math.sin(0.5)])
-    assert made.scene.object("cup").yaw == pytest.approx(0.6)  # the table is turned by 0.4
+    assert result.scene.object("cup").yaw == pytest.approx(0.6)  # the table's yaw is 0.4
 
 
 @pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])
-def test_a_spoon_comes_to_lie_on_the_saucer_whatever_height_was_parsed(off):
+def test_a_spoon_settles_on_the_saucer_from_any_parsed_height(off):
     specs = {"saucer": scenes.saucer(), "spoon": scenes.spoon()}
-    made = composed(
+    result = composed(
         [
             node("saucer", specs["saucer"], (1.0, 0, 0)),
             node("spoon", specs["spoon"], (1.0, 0.04, 0.01 + off), parent="saucer", yaw=0.3),
         ],
         specs,
     )
-    height = world_poses(made.scene)["spoon"].pos[2]
+    height = world_poses(result.scene)["spoon"].pos[2]
     assert 0.004 < height < 0.02
-    model, data = start_state(made.scene)
-    assert max(object_depths(made.scene, model, data).values(), default=0) < 1e-3
-    # A millimetre lower it would sink in: it touches.
-    down = made.scene.object("spoon").model_copy(update={"z": made.scene.object("spoon").z - 2e-3})
-    objects = (*made.scene.objects[:-1], down)
-    lowered = made.scene.model_copy(update={"objects": objects})
+    model, data = start_state(result.scene)
+    assert max(object_depths(result.scene, model, data).values(), default=0) < 1e-3
+    # A millimetre lower it would penetrate, so it touches.
+    down = result.scene.object("spoon").model_copy(
+        update={"z": result.scene.object("spoon").z - 2e-3}
+    )
+    objects = (*result.scene.objects[:-1], down)
+    lowered = result.scene.model_copy(update={"objects": objects})
     model, data = start_state(lowered)
     assert ("saucer", "spoon") in object_depths(lowered, model, data)
 
 
-def test_a_book_that_is_pushed_into_the_side_of_its_shelf_stays_on_its_board():
-    """The parse says "on"; the composed place and a layout overlap the side."""
+def test_a_book_that_overlaps_the_side_of_its_shelf_stays_on_its_board():
+    """The relation is "on"; the composed position and a layout overlap the side."""
     boards = [(Box(size=(0.3, 0.8, 0.02)), (0, 0, z)) for z in (0.0, 0.4, 0.8)]
     sides = [(Box(size=(0.3, 0.02, 0.82)), (0, y, 0.0)) for y in (-0.41, 0.41)]
     shelf, book = (
         scenes.single("shelf", *boards, *sides),
         scenes.single("book", (Box(size=(0.15, 0.03, 0.22)), (0, 0, 0))),
     )
-    made = composed(
+    result = composed(
         [
             node("shelf", shelf, (1.0, 0, 0)),
             node("book", book, (1.0, 0.395, 0.42), parent="shelf"),
         ],
         {"shelf": shelf, "book": book},
     )
-    on_board = world_poses(made.scene)["book"].pos[2]
-    assert on_board == pytest.approx(world_poses(made.scene)["shelf"].pos[2] + 0.42, abs=2e-3)
-    model = compile_scene(made.scene, samples=64)
+    on_board = world_poses(result.scene)["book"].pos[2]
+    assert on_board == pytest.approx(world_poses(result.scene)["shelf"].pos[2] + 0.42, abs=2e-3)
+    model = compile_scene(result.scene, samples=64)
     layouts = Layout.zero(1, len(model.names))
     book_moved = np.asarray(layouts.xy) + [[0, 0.01 * (name == "book")] for name in model.names]
     placed = model.place(Layout(book_moved.astype(np.float32), layouts.yaw, layouts.log_scale))
@@ -145,25 +147,25 @@ def test_a_book_that_is_pushed_into_the_side_of_its_shelf_stays_on_its_board():
     assert float(height) == pytest.approx(on_board, abs=2e-3)
 
 
-def test_a_wall_of_a_shelf_does_not_hide_its_floor():
-    """Books that reach a little into the walls on both sides of them."""
+def test_overlap_with_a_wall_of_a_shelf_does_not_raise_a_book():
+    """Books that slightly overlap the walls on both sides."""
     boards = [(Box(size=(0.3, 0.4, 0.02)), (0, 0, z)) for z in (0.2, 0.51)]
     walls = [(Box(size=(0.3, 0.01, 0.5)), (0, y, 0.25)) for y in (-0.105, 0.105)]
     shelf = scenes.single("shelf", *boards, *walls)
     books = scenes.single("books", (Box(size=(0.2, 0.203, 0.2)), (0, 0, 0.1)))
-    made = composed(
+    result = composed(
         [
             node("shelf", shelf, (1.0, 0, 0)),
             node("books", books, (1.0, 0, 0.205), parent="shelf", relation="in"),
         ],
         {"shelf": shelf, "books": books},
     )
-    on_floor = world_poses(made.scene)["shelf"].pos[2] + 0.21
-    assert world_poses(made.scene)["books"].pos[2] == pytest.approx(on_floor, abs=2e-4)
+    on_floor = world_poses(result.scene)["shelf"].pos[2] + 0.21
+    assert world_poses(result.scene)["books"].pos[2] == pytest.approx(on_floor, abs=2e-4)
 
 
-def test_things_stand_on_the_real_surfaces_of_furniture():
-    """A shelf of two boards: one thing lies tilted on the lower board, one stands on top."""
+def test_objects_stand_on_the_surfaces_of_furniture():
+    """A shelf of two boards: one object lies tilted on the lower board, one stands on top."""
     boards = [(Box(size=(0.3, 0.8, 0.02)), (0, 0, z)) for z in (0.2, 0.5)]
     sides = [(Box(size=(0.3, 0.02, 0.5)), (0, y, 0.25)) for y in (-0.41, 0.41)]
     shelf = scenes.single("shelf", *boards, *sides)
@@ -173,12 +175,12 @@ def test_things_stand_on_the_real_surfaces_of_furniture():
         node("low", cup, (1.0, 0.1, 0.21), parent="shelf", relation="in"),
         node("high", cup, (1.0, -0.1, 0.53), parent="shelf"),
     ]
-    made = composed(nodes, {"shelf": shelf, "low": cup, "high": cup})
-    heights = {name: at.pos[2] for name, at in world_poses(made.scene).items()}
+    result = composed(nodes, {"shelf": shelf, "low": cup, "high": cup})
+    heights = {name: at.pos[2] for name, at in world_poses(result.scene).items()}
     assert heights["low"] == pytest.approx(0.21, abs=1e-3)
     assert heights["high"] == pytest.approx(0.51, abs=1e-3)
-    assert made.scene.object("shelf").static
-    assert scene_measure(made.scene).s_stab
+    assert result.scene.object("shelf").static
+    assert scene_measure(result.scene).s_stab
     tree = SceneTree(camera=CAMERA, nodes=(ground(), *nodes))
     assert on_level(tree.node("shelf"), tree) and not on_level(tree.node("high"), tree)
 
@@ -190,32 +192,32 @@ def test_a_cup_in_a_bowl_stands_on_the_bowls_floor_and_not_on_its_rim():
         material=scenes.CERAMIC,
     )
     cup = scenes.cup()
-    made = composed(
+    result = composed(
         [
             node("bowl", bowl, (1.0, 0, 0)),
             node("cup", cup, (1.0, 0, 0.01), parent="bowl", relation="in"),
         ],
         {"bowl": bowl, "cup": cup},
     )
-    assert world_poses(made.scene)["cup"].pos[2] == pytest.approx(0.0042, abs=5e-4)
+    assert world_poses(result.scene)["cup"].pos[2] == pytest.approx(0.0042, abs=5e-4)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.01, 0.06])
-def test_what_was_parsed_across_a_rim_stands_on_the_floor_inside(off):
+def test_an_object_parsed_across_a_rim_stands_on_the_floor_inside(off):
     profile = ((0, 0), (0.04, 0), (0.06, 0.07))
     pot = scenes.single("pot", (Lathe(profile=profile, thickness=0.004), (0, 0, 0)))
     shapes = {"pot": pot, "small": scale(pot, 0.8)}
     small = node("small", shapes["small"], (1.0, off, 0.01), parent="pot", relation="in")
-    made = composed([node("pot", pot, (1.0, 0, 0)), small], shapes)
-    at = world_poses(made.scene)["small"].pos
-    # As near to where it was parsed as the wall lets it.
+    result = composed([node("pot", pot, (1.0, 0, 0)), small], shapes)
+    at = world_poses(result.scene)["small"].pos
+    # At the position nearest to the parsed one that the wall permits.
     assert at[1] == pytest.approx(min(off, 0.0038), abs=5e-4) and at[2] < 0.006
-    assert len(made.notes) == (off > 0)
+    assert len(result.notes) == (off > 0)
     if off > 0.05:
-        # What is said to be on it may stand on its rim.
+        # With the relation "on" it may stand on the rim.
         on = small.model_copy(update={"relation": "on"})
-        made = composed([node("pot", pot, (1.0, 0, 0)), on], shapes)
-        assert world_poses(made.scene)["small"].pos[1:] == pytest.approx((off, 0.0713), abs=1e-3)
+        result = composed([node("pot", pot, (1.0, 0, 0)), on], shapes)
+        assert world_poses(result.scene)["small"].pos[1:] == pytest.approx((off, 0.0713), abs=1e-3)
 
 
 def test_a_tube_goes_into_the_nearest_hole_of_its_rack_that_is_free():
@@ -226,17 +228,17 @@ def test_a_tube_goes_into_the_nearest_hole_of_its_rack_that_is_free():
     shapes = {"rack": rack, "a": tube, "b": tube, "c": tube}
     at = {"a": (1.0, 0.03, 0.02), "b": (1.02, 0.034, 0.02), "c": (1.0, -0.025, 0.02)}
     tubes = [node(name, tube, place, parent="rack", relation="in") for name, place in at.items()]
-    # The last is answered a little tilted, as which it would fit into no hole.
+    # The last is parsed slightly tilted, in which pose it fits no hole.
     lean = from_axis_angle((1, 0, 0), math.radians(3.0))
     tubes[2] = tubes[2].model_copy(update={"base_tilt": tuple(lean.tolist())})
-    made = composed([node("rack", rack, (1.0, 0, 0)), *tubes], shapes)
-    poses = world_poses(made.scene)
+    result = composed([node("rack", rack, (1.0, 0, 0)), *tubes], shapes)
+    poses = world_poses(result.scene)
     middles = {name: poses[name].apply([0, 0, 0]) for name in at}
     assert [middles[name][2] < 0.006 for name in at] == [True] * 3, middles
     assert [round(float(middles[name][1]) / 0.04) for name in at] == [1, 0, -1]
 
 
-def test_a_lid_goes_onto_its_jar_though_it_was_parsed_beside_the_middle():
+def test_an_off_center_lid_is_centered_on_its_jar():
     jar = scenes.single(
         "jar", (Lathe(profile=((0, 0), (0.05, 0), (0.05, 0.1)), thickness=0.004), (0, 0, 0))
     )
@@ -247,34 +249,34 @@ def test_a_lid_goes_onto_its_jar_though_it_was_parsed_beside_the_middle():
     )
     shapes = {"jar": jar, "lid": lid}
     parsed = node("lid", lid, (0.96, 0.01, 0.09), parent="jar", relation="on")
-    made = composed([node("jar", jar, (1.0, 0, 0)), parsed], shapes)
-    at = world_poses(made.scene)["lid"].pos
+    result = composed([node("jar", jar, (1.0, 0, 0)), parsed], shapes)
+    at = world_poses(result.scene)["lid"].pos
     assert at[2] == pytest.approx(0.09, abs=1e-3) and np.hypot(at[0] - 1.0, at[1]) < 0.004
 
 
 @pytest.mark.parametrize(("parsed", "expected"), [(0.02, 0.02), (0.26, 0.26), (0.5, 0.52)])
-def test_a_can_stands_on_the_shelf_it_was_seen_on(parsed, expected):
+def test_a_can_stands_on_the_parsed_shelf(parsed, expected):
     shelf = scenes.single(
         "shelf",
         (HollowBox(size=(0.3, 0.4, 0.52), wall=0.02, open=("+x",)), (0, 0, 0.26)),
         (Box(size=(0.26, 0.36, 0.02)), (0, 0, 0.25)),
     )
     can = scenes.single("can", (Box(size=(0.06, 0.06, 0.1)), (0, 0, 0)))
-    made = composed(
+    result = composed(
         [
             node("shelf", shelf, (1.0, 0, 0)),
             node("can", can, (1.0, 0.05, parsed), parent="shelf", relation="in"),
         ],
         {"shelf": shelf, "can": can},
     )
-    assert world_poses(made.scene)["can"].pos[2] == pytest.approx(expected + 2e-4, abs=2e-4)
+    assert world_poses(result.scene)["can"].pos[2] == pytest.approx(expected + 2e-4, abs=2e-4)
 
 
-def test_a_block_in_an_open_drawer_is_carried_by_the_drawer():
+def test_a_block_in_an_open_drawer_is_supported_by_the_drawer():
     cabinet, block = scenes.cabinet(), scenes.single("b", (Box(size=(0.05,) * 3), (0, 0, 0)))
     closed = bounds(cabinet)
     opened = bounds(cabinet, {"slide": 0.15})
-    made = composed(
+    result = composed(
         [
             node(
                 "cabinet",
@@ -290,20 +292,20 @@ def test_a_block_in_an_open_drawer_is_carried_by_the_drawer():
         ],
         {"cabinet": cabinet, "b": block},
     )
-    item = made.scene.object("cabinet")
+    item = result.scene.object("cabinet")
     assert item.joint_state["slide"] == pytest.approx(0.15)
     assert item.joint_state["hinge"] == 0.0
-    assert made.scales["cabinet"] == pytest.approx(1.0)
-    pose = world_poses(made.scene)["b"]
+    assert result.scales["cabinet"] == pytest.approx(1.0)
+    pose = world_poses(result.scene)["b"]
     assert pose.pos[0] == pytest.approx(1.2)
     # The tray's floor is 1 cm thick and starts 4 cm above the ground.
     assert pose.pos[2] == pytest.approx(0.05 + 2e-4, abs=2e-4)
     assert closed[1][0] < opened[1][0]
 
 
-def test_notes_name_departures_from_the_parse():
+def test_notes_name_differences_from_the_parse():
     cup = scenes.cup()
-    made = composed(
+    result = composed(
         [
             node(
                 "cup",
@@ -315,11 +317,11 @@ def test_notes_name_departures_from_the_parse():
         ],
         {"cup": cup, "b": cup},
     )
-    said = " ".join(made.notes)
+    said = " ".join(result.notes)
     assert "lid" in said
     assert "left it closed" in said
     assert "did not fix it there" in said
-    assert not made.scene.object("b").fixed_base
+    assert not result.scene.object("b").fixed_base
 
 
 def test_a_missing_object_is_named():
@@ -327,7 +329,7 @@ def test_a_missing_object_is_named():
         composed([node("cup", scenes.cup(), (1, 0, 0))], {})
 
 
-def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
+def test_opening_is_measured_from_the_limit_nearest_to_zero():
     joint = JointSpec(name="j", type="revolute", parent="a", child="b", lower=-1.5, upper=0.1)
     assert opening_value(joint, 0.0) == 0.0
     assert opening_value(joint, 1.0) == -1.5
@@ -346,17 +348,17 @@ def test_a_lying_object_is_tilted_to_its_resting_pose():
     forward = tuple(from_axis_angle((0.0, 1.0, 0.0), math.pi / 2).tolist())
     thing = mushroom()
     where = node("mushroom", thing, (1.0, 0.0, 0.0), yaw=0.3, base_tilt=forward)
-    made = composed([where], {"mushroom": thing})
-    item = made.scene.objects[1]
-    # From the stem's far edge to the cap's near one: 10 mm over 70 mm.
+    result = composed([where], {"mushroom": thing})
+    item = result.scene.objects[1]
+    # From the stem's far edge to the cap's near edge: 10 mm over 70 mm.
     turned = angle_between(item.base_tilt, forward)
     assert turned == pytest.approx(math.atan(0.010 / 0.07), abs=math.radians(1.0))
-    assert any("mushroom: composition tilted it by" in note for note in made.notes)
-    assert scene_measure(made.scene).s_stab
-    # It lies where it was seen: the middle of its box has not moved.
+    assert any("mushroom: composition tilted it by" in note for note in result.notes)
+    assert scene_measure(result.scene).s_stab
+    # The center of its box has not moved.
     seen = bounds(thing, {}, forward)
     lies = bounds(thing, {}, item.base_tilt)
-    at = world_poses(made.scene)["mushroom"]
+    at = world_poses(result.scene)["mushroom"]
     middle = at.pos[:2] + rotate(from_yaw(0.3), np.mean(lies, axis=0) * [1, 1, 0])[:2]
     parsed = np.array([1.0, 0.0]) + rotate(from_yaw(0.3), np.mean(seen, axis=0) * [1, 1, 0])[:2]
     assert np.allclose(middle, parsed, atol=1e-6)
@@ -369,29 +371,31 @@ def test_leaning_and_standing_objects_keep_their_tilt():
         {"relation": "leaning", "base_tilt": back},
         {"fixed_base": True, "base_tilt": back},
     ):
-        made = composed([node("mushroom", thing, (1.0, 0, 0), **more)], {"mushroom": thing})
-        assert made.scene.objects[1].base_tilt == pytest.approx(back)
-        assert made.notes == ()
-    made = composed([node("mushroom", thing, (1.0, 0, 0))], {"mushroom": thing})
-    assert made.scene.objects[1].base_tilt == (1.0, 0.0, 0.0, 0.0)
+        result = composed([node("mushroom", thing, (1.0, 0, 0), **more)], {"mushroom": thing})
+        assert result.scene.objects[1].base_tilt == pytest.approx(back)
+        assert result.notes == ()
+    result = composed([node("mushroom", thing, (1.0, 0, 0))], {"mushroom": thing})
+    assert result.scene.objects[1].base_tilt == (1.0, 0.0, 0.0, 0.0)
 
 
-def test_what_cannot_stay_upright_rolls_to_its_rest():
+def test_an_unstable_upright_object_rolls_to_its_resting_pose():
     # A round bar with a load on top rolls onto the edge of a leaf 1.5 mm above the ground.
     laid = tuple(from_axis_angle((0, 1, 0), math.pi / 2))
     bar = geom("bar", Capsule(radius=0.01, length=0.1), quat=laid)
     leaf = geom("leaf", Box(size=(0.06, 0.03, 0.002)), (0, 0, -0.0075))
     load = geom("load", Box(size=(0.06, 0.01, 0.02)), (0, 0, 0.019))
     spoon = ObjectSpec(name="spoon", materials=(LIGHT,), parts=(part("body", bar, leaf, load),))
-    made = composed([node("spoon", spoon, (1.0, 0, 0))], {"spoon": spoon})
-    turned = math.degrees(float(angle_between(made.scene.object("spoon").base_tilt, IDENTITY)))
+    result = composed([node("spoon", spoon, (1.0, 0, 0))], {"spoon": spoon})
+    turned = math.degrees(float(angle_between(result.scene.object("spoon").base_tilt, IDENTITY)))
     assert 5 < turned < 30
-    assert made.notes == (f"spoon: composition tilted it by {turned:.1f} deg to its resting pose",)
-    assert unstable_objects(made.scene, scene_measure(made.scene)) == ()
+    assert result.notes == (
+        f"spoon: composition tilted it by {turned:.1f} deg to its resting pose",
+    )
+    assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
 
 
 @pytest.mark.parametrize("degrees", [70, 90, 100])
-def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
+def test_a_tilted_bottle_settles_flat(degrees):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
     rod = part("body", geom("rod", Cylinder(radius=0.02, height=0.2), (0, 0, 0.1)))
     bottle = ObjectSpec(name="b", materials=(LIGHT,), parts=(rod,))
@@ -409,25 +413,25 @@ def test_a_tilt_far_from_any_resting_pose_has_none():
 
 
 @pytest.mark.parametrize("side", [0.035, 0.2])
-def test_an_object_tilted_on_a_saucer_is_settled_or_a_note_says_why_not(side):
+def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
     bar = scenes.single("bar", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
-    made = composed(
+    result = composed(
         [
             node("saucer", scenes.saucer(), (1.0, 0, 0)),
             node("bar", bar, (1.0, side, 0.02), parent="saucer", base_tilt=tilt),
         ],
         {"saucer": scenes.saucer(), "bar": bar},
     )
-    item = made.scene.object("bar")
+    item = result.scene.object("bar")
     if side < 0.1:
-        (note,) = made.notes
+        (note,) = result.notes
         assert note.startswith("bar: settling it on saucer tilted it by 14 deg and moved it by ")
         assert angle_between(item.base_tilt, tilt) == pytest.approx(math.radians(14), abs=0.01)
-        assert scene_measure(made.scene).tilt_deg["bar"] < 1
+        assert scene_measure(result.scene).tilt_deg["bar"] < 1
     else:
         assert item.base_tilt == pytest.approx(tilt)
-        (note,) = made.notes
+        (note,) = result.notes
         assert note == "bar: composition kept the parsed tilt, at which it does not rest on saucer"
 
 
@@ -447,22 +451,22 @@ def on_a_wall(**frame):
     return composed([wall, picture], {"wall": WALL, "frame": FRAME})
 
 
-def test_what_is_attached_is_fastened_and_the_scene_stands():
-    made = on_a_wall()
-    assert made.scene.object("frame").fixed_base
-    assert made.notes == ("frame: composition fastened it to wall, as it is attached",)
-    assert unstable_objects(made.scene, scene_measure(made.scene)) == ()
+def test_an_attached_object_is_fixed_and_the_scene_is_stable():
+    result = on_a_wall()
+    assert result.scene.object("frame").fixed_base
+    assert result.notes == ("frame: composition fastened it to wall, as it is attached",)
+    assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
 
 
-def test_what_may_come_off_is_left_loose_and_named_when_it_falls():
-    made = on_a_wall(held_by="a loop over a nail")
-    assert not made.scene.object("frame").fixed_base
-    assert made.notes == ("frame: composition left it loose, held by a loop over a nail",)
-    (entry,) = unstable_objects(made.scene, scene_measure(made.scene))
+def test_a_detachable_object_is_free_and_named_if_it_falls():
+    result = on_a_wall(held_by="a loop over a nail")
+    assert not result.scene.object("frame").fixed_base
+    assert result.notes == ("frame: composition left it loose, held by a loop over a nail",)
+    (entry,) = unstable_objects(result.scene, scene_measure(result.scene))
     assert (entry.name, entry.kind, entry.held) == ("frame", "falls", False)
     assert entry.drop_m > 0.4
     assert entry.why == "it is attached to wall, but not fastened there"
 
 
-def test_what_was_fixed_by_the_answer_needs_no_note():
+def test_an_object_fixed_by_the_parse_has_no_note():
     assert on_a_wall(fixed_base=True).notes == ()

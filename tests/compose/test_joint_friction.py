@@ -1,4 +1,4 @@
-"""Joints that gravity would move are held where the parse shows them, and no others change."""
+"""Joints that gravity would move are held where the parse shows them, and others do not change."""
 
 import math
 
@@ -32,7 +32,7 @@ OPEN = math.radians(40)
 
 
 def chest(**hinge) -> ObjectSpec:
-    """A block with a lid on it that opens about its back edge."""
+    """A block with a lid that opens about its back edge."""
     spec = {"upper": 2.0, "axis": (0, -1, 0), "pos": (-LID / 2, 0, 0.1)} | hinge
     return ObjectSpec(
         name="chest",
@@ -50,13 +50,13 @@ def placed(spec: ObjectSpec, **more) -> SceneObject:
 
 
 def lid_turn(obj: SceneObject) -> float:
-    """Return how far the lid turns by itself in 2 s [deg]."""
+    """Return the passive rotation of the lid in 2 s [deg]."""
     table = SceneObject(name="table", spec=scenes.table(), environment=True)
     scene = SceneSpec(objects=(table, obj.model_copy(update={"fixed_base": True})))
     return scene_measure(scene).joint_turn_deg["chest-hinge"]
 
 
-def test_an_open_lid_stays_where_it_is_shown():
+def test_an_open_lid_stays_at_its_parsed_angle():
     lid = placed(chest(friction=0.01), joint_state={"hinge": OPEN})
     weight = inertial(lid.spec, lid.spec.part("lid")).mass * 9.81
     load = joint_loads(lid)["hinge"]
@@ -66,7 +66,7 @@ def test_an_open_lid_stays_where_it_is_shown():
     assert lid_turn(lid) > 30
     holding, changes = hold_joints(lid)
     assert changes == {"hinge": (0.01, pytest.approx(MARGIN * abs(load)))}
-    # Dry friction sticks: by MuJoCo's soft one the lid would creep by degrees.
+    # Dry friction sticks; with MuJoCo's soft friction the lid would creep by degrees.
     assert lid_turn(holding) < 0.1
     assert hold_joints(holding) == (holding, {})
 
@@ -74,18 +74,18 @@ def test_an_open_lid_stays_where_it_is_shown():
 @pytest.mark.parametrize(
     ("hinge", "state"),
     [
-        ({}, 0.0),  # Closed: its limit holds it.
-        ({"upper": OPEN, "axis": (0, 0, 1)}, 0.3),  # A door: nothing pulls.
-        ({"stiffness": 3.0}, OPEN),  # A spring moves it.
+        ({}, 0.0),  # Closed: at its limit.
+        ({"upper": OPEN, "axis": (0, 0, 1)}, 0.3),  # A door: no load.
+        ({"stiffness": 3.0}, OPEN),  # A joint with a spring.
         ({"friction": 50.0}, OPEN),
     ],
 )
-def test_what_stays_by_itself_is_left_as_it_is(hinge, state):
+def test_joints_without_a_load_do_not_change(hinge, state):
     obj = placed(chest(**hinge), joint_state={"hinge": state})
     assert hold_joints(obj) == (obj, {})
 
 
-def test_a_leader_bears_what_follows_it():
+def test_a_leader_bears_the_load_of_its_mimic_joints():
     spec = chest()
     flap = part("flap", geom("flap", Box(size=(0.1, 0.3, 0.02)), (0.15, 0, 0.05)))
     hung = {"upper": 2.0, "axis": (0, -1, 0), "pos": (0.1, 0, 0.06)}
@@ -111,7 +111,7 @@ def test_a_leader_bears_what_follows_it():
     assert loads["hinge"] == pytest.approx(lid + 0.5 * alone)
 
 
-def test_composition_holds_joints_and_says_so():
+def test_composition_holds_joints_and_notes_it():
     spec = chest(friction=0.01)
     size = tuple((bounds(spec, {"hinge": OPEN})[1] - bounds(spec, {"hinge": OPEN})[0]).tolist())
     pixels = Box2D(x0=10, y0=10, x1=100, y1=100)

@@ -14,7 +14,7 @@ from neoworld_mjx.spec import Box2D
 from tests.support import scenes
 
 
-def test_a_patch_moves_what_it_names_and_nothing_else():
+def test_a_patch_changes_only_the_objects_that_it_names():
     scene = snap(scenes.blocks())
     name = next(obj.name for obj in scene.objects if not obj.environment)
     x, y = scene.object(name).xy
@@ -29,14 +29,14 @@ def test_a_patch_moves_what_it_names_and_nothing_else():
     assert all(moved.object(n) == scene.object(n) for n in others)
 
 
-def test_later_placements_win_and_the_rest_of_the_earlier_stays():
+def test_later_edits_override_only_the_fields_that_they_set():
     patch = LayoutPatch().merged("door", ObjectPlacement(xy=(1, 2), joint_state={"hinge": 0.5}))
     patch = patch.merged("door", ObjectPlacement(yaw=0.1, joint_state={"lock": 1.0}))
     expected = ObjectPlacement(xy=(1, 2), yaw=0.1, joint_state={"hinge": 0.5, "lock": 1.0})
     assert patch.objects["door"] == expected
 
 
-def test_what_the_scene_lacks_is_named():
+def test_unknown_objects_and_joints_are_named():
     scene = scenes.blocks()
     known = scene.objects[0].name
     patch = LayoutPatch(
@@ -48,7 +48,7 @@ def test_what_the_scene_lacks_is_named():
     assert apply_layout(scene, patch)[1] == ("ghost", f"{known}/no_joint")
 
 
-def test_the_file_reads_as_it_was_written_and_a_broken_one_is_refused(tmp_path):
+def test_the_file_round_trips_and_an_invalid_one_is_an_error(tmp_path):
     patch = LayoutPatch().merged("cup", ObjectPlacement(xy=(0.1, 0.2)))
     write_layout_patch(tmp_path, patch)
     assert read_layout_patch(tmp_path) == patch

@@ -1,4 +1,4 @@
-"""What leans goes up to what it leans on."""
+"""Leaning objects are moved into contact with the object that they lean on."""
 
 import math
 
@@ -15,7 +15,7 @@ TILT = math.radians(12.0)
 
 
 def leaning_scene(gap, *, yaw=0.0):
-    """A board tilted away along x, `gap` [m] before a wall; a block touches the board's side."""
+    """A board tilted along x, `gap` [m] in front of a wall; a block touches the board's side."""
     table = scenes.single("table", (Box(size=(2.0, 2.0, 0.1)), (0, 0, -0.05)))
     wall = scenes.single("wall", (Box(size=(0.1, 2.0, 1.0)), (0, 0, 0.5)))
     board = scenes.single("board", (Box(size=(0.02, 0.2, 0.3)), (0, 0, 0.15)))
@@ -47,7 +47,7 @@ def leaning_scene(gap, *, yaw=0.0):
 
 
 @pytest.mark.parametrize("gap", [0.1, 0.01, -0.02, -0.06])
-def test_a_board_goes_up_to_the_wall_or_out_of_it_and_keeps_its_tilt(gap):
+def test_a_board_moves_into_contact_with_the_wall_and_keeps_its_tilt(gap):
     scene = leaning_scene(gap)
     leant, moved = lean(scene)
     assert moved == {"board": (pytest.approx(gap, abs=5e-4), "wall")}
@@ -61,20 +61,20 @@ def test_a_board_goes_up_to_the_wall_or_out_of_it_and_keeps_its_tilt(gap):
 
 
 @pytest.mark.parametrize("gap", [0.0005, 0.3, -0.0005, -0.16])
-def test_what_touches_or_is_far_away_or_far_within_stays(gap):
+def test_a_board_in_contact_or_too_far_away_does_not_move(gap):
     scene = leaning_scene(gap)
     leant, moved = lean(scene)
     assert moved == {} and leant is scene
 
 
-def test_only_what_leans_moves_and_only_where_its_top_is():
+def test_only_leaning_objects_move_and_only_toward_their_tops():
     turned = leaning_scene(0.1, yaw=math.pi)
     assert lean(turned)[1] == {}
     scene = leaning_scene(0.1)
     standing = scene.object("board").model_copy(update={"relation": "on"})
     objects = tuple(standing if o.name == "board" else o for o in scene.objects)
     assert lean(scene.model_copy(update={"objects": objects}))[1] == {}
-    # A book leans on a book that leans on the wall: the farther one goes first.
+    # A book leans on a book that leans on the wall: the farther one moves first.
     second = scene.object("board").model_copy(
         update={"name": "second", "xy": tuple(np.array(scene.object("board").xy) - [0.05, 0])}
     )

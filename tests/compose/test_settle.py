@@ -1,4 +1,4 @@
-"""Things that lie on what is not level come to rest before the search begins."""
+"""Objects on supports that are not level are settled before the search."""
 
 import math
 
@@ -44,7 +44,7 @@ def test_a_settled_spoon_is_stable():
     assert turned((table, saucer, rested)) < 1
     assert np.hypot(*np.subtract(rested.xy, spoon.xy)) < 0.02
     assert angle_between(rested.base_tilt, TILTED) < math.radians(30)
-    # It is the same wherever the saucer stands, and however that is turned.
+    # The result does not depend on the saucer's position and yaw.
     moved = saucer.model_copy(update={"xy": (0.1, 0.2), "yaw": 1.0})
     assert settle(moved, spoon) == rested
 
@@ -77,7 +77,7 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
 
 
 def test_overlaps_within_the_parent_are_ignored():
-    """Two drawers that are half a millimetre in each other, and a block on the case above them."""
+    """Two drawers that overlap by half a millimetre, and a block on the case above them."""
     parts = [part("case", geom("top", Box(size=(0.3, 0.3, 0.02)), (0, 0, 0.11)))]
     joints = []
     for k, y in enumerate((-0.04975, 0.04975)):
@@ -104,11 +104,11 @@ def in_cup(xy, lean):
 
 
 @pytest.mark.parametrize("x", [-0.015, 0.02, 0.09])
-def test_a_stick_that_pierces_its_cup_is_let_down_into_it(x):
+def test_a_stick_that_penetrates_its_cup_settles_inside(x):
     cup, stick = in_cup((x, 0.004), 38)
     rested = settle(cup, stick)
     assert rested is not None
-    # Its lower end is on the bottom, beyond the middle; its upper end leans the way that it did.
+    # Its lower end is on the bottom beyond the center; it still leans to the same side.
     assert rested.z < 0.015 and -0.035 < rested.xy[0] < 0.0
     up = rotate(from_axis_angle((0.0, 0.0, 1.0), rested.yaw), np.array([1.0, 0.0, 0.0]))
     assert up[0] > 0.9
@@ -121,7 +121,7 @@ def test_a_stick_that_pierces_its_cup_is_let_down_into_it(x):
     assert x < 0 or before.drift_m["stick"] > 0.005 or before.max_depth_m > 0.001
 
 
-def test_snapping_leaves_a_stick_in_a_cup_where_it_rests():
+def test_snapping_does_not_move_a_settled_stick():
     cup, stick = in_cup((0.0, 0.0), 45)
     rested = settle(cup, stick)
     assert rested is not None

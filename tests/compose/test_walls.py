@@ -1,4 +1,4 @@
-"""What overlaps a wall of its container sideways clears it."""
+"""Objects that overlap a wall of their container are moved out of it."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def depths(scene):
 
 
 @pytest.mark.parametrize("relation", ["in", "on"])
-def test_a_block_with_a_side_in_a_wall_clears_it_by_the_shortest_way(relation):
+def test_a_block_that_overlaps_a_wall_clears_it_by_the_shortest_displacement(relation):
     scene = in_tray(0.08, 0.04, relation=relation)
     assert depths(scene)["tray", "block"] == pytest.approx(0.005, abs=1e-4)
     clear, moved = clear_walls(scene)
@@ -46,7 +46,7 @@ def test_a_block_with_a_side_in_a_wall_clears_it_by_the_shortest_way(relation):
     assert same == [o for o in scene.objects if o.name != "block"]
 
 
-def test_a_turned_block_clears_the_wall_by_its_corner():
+def test_a_rotated_block_clears_the_wall_with_its_corner():
     clear, moved = clear_walls(in_tray(0.08, 0.03, turn=np.pi / 4))
     assert list(moved) == ["block"]
     assert moved["block"] == pytest.approx(0.03 + 0.04 * np.sqrt(2) - INSIDE / 2, abs=5e-4)
@@ -56,12 +56,12 @@ def test_a_turned_block_clears_the_wall_by_its_corner():
 @pytest.mark.parametrize(
     ("width", "off"), [(0.08, 0.0), (0.08, 0.0355), (0.155, 0.0)], ids=["clear", "hardly", "wide"]
 )
-def test_what_overlaps_no_wall_or_does_not_fit_stays(width, off):
+def test_a_block_without_overlap_or_without_space_does_not_move(width, off):
     scene = in_tray(width, off)
     assert clear_walls(scene) == (scene, {})
 
 
-def test_a_block_stays_in_a_wall_where_it_would_go_into_another_block():
+def test_a_block_does_not_move_into_another_block():
     other = scenes.single("other", (Box(size=(0.05, 0.05, 0.05)), (0, 0, 0)))
     near, clear = (in_tray(0.08, 0.04, (other, (0.0, y))) for y in (-0.027, -0.031))
     assert clear_walls(near) == (near, {})

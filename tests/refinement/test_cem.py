@@ -1,4 +1,4 @@
-"""CEM against a plain NumPy one on the same draws, and its edge cases."""
+"""CEM compared with a NumPy implementation on the same draws, and edge cases."""
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ def test_initial_deviations_are_the_papers(scene):
     assert not np.any(np.asarray(params.sigma.log_scale[0, table]))
 
 
-def test_what_hangs_on_a_wall_moves_along_it_and_does_not_turn():
+def test_an_object_on_a_wall_moves_along_it_and_does_not_rotate():
     wall = scenes.single("wall", (Box(size=(0.05, 2.0, 1.5)), (0, 0, 0.75)))
     picture = scenes.single("picture", (Box(size=(0.02, 0.4, 0.3)), (0, 0, 0.15)))
     hung = {"parent": "wall", "relation": "attached", "z": 0.8}

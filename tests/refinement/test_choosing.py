@@ -1,4 +1,4 @@
-"""The candidates that are tried as the winner, one after the other."""
+"""Order in which candidates are checked as the winner."""
 
 import jax
 import numpy as np
@@ -15,11 +15,11 @@ from tests.support import scenes
 
 OPTIONS = RefineOptions(finalists=3, check_duration_s=0.5)
 FALLS, STANDS = 0.06, 0.03
-"""How far the plate's middle is from that of what it lies on [m]; that ends at 0.05."""
+"""Offsets of the plate's center from that of its support [m], whose edge is at 0.05."""
 
 
 def searched(plate_x, valid):
-    """A plate on a block, and an iteration that has it at `plate_x`, the most faithful first."""
+    """A plate on a block, and an iteration with the plate at each of `plate_x`, best first."""
     low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
     plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
     on_low = {"parent": "low", "z": 0.06}
@@ -42,7 +42,7 @@ def searched(plate_x, valid):
 NEAR = [FALLS + 1e-4 * k for k in range(6)]
 
 
-def test_what_the_check_finds_falling_is_tried_elsewhere_next():
+def test_positions_that_failed_the_check_are_skipped():
     chosen = choose(*searched([*NEAR, STANDS], [True] * 7), OPTIONS)
     assert chosen.passed and chosen.index == (0, 6) and chosen.tried == 2
 
@@ -52,13 +52,13 @@ def test_what_the_check_finds_falling_is_tried_elsewhere_next():
     [([*NEAR, STANDS], [True] * 6 + [False]), (NEAR, [True] * 6)],
     ids=["not valid", "nowhere else"],
 )
-def test_otherwise_the_most_faithful_ones_are_tried(plate_x, valid):
+def test_otherwise_candidates_are_checked_in_order_of_fidelity(plate_x, valid):
     start = searched(plate_x, valid)[1][0].layouts[:1]
     chosen = choose(*searched(plate_x, valid), OPTIONS, start)
     assert not chosen.passed and chosen.index[1] in (0, 1, 2, -1)
     assert chosen.tried == OPTIONS.finalists
 
 
-def test_the_best_that_passes_wins():
+def test_the_best_passing_candidate_wins():
     chosen = choose(*searched([STANDS, 0.0], [True, True]), OPTIONS)
     assert chosen.passed and chosen.index == (0, 0) and chosen.tried == 1

@@ -1,4 +1,4 @@
-"""Credit assignment by contact component: each object has elites of its own."""
+"""Credit assignment by contact component: elites are selected per object."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def test_credit_is_shared_by_objects_in_contact():
     assert apart.sum() <= wider.sum()
 
 
-def test_each_object_has_elites_of_its_own():
+def test_elites_are_selected_per_object():
     scene = compile_scene(scenes.blocks())
     cem = open_cem(scene, CEMOptions(elite_ratio=0.1))
     state = cem.init()
@@ -57,7 +57,7 @@ def test_failed_candidates_get_no_credit():
     assert np.array_equal(assigned_credit(credit, reward, contacts, False)[:, 0], reward)
 
 
-def test_credit_by_objects_excludes_terms_of_the_whole_scene():
+def test_per_object_credit_excludes_user_defined_terms():
     options = RefineOptions(cem=CEMOptions(credit="object"))
     bad = options.model_copy(
         update={"reward": options.reward.model_copy(update={"terms": {"math:sin": 1.0}})}

@@ -1,4 +1,4 @@
-"""The search moves what must move: sound objects stay, and a hopeless search ends."""
+"""The search moves only infeasible objects, and ends early if an object always falls."""
 
 import numpy as np
 import pytest
@@ -36,21 +36,21 @@ OVERLAPPING = on_table(
     (block("one"), (0.0, 0.1), 0.0, {}),
     (block("two"), (0.0, 0.15), 0.0, {}),
 )
-"""Two blocks 1 cm in one another, and one apart from them."""
+"""Two blocks that overlap by 1 cm, and a separate one."""
 
 
-def test_a_sound_scene_is_its_own_answer():
+def test_a_valid_scene_is_returned_unchanged():
     scene = snap_exactly(scenes.blocks())
     lines = []
     refined = refine(scene, options(), engine="native", progress=lines.append)
     assert refined.passed and refined.rollouts == 1
     assert set(refined.kept) == {"low", "high", "ball"}
     assert all((np.asarray(getattr(refined.layout, k)) == 0).all() for k in ("xy", "yaw"))
-    assert lines == ["all 3 objects are sound where they stand"]
+    assert lines == ["all 3 objects are valid in the initial layout"]
 
 
-def test_what_fails_the_final_check_where_it_stands_is_not_sound(monkeypatch):
-    """The final check goes on for longer than a rollout."""
+def test_an_object_that_fails_the_final_check_is_not_feasible(monkeypatch):
+    """The final check lasts longer than a rollout."""
 
     def check(scene, o):
         measure = measured(scene, o)
@@ -62,7 +62,7 @@ def test_what_fails_the_final_check_where_it_stands_is_not_sound(monkeypatch):
     assert refined.before.tilt_deg["high"] == 9.0
 
 
-def test_only_what_overlaps_is_moved():
+def test_only_overlapping_objects_are_moved():
     refined = refine(OVERLAPPING, options(), engine="native")
     assert refined.passed
     assert refined.kept == ("left",)
@@ -74,7 +74,7 @@ def test_only_what_overlaps_is_moved():
     assert np.nanmax(np.abs(drawn)) == 0.0
 
 
-def test_what_agrees_with_the_photograph_turns_and_grows_less():
+def test_objects_that_agree_with_the_photograph_have_smaller_yaw_and_scale_deviations():
     names = [item.name for item in OVERLAPPING.objects]
     pixel = OVERLAPPING.camera.project(np.array([[0.5, 0.25, 0.03]]))[0][0]
     x, y = (float(v) for v in pixel)
@@ -97,14 +97,14 @@ def test_what_agrees_with_the_photograph_turns_and_grows_less():
         assert 0.7 * sigma < spread[two] < 1.3 * sigma
 
 
-def test_all_objects_move_where_the_option_says_so():
+def test_all_objects_move_without_keep_sound():
     refined = refine(OVERLAPPING, options(keep_sound=False), engine="native")
     assert refined.passed and not refined.kept
     drawn = refined.history["xy"][:, :, 1]
     assert np.nanmax(np.abs(drawn)) > 0.001
 
 
-def test_what_moves_by_the_photograph_is_not_sound():
+def test_an_object_that_disagrees_with_the_photograph_is_moved():
     scene = snap_exactly(
         on_table((block("a"), (0.0, -0.2), 0.0, {}), (block("b"), (0, 0.1), 0, {}))
     )
@@ -117,12 +117,12 @@ def test_what_moves_by_the_photograph_is_not_sound():
     moved = refine(scene.model_copy(update={"objects": tuple(objects)}), options(), engine="native")
     assert "a" in moved.kept and "b" not in moved.kept
     b, share = moved.history["object_names"].tolist().index("b"), options().cem.sigma_agreeing
-    # It is elsewhere rather than turned.
+    # Its position varies, while yaw and scale keep the reduced deviation.
     for name, sigma in (("yaw", np.radians(15)), ("log_scale", 0.1)):
         assert 0.0 < np.nanstd(moved.history[name][0, :, b]) < 1.4 * share * sigma
 
 
-def test_what_only_the_photograph_moves_waits_until_the_others_are_valid():
+def test_objects_that_only_disagree_with_the_photograph_move_after_a_valid_candidate():
     names = [item.name for item in OVERLAPPING.objects]
     pixel = OVERLAPPING.camera.project(np.array([[0.5, -0.17, 0.03]]))[0][0]
     x, y = (float(v) for v in pixel)
@@ -134,14 +134,14 @@ def test_what_only_the_photograph_moves_waits_until_the_others_are_valid():
     lines = []
     scene = OVERLAPPING.model_copy(update={"objects": objects})
     refined = refine(scene, options(), engine="native", progress=lines.append)
-    assert refined.passed and "moving one, two, then by the photograph left" in lines[0]
+    assert refined.passed and "moving one, two, then to match the photograph left" in lines[0]
     drawn = np.abs(refined.history["xy"][:, :, names.index("left")])
     valid = refined.history["valid"].any(axis=1)
     first = int(np.flatnonzero(np.nanmax(drawn, axis=(1, 2)) > 0)[0])
     assert first > int(np.flatnonzero(valid)[0])
 
 
-def test_a_search_without_hope_ends_early_and_names_the_object():
+def test_a_search_with_an_always_falling_object_ends_early_and_names_it():
     picture = block("picture", (0.02, 0.2, 0.2))
     scene = on_table(
         (block("box"), (0.0, 0.1), 0.0, {}),
@@ -155,12 +155,12 @@ def test_a_search_without_hope_ends_early_and_names_the_object():
 
 
 @pytest.mark.parametrize("stop_by", ["best", "elites"])
-def test_both_rules_stop(stop_by):
+def test_both_convergence_rules_stop_the_search(stop_by):
     refined = refine(OVERLAPPING, options(stop_by=stop_by, stop_gain=10.0), engine="native")
     assert refined.iterations < 8
 
 
-def test_what_fell_in_every_candidate_is_looked_for_farther_away():
+def test_the_search_is_widened_for_objects_that_always_fall():
     sigma = Layout.zero(1, 4)
     sigma = Layout(sigma.xy + 0.01, sigma.yaw + 0.1, sigma.log_scale + 0.1)
     nothing = on_device((np.int32(0), -np.inf, -np.inf, np.inf, False, np.int32(0)))
@@ -172,21 +172,21 @@ def test_what_fell_in_every_candidate_is_looked_for_farther_away():
         np.asarray(far.optimizer.std.xy)[0, :, 0], [0.01, 0.01 * FARTHER_FACTOR, 0.01, 0.01]
     )
     np.testing.assert_allclose(np.asarray(far.optimizer.std.yaw), 0.1)
-    # On the table it is over what carries it.
+    # On the table it is already over its support.
     assert not np.asarray(far.optimizer.mean.xy).any()
 
 
-def beside(aside):
-    """A peg composed in the air, so far beside the post that it stands on."""
+def off_support(offset):
+    """A peg composed in the air, at an offset [m] from the post that supports it."""
     post, peg = block("post", (0.04, 0.06, 0.1)), block("peg", (0.03, 0.03, 0.04))
     on_post = {"parent": "post", "z": 0.1}
-    return on_table((post, (0.0, 0.0), 0.3, {}), (peg, (aside, 0.02), 0.2, on_post))
+    return on_table((post, (0.0, 0.0), 0.3, {}), (peg, (offset, 0.02), 0.2, on_post))
 
 
-def test_the_mean_of_what_fell_moves_over_its_carrier():
-    scene = beside(0.12)
+def test_the_mean_of_a_falling_object_moves_over_its_support():
+    scene = off_support(0.12)
     off = offset_from_support(scene, scene.object("peg"), np.zeros(2))
-    # Its middle may be a quarter of the post's depth, 1 cm, beside the post's.
+    # Its center may be a quarter of the post's depth, 1 cm, from the post's center.
     np.testing.assert_allclose(off, [0.11, 0.005], atol=1e-6)
     np.testing.assert_allclose(
         offset_from_support(scene, scene.object("peg"), -off), 0.0, atol=1e-9
@@ -194,11 +194,11 @@ def test_the_mean_of_what_fell_moves_over_its_carrier():
     assert not offset_from_support(scene, scene.object("post"), np.zeros(2)).any()
 
 
-def test_what_was_answered_beside_its_carrier_is_put_onto_it(monkeypatch):
-    found = refine(beside(0.12), options(), engine="native")
+def test_an_object_parsed_off_its_support_is_placed_on_it(monkeypatch):
+    found = refine(off_support(0.12), options(), engine="native")
     assert found.passed and found.scene.object("peg").parent == "post"
     low = bounds(found.scene.object("peg").spec)[0][2]
     assert world_poses(found.scene)["peg"].pos[2] + low > 0.09
-    # Without it nothing is found, however far it is looked for around where it was answered.
+    # Without the offset no valid candidate is found, although the search is widened.
     monkeypatch.setattr(feasibility, "offset_from_support", lambda *of: np.zeros(2))
-    assert not refine(beside(0.12), options(), engine="native").passed
+    assert not refine(off_support(0.12), options(), engine="native").passed

@@ -27,7 +27,7 @@ def test_gradient_refinement_removes_overlaps_and_fits_the_boxes(crowd):
     assert error(fitted).max() < 0.2 * error(layouts[:4]).min()
 
 
-def test_gradient_refinement_treats_candidates_separately(crowd):
+def test_candidates_are_refined_independently(crowd):
     scene, layouts = crowd
     sigma = open_cem(scene, CEMOptions()).params.sigma
     first, second = (

@@ -30,7 +30,7 @@ def scene():
     return compile_scene(scenes.furnished(), samples=64)
 
 
-def own(tree, scene):
+def unpadded(tree, scene):
     return jax.tree.map(lambda x: np.asarray(x)[:, : scene.count], tree)
 
 
@@ -40,7 +40,7 @@ def test_a_bucket_is_the_smallest_doubled(scene):
     assert wide == Bucket(*(2 * n for n in SMALLEST_BUCKET))
 
 
-def test_a_padded_layout_applies_as_its_own(scene):
+def test_a_padded_layout_applies_as_the_unpadded_one(scene):
     """The search's bucket may be wider than that of the objects alone."""
     layouts = open_cem(scene, RefineOptions().cem)
     layouts = layouts.ask(jax.random.key(3), layouts.init(), 2)
@@ -57,7 +57,7 @@ def test_padded_equals_unpadded(scene):
     cem, wide = (open_cem(of, o.cem) for of in (scene, padded))
     key = jax.random.key(1)
     layouts, drawn = (c.ask(key, c.init(), 32) for c in (cem, wide))
-    jax.tree.map(np.testing.assert_array_equal, own(drawn, scene), own(layouts, scene))
+    jax.tree.map(np.testing.assert_array_equal, unpadded(drawn, scene), unpadded(layouts, scene))
     objective = open_objective(o)
     one, two = (place(s, z, objective) for s, z in ((scene, layouts), (padded, drawn)))
     moved = rollout(scene, layouts, engine="native", duration=0.2)
@@ -75,7 +75,7 @@ def test_padded_equals_unpadded(scene):
     np.testing.assert_array_equal(first.valid, second.valid)
 
 
-def test_descent_moves_padded_as_unpadded(scene):
+def test_gradient_refinement_of_padded_equals_unpadded(scene):
     o = RefineOptions().cem
     padded = pad_scene(scene)
     layouts = open_cem(scene, o).ask(jax.random.key(2), open_cem(scene, o).init(), 1)
@@ -89,8 +89,8 @@ def test_descent_moves_padded_as_unpadded(scene):
 
 
 def test_a_second_scene_compiles_nothing(monkeypatch):
-    # A full process forgets what it has compiled; here that would be counted.
-    monkeypatch.setattr(model, "make_room", lambda: False)
+    # Eviction from the in-process cache would be counted as a compilation.
+    monkeypatch.setattr(model, "free_memory_maps", lambda: False)
     options = load_config(
         None,
         {
@@ -102,8 +102,8 @@ def test_a_second_scene_compiles_nothing(monkeypatch):
     ).refine
     programs = []
     monitoring.register_event_duration_secs_listener(
-        lambda event, _, **about: (
-            programs.append(about.get("fun_name"))
+        lambda event, _, **details: (
+            programs.append(details.get("fun_name"))
             if event == "/jax/core/compile/backend_compile_duration"
             else None
         )

@@ -1,4 +1,4 @@
-"""Pruning leaves out rollouts without changing an elite."""
+"""Pruning skips rollouts without changing the elites."""
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from tests.support.scenes import noisy_layouts, stored_scene
 
 
 @pytest.mark.parametrize("elites", [1, 12])
-def test_pruning_changes_no_elite(crowd, elites):
+def test_pruning_does_not_change_the_elites(crowd, elites):
     scene, layouts = crowd
     objective = open_objective(RefineOptions())
     roll_out = lambda placed: NativeEngine().rollout(scene, placed.poses, duration=0.3)
@@ -41,7 +41,7 @@ def test_pruning_changes_no_elite(crowd, elites):
     )
 
 
-def test_more_come_to_rest_until_one_is_valid(crowd):
+def test_batches_settle_until_one_candidate_is_valid(crowd):
     scene, layouts = crowd
     objective = open_objective(RefineOptions())
     placement = place(scene, layouts, objective)
@@ -59,12 +59,12 @@ def test_more_come_to_rest_until_one_is_valid(crowd):
             plan.add(eqx.tree_at(lambda s: s.valid, scores, np.full(8, valid)))
             rolled += rows.tolist()
     assert plan.waiting() is None and plan.next() is None
-    # What rests beside a valid candidate may be pruned, nothing before it.
+    # Candidates after a valid one may be pruned, but none before it.
     assert rolled == order[: len(rolled)].tolist() and 16 < len(rolled) <= 32
     assert plan.rolled_out == len(rolled)
 
 
-def test_a_refinement_with_pruning_ends_where_one_without_does():
+def test_refinements_with_and_without_pruning_are_equal():
     noisy = compile_scene(stored_scene("crowded_3"), samples=64)
     start = noisy.apply(noisy_layouts(noisy, 1, seed=2), 0)
     results = [

@@ -1,4 +1,4 @@
-"""The whole of Algorithm 1, natively and on MJX."""
+"""Algorithm 1 end to end, on the native and MJX engines."""
 
 import math
 
@@ -42,7 +42,7 @@ def options(population=32, iterations=6, steps=50):
     "engine",
     [
         pytest.param(NativeEngine(), id="native"),
-        # Its verdicts are held against the other's in tests/physics.
+        # tests/physics compares its validity with that of the native engine.
         pytest.param(MjxEngine(), id="mjx", marks=pytest.mark.slow),
     ],
 )
@@ -66,7 +66,7 @@ def test_an_invalid_scene_becomes_valid(engine):
     assert again == after
 
 
-def test_the_optimizer_learns_nothing_from_a_first_few_candidates():
+def test_a_smaller_first_population_does_not_update_the_optimizer():
     means = {}
     for first in (8, 32):
         o = options(32, 2)
@@ -99,7 +99,7 @@ class Stubborn:
         return eqx.tree_at(lambda r: r.status, found, jnp.full_like(found.status, 3))
 
 
-def test_when_every_candidate_fails_that_is_said():
+def test_failure_of_every_candidate_is_reported():
     never = options(32, 2).model_copy(update={"settle": "never"})
     result = refine(clashing(), never, engine=Stubborn())
     assert not result.passed
@@ -108,7 +108,7 @@ def test_when_every_candidate_fails_that_is_said():
     assert result.mean_log_scale == 0.0
 
 
-def test_a_scene_that_is_valid_already_keeps_its_layout():
+def test_a_valid_scene_keeps_its_layout():
     result = refine(scenes.blocks(), options(32, 4))
     assert result.passed
     assert math.isfinite(result.measure.max_drift_m)
@@ -117,14 +117,14 @@ def test_a_scene_that_is_valid_already_keeps_its_layout():
 
 
 def tipping():
-    """A plate that overhangs too far does not penetrate; nothing but physics sees that it tips."""
+    """A plate that overhangs too far: it does not penetrate, but tips over in a rollout."""
     low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
     plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
     on_low = {"parent": "low", "z": 0.06}
     return scenes.on_table((low, (0, 0), 0.0, {}), (plate, (0.06, 0.0), 0.0, on_low), name="tips")
 
 
-def test_without_simulation_only_the_final_check_tells_what_falls():
+def test_without_simulation_only_the_final_check_detects_a_fall():
     scene = tipping()
     options = RefineOptions(
         cem=CEMOptions(population=32, iterations=2, sigma_xy=1e-4, sigma_yaw_deg=0.1),
@@ -153,41 +153,43 @@ def leaning():
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def test_what_hangs_in_the_air_comes_to_rest_where_the_options_let_it():
-    held = refine(leaning(), options(32, 3, 125).model_copy(update={"settle": "never"}), seed=1)
-    assert not held.passed
-    assert held.measure.max_tilt_deg > 5
-    let = refine(leaning(), options(32, 3, 125), seed=1)
-    assert let.passed
-    assert let.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
-    assert "block" in let.kept
-    assert any("came to rest" in line for line in let.fallbacks)
-    assert not any("came to rest" in line for line in held.fallbacks)
+def test_an_unsupported_object_settles_unless_disabled():
+    unsettled = refine(
+        leaning(), options(32, 3, 125).model_copy(update={"settle": "never"}), seed=1
+    )
+    assert not unsettled.passed
+    assert unsettled.measure.max_tilt_deg > 5
+    settled = refine(leaning(), options(32, 3, 125), seed=1)
+    assert settled.passed
+    assert settled.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
+    assert "block" in settled.kept
+    assert any("were settled" in line for line in settled.fallbacks)
+    assert not any("were settled" in line for line in unsettled.fallbacks)
     # Settling counts as drift: 8 of 15 degrees.
-    drift = let.history["d_drift"][let.winner]
+    drift = settled.history["d_drift"][settled.winner]
     assert drift == pytest.approx(8 / 15, rel=0.1)
 
 
-def test_where_no_candidate_passes_the_start_is_dropped_unless_nothing_may_come_to_rest():
-    dropped = refine(leaning(), options(32, 2), engine=Stubborn())
-    assert dropped.passed and dropped.winner == (-1, -1)
-    assert dropped.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
-    assert any("came to rest by itself" in line for line in dropped.fallbacks)
+def test_if_no_candidate_passes_the_initial_layout_is_settled_unless_disabled():
+    settled = refine(leaning(), options(32, 2), engine=Stubborn())
+    assert settled.passed and settled.winner == (-1, -1)
+    assert settled.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
+    assert any("initial scene was settled" in line for line in settled.fallbacks)
     never = options(32, 2).model_copy(update={"settle": "never"})
     assert not refine(leaning(), never, engine=Stubborn()).passed
-    # What topples when it is dropped is stable in the end, and still not where it was composed.
+    # A plate that topples ends up stable, but too far from its composed pose.
     assert not refine(tipping(), options(32, 2), engine=Stubborn()).passed
 
 
-def test_few_come_to_rest_until_one_is_valid_whether_pruned_or_not(monkeypatch):
+def test_batches_settle_until_one_candidate_is_valid_with_and_without_pruning(monkeypatch):
     monkeypatch.setattr(loop, "SETTLE_BATCH", 8)
     o = options(32, 3, 125).model_copy(update={"settle": "always"})
     runs = {}
     for prune in (True, False):
         cem = o.cem.model_copy(update={"prune": prune, "stop_gain": 0.0, "patience": 9})
         runs[prune] = refine(leaning(), o.model_copy(update={"cem": cem}), seed=1)
-    judged = {k: np.isfinite(r.history["absolute"]).sum(axis=1) for k, r in runs.items()}
-    assert judged[False].tolist() == [8, 8, 8]
-    assert (judged[True] <= judged[False]).all() and runs[True].passed
+    scored = {k: np.isfinite(r.history["absolute"]).sum(axis=1) for k, r in runs.items()}
+    assert scored[False].tolist() == [8, 8, 8]
+    assert (scored[True] <= scored[False]).all() and runs[True].passed
     assert runs[True].winner == runs[False].winner
     assert (runs[True].history["xy"] == runs[False].history["xy"]).all()

@@ -1,4 +1,4 @@
-"""Objects that the search moved without need go back to where they were composed."""
+"""Unnecessary moves of the search are reverted."""
 
 import equinox as eqx
 import numpy as np
@@ -37,7 +37,7 @@ def overlapping():
     return model, measured(snap_exactly(model.spec), OPTIONS)
 
 
-def test_only_what_had_to_move_stays_moved(overlapping):
+def test_only_necessary_moves_remain(overlapping):
     model, before = overlapping
     assert before.depths_m["first|second"] > OPTIONS.max_depth_m
     chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
@@ -49,13 +49,13 @@ def test_only_what_had_to_move_stays_moved(overlapping):
     assert best.passed
     assert best.measure.depths_m.get("first|second", 0.0) <= OPTIONS.max_depth_m
     np.testing.assert_array_equal(xy[3], (0, 0))
-    # One of the two that overlapped may go back, or both some of the way.
+    # One of the two overlapping moves may be reverted, or both in part.
     assert np.abs(xy[1:3]).sum() < 0.02
     assert np.abs(xy[1:3]).max() > 0.005
     assert best.scene.object("third").xy == model.spec.object("third").xy
 
 
-def test_what_had_to_move_need_not_stay_turned_or_shrunk(overlapping):
+def test_yaw_and_scale_are_reverted_separately_from_position(overlapping):
     model, before = overlapping
     chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0, 0)])
     layout = eqx.tree_at(
@@ -73,7 +73,7 @@ def test_what_had_to_move_need_not_stay_turned_or_shrunk(overlapping):
     assert not np.asarray(nearer.yaw).any() and not np.asarray(nearer.log_scale).any()
 
 
-def test_a_return_that_the_photograph_contradicts_is_not_made():
+def test_a_reversion_that_the_photograph_contradicts_is_rejected():
     truth = stored_scene("three_apart")
     moved = compile_scene(
         truth.model_copy(
@@ -92,8 +92,8 @@ def test_a_return_that_the_photograph_contradicts_is_not_made():
     np.testing.assert_array_equal(np.asarray(same.xy), np.asarray(layout.xy))
 
 
-def test_a_heading_that_boxes_hardly_show_goes_back():
-    # The photograph was of the third turned by 11 degrees, which the answer did not see.
+def test_a_heading_that_boxes_constrain_weakly_is_reverted():
+    # The photograph shows the third object rotated by 11 degrees, unlike the parse.
     composed, seen = stored_scene("three_apart"), stored_scene("three_turned")
     boxes = {item.name: item.box2d for item in seen.objects}
     objects = [o.model_copy(update={"box2d": boxes[o.name]}) for o in composed.objects]
@@ -110,25 +110,25 @@ def test_a_heading_that_boxes_hardly_show_goes_back():
     assert not np.asarray(nearer.yaw).any()
 
 
-def test_boxes_that_tell_a_heading_keep_it():
+def test_a_heading_that_boxes_constrain_strongly_is_kept():
     composed, seen = (
         PhotoAgreement({"a": 0.6, "b": 0.9}, 12.0),
         PhotoAgreement({"a": 0.85, "b": 0.9}, 4.0),
     )
     nearer = PhotoAgreement({"a": 0.7, "b": 0.9}, 8.0)
-    assert _accepted(nearer, seen, composed, likelier=5.0) == nearer
-    assert _accepted(nearer, seen, composed, likelier=3.0) is None
-    assert _accepted(nearer, seen, composed, likelier=-np.inf) is None
-    # Neither may another object agree less than it did both here and where it was composed.
+    assert _accepted(nearer, seen, composed, likelihood_gain=5.0) == nearer
+    assert _accepted(nearer, seen, composed, likelihood_gain=3.0) is None
+    assert _accepted(nearer, seen, composed, likelihood_gain=-np.inf) is None
+    # Other objects must agree at least as well as before or as in the initial layout.
     assert _accepted(nearer._replace(ious={"a": 0.7, "b": 0.8}), seen, composed, 5.0) is None
-    # Within the noise of boxes nothing is asked, but what is lost counts in the next step.
+    # Losses within the noise are accepted, but the best IoU remains the reference.
     slightly = PhotoAgreement({"a": 0.84, "b": 0.92}, 4.1)
     assert _accepted(slightly, seen, composed, -np.inf) == PhotoAgreement(
         {"a": 0.85, "b": 0.92}, 4.1
     )
 
 
-def test_no_checks_return_nothing(overlapping):
+def test_without_checks_nothing_is_reverted(overlapping):
     model, before = overlapping
     chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
     start = Layout.zero(1, len(model.names))

@@ -59,7 +59,7 @@ def test_d_pen_has_the_right_gradient():
     assert float(slope) == pytest.approx(float(numeric), abs=1e-2)
 
 
-def test_drift_takes_the_worst_moment_and_the_worse_of_distance_and_angle():
+def test_drift_is_the_maximum_over_time_of_distance_and_angle():
     scene = compile_scene(scenes.blocks())
     rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(2, 4)), duration=0.3)
     ball = scene.names.index("ball")
@@ -83,7 +83,7 @@ def scored(scene, layouts, rollout, **reward):
     return evaluate(scene, layouts, place(scene, layouts, objective), rollout, objective)
 
 
-def test_iteration_normalisation_spans_zero_to_one_over_the_living():
+def test_iteration_normalisation_maps_valid_rollouts_to_zero_to_one():
     term = rewards.Term("d", None, -1.0, cap=0.005)
     value = jnp.array([0.0, 0.001, 0.002, jnp.nan])
     alive = jnp.array([True, True, True, False])
@@ -113,7 +113,7 @@ def test_failed_candidates_score_minus_infinity_and_are_never_valid():
     assert np.all(np.isfinite(np.asarray(found.reward)[[0, 2, 3]]))
 
 
-def test_s_sem_prefers_what_the_photo_shows():
+def test_s_sem_is_highest_for_the_layout_in_the_photo():
     scene = compile_scene(scenes.blocks())
     count = len(scene.names)
     low, ball = scene.names.index("low"), scene.names.index("ball")
@@ -133,7 +133,7 @@ def higher_is_better(scene, layouts, rollout):
     return jnp.max(rollout.pos[:, -1, :, 2], axis=-1)
 
 
-def test_a_users_own_term_counts_and_is_kept_by_its_name(monkeypatch):
+def test_a_user_defined_term_enters_the_reward_and_the_history(monkeypatch):
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 4, spread=0.1)
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
@@ -148,7 +148,7 @@ def test_a_users_own_term_counts_and_is_kept_by_its_name(monkeypatch):
 @pytest.mark.parametrize(
     "path", ["nowhere.module:term", "math:no_such", "math", "math:pi", "d_pen"]
 )
-def test_a_term_that_cannot_be_found_is_named(path):
+def test_an_unknown_term_is_named(path):
     with pytest.raises(ConfigError, match=r"refine\.reward\.terms.*" + path):
         named_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
 
@@ -156,7 +156,7 @@ def test_a_term_that_cannot_be_found_is_named(path):
 class TestCompiled:
     """Rewards called from Python are compiled, and compose with transformations of JAX."""
 
-    def test_a_wrong_type_says_what_is_wanted(self):
+    def test_a_wrong_type_is_an_error_that_names_the_expected_type(self):
         scene = two_boxes(0.0)
         zero = Layout.zero(1, 3)
         # Unwrapped, since the suite checks annotations before the functions themselves do.

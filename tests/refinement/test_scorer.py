@@ -62,7 +62,7 @@ def panel_to(url, record=None, **given):
 
 
 def play(scorer, rounds, gap_s=0.0, top=None):
-    """Submit, let physics pass, collect and fill, as the search does; return what it saw."""
+    """Submit, wait, collect and fill, as the search does; return the results."""
     seen = []
     for t, (layouts, poses) in enumerate(rounds):
         scorer.submit(t, scorer.best(GEOMETRIC, top), layouts, poses)
@@ -73,7 +73,7 @@ def play(scorer, rounds, gap_s=0.0, top=None):
 
 
 def expected(model, layouts, poses, k):
-    """What the server says of a candidate, by the candidate's own picture."""
+    """Response of the server for a candidate, from the candidate's image."""
     return levels_of(drawer(options())(model.apply(layouts, k, poses)))
 
 
@@ -85,7 +85,7 @@ def same(a, b):
     )
 
 
-def test_no_score_is_lost_or_given_to_another_candidate(model, rounds, tmp_path):
+def test_every_score_is_assigned_to_its_candidate(model, rounds, tmp_path):
     log = tmp_path / "refine" / "scores.jsonl"
     with MessagesServer(delay_s=0.1, at_once=8, failing=0.3) as server:
         with (
@@ -146,7 +146,7 @@ def test_results_do_not_depend_on_the_order_of_arrival(model, rounds):
     assert same(first, second)
 
 
-def test_equal_pictures_are_asked_about_once(model, rounds):
+def test_identical_images_are_requested_once(model, rounds):
     layouts, poses = rounds[0]
 
     def draw(scene):
@@ -165,7 +165,7 @@ def test_equal_pictures_are_asked_about_once(model, rounds):
         assert scorer.known((0, k)).levels == levels_of(draw(model.apply(layouts, k, poses)))
 
 
-def test_bounded_waits_for_scores_as_old_as_it_may(model, rounds):
+def test_bounded_waits_for_scores_of_the_permitted_age(model, rounds):
     late = threading.Event()
     first = [json.dumps(expected(model, *rounds[0], k)) for k in range(POP - 1, POP - 5, -1)]
 
@@ -200,7 +200,7 @@ def test_bounded_waits_for_scores_as_old_as_it_may(model, rounds):
         assert came[0].used == "final"
 
 
-def test_a_run_that_did_not_wait_is_repeated_from_its_record(model, rounds, tmp_path):
+def test_a_run_that_did_not_wait_is_replayed_from_its_log(model, rounds, tmp_path):
     log, again = tmp_path / "scores.jsonl", tmp_path / "again.jsonl"
     o = options(wait="none", top=6)
 
@@ -231,7 +231,7 @@ def test_a_run_that_did_not_wait_is_repeated_from_its_record(model, rounds, tmp_
             stranger.submit(0, [3], *rounds[0])
 
 
-def test_with_a_dead_server_geometry_scores_and_this_is_said(model, rounds, tmp_path):
+def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rounds, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
@@ -247,9 +247,9 @@ def test_with_a_dead_server_geometry_scores_and_this_is_said(model, rounds, tmp_
     assert "the connection failed" in scorer.stopped
     (note,) = scorer.fallbacks
     assert note.startswith("S_sem by geometry alone, as 2")
-    assert " of 32 candidates were not asked about: " in note
+    assert " of 32 candidates were not requested: " in note
     assert "5 scores failed one after the other" in note
-    # Two calls a score, and only those that were under way already beyond the five.
+    # Two calls per score; beyond the limit of five, only requests already in flight.
     assert panel.ledger.to_json()["calls"] <= 2 * 8
     lines = read_scores(log)
     assert len(lines) == 4 * 8
@@ -257,7 +257,7 @@ def test_with_a_dead_server_geometry_scores_and_this_is_said(model, rounds, tmp_
     assert len({s.identity for s in lines}) == 32
 
 
-def test_a_server_that_dies_halfway_leaves_estimates(model, rounds):
+def test_scores_are_estimated_after_the_server_fails(model, rounds):
     with MessagesServer(delay_s=0.02, failing=0.0) as server:
         with (
             panel_to(server.url, retries=0) as panel,
@@ -274,7 +274,7 @@ def test_a_server_that_dies_halfway_leaves_estimates(model, rounds):
     assert scorer.fallbacks[0].startswith("S_sem by estimates, as ")
 
 
-def test_a_score_that_fails_is_estimated(model, rounds):
+def test_a_failed_score_is_estimated(model, rounds):
     """Every third picture fails for good; the others keep the scorer alive."""
 
     def answer(rgb):
@@ -294,7 +294,7 @@ def test_a_score_that_fails_is_estimated(model, rounds):
     assert "gave no valid answer" in scorer.fallbacks[0]
 
 
-def test_the_cost_cap_holds(model, rounds):
+def test_the_cost_limit_is_observed(model, rounds):
     with MessagesServer(delay_s=0.02, failing=0.1) as server:
         with (
             panel_to(server.url, max_cost_usd=0.26) as panel,
@@ -309,7 +309,7 @@ def test_the_cost_cap_holds(model, rounds):
     assert set(seen[-1][1]) == {Mark.ESTIMATED}
 
 
-def test_scores_may_have_a_bound_of_their_own(model, rounds):
+def test_scores_have_a_separate_cost_limit(model, rounds):
     with MessagesServer(delay_s=0.02, failing=0.0) as server:
         with (
             panel_to(server.url) as panel,
@@ -324,7 +324,7 @@ def test_scores_may_have_a_bound_of_their_own(model, rounds):
             SemanticScorer(model, PHOTO, panel, options(max_cost_usd=1.0))
 
 
-def test_a_silent_server_is_not_waited_for(model, rounds):
+def test_a_request_times_out(model, rounds):
     hang = threading.Event()
     with MessagesServer(lambda _: str(hang.wait(10)), delay_s=0.0) as server:
         with (
@@ -333,10 +333,10 @@ def test_a_silent_server_is_not_waited_for(model, rounds):
         ):
             play(scorer, rounds[:2])
         hang.set()
-    assert "no answer in 0.2 s" in scorer.stopped
+    assert "no response in 0.2 s" in scorer.stopped
 
 
-def test_what_is_still_out_at_the_end_is_dropped_and_logged(model, rounds, tmp_path):
+def test_pending_requests_are_abandoned_and_logged_at_the_end(model, rounds, tmp_path):
     log = tmp_path / "scores.jsonl"
     hang = threading.Event()
     with MessagesServer(lambda _: str(hang.wait(10)), delay_s=0.0) as server:
@@ -353,7 +353,7 @@ def test_what_is_still_out_at_the_end_is_dropped_and_logged(model, rounds, tmp_p
     assert scorer.fallbacks == ()
 
 
-def test_a_tape_repeats_the_scores_without_a_server(model, rounds, tmp_path):
+def test_a_tape_replays_the_scores_without_a_server(model, rounds, tmp_path):
     tape = tmp_path / "answers.tape.json"
     with (
         MessagesServer(delay_s=0.0, failing=0.2) as server,
@@ -371,13 +371,13 @@ def test_a_tape_repeats_the_scores_without_a_server(model, rounds, tmp_path):
     assert scorer.fallbacks == ()
 
 
-def test_candidates_that_are_not_finite_are_never_asked_about(model):
+def test_candidates_of_non_finite_reward_are_not_requested(model):
     with SemanticScorer(model, PHOTO, Panel(Replay(Tape(), "none")), options(top=3)) as scorer:
         assert scorer.best(np.array([0.1, np.nan, 0.5, -np.inf, 0.5, np.inf])) == [2, 4, 0]
         assert scorer.best(np.array([0.1, 0.2]), top=1) == [1]
 
 
-def test_without_a_photo_or_a_camera_it_says_what_to_do(model):
+def test_a_missing_photo_or_camera_is_an_error_with_a_remedy(model):
     with pytest.raises(ConfigError, match="needs the photograph"):
         SemanticScorer(model, None, None, options())
     blind = compile_scene(scenes.blocks().model_copy(update={"camera": None}), samples=32)
@@ -385,7 +385,7 @@ def test_without_a_photo_or_a_camera_it_says_what_to_do(model):
         SemanticScorer(blind, PHOTO, Panel(Replay(Tape(), "none")), options())
 
 
-def test_a_broken_renderer_is_an_error_and_no_hang(model, rounds):
+def test_a_broken_renderer_raises_and_does_not_hang(model, rounds):
     def draw(scene):
         raise RuntimeError("broken")
 
@@ -397,9 +397,9 @@ def test_a_broken_renderer_is_an_error_and_no_hang(model, rounds):
 
 
 class TestQuestion:
-    def test_asks_what_the_paper_asks(self):
+    def test_request_has_the_criteria_of_the_paper(self):
         text = " ".join(system_text().split())
-        assert "Do not judge: - whether anything lies on the same pixels" in text
+        assert "Do not judge: - whether the objects cover the same pixels" in text
         assert "the viewpoint, the framing and the lens may differ" in text
         for name in CRITERIA:
             assert f"- `{name}`:" in text
@@ -421,7 +421,7 @@ class TestQuestion:
         assert cached == [1]
         assert "cache_control" in sent["system"][0]
 
-    def test_answer_is_four_levels_with_reasons(self):
+    def test_response_is_four_levels_with_reasons(self):
         good = {n: {"reason": "as it is", "level": k + 1} for k, n in enumerate(CRITERIA)}
         assert Judgement.model_validate(good).value == 10 / 16
         for level in (5, -1, 2.5, "3", True, None):
@@ -434,7 +434,7 @@ class TestQuestion:
             Judgement.model_validate(good)
 
 
-def test_the_page_gives_options_that_exist():
+def test_the_documentation_names_existing_options():
     page = Path(__file__).parents[2] / "docs/how-to/semantic-scores.md"
     text = page.read_text(encoding="utf-8")
     (block,) = re.findall(r"```yaml\n(.*?)```", text, re.S)
@@ -453,11 +453,11 @@ class TestSurrogate:
         true = np.clip(0.9 - 0.03 * np.sum((z - 0.3) ** 2, axis=1), 0, 1)
         return z, np.clip(0.7 * true + 0.3 + rng.normal(0, 0.08, n), 0, 1), true
 
-    def test_without_scores_it_is_the_geometric_score(self):
+    def test_without_scores_the_estimate_is_the_geometric_score(self):
         z, g, _ = self.world(10)
         np.testing.assert_array_equal(surrogate_scores(z, g, z[:0], g[:0], g[:0]), g)
 
-    def test_few_scores_leave_the_ranking_to_geometry(self):
+    def test_few_scores_keep_the_geometric_ranking(self):
         z, g, true = self.world(50)
         found = surrogate_scores(z, g, z[:4], g[:4], true[:4])
         np.testing.assert_allclose(found - g, (found - g)[0])

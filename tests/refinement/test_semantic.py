@@ -45,7 +45,7 @@ def photographed(request):
     return spec, pad_scene(compile_scene(spec, samples=64))
 
 
-def test_the_truth_scores_highest(photographed):
+def test_the_ground_truth_scores_highest(photographed):
     spec, scene = photographed
     assert any(item.occluded for item in spec.objects)
     semantic, _ = scored(scene, displaced(scene, DRAWS, 1))
@@ -53,22 +53,22 @@ def test_the_truth_scores_highest(photographed):
     assert total[0] > 0.98
     assert np.mean(total[0] > total[1:]) > 0.98
     assert np.all((total >= 0) & (total <= 1)) and np.all((each >= 0) & (each <= 1 + 1e-6))
-    # Steps would make many of them equal.
+    # A piecewise constant score would give many ties.
     assert len(np.unique(total)) > 0.9 * DRAWS
 
 
-def test_turns_of_round_things_count_nothing(photographed):
+def test_rotation_of_round_objects_does_not_change_the_score(photographed):
     _, scene = photographed
     layouts = displaced(scene, DRAWS, 2, yaw=0.7)
     layouts = eqx.tree_at(lambda z: z.xy, layouts, jnp.zeros_like(layouts.xy))
     assert np.asarray(scene.round).sum() >= 2
     semantic, error = scored(scene, layouts)
-    # What stands on a round thing turns with it, here on its axis.
+    # An object on a round one rotates with it, here about its axis.
     np.testing.assert_allclose(semantic.total[1:], semantic.total[0], atol=2e-3)
     assert np.all(np.isfinite(np.asarray(error)))
 
 
-def test_sides_that_the_photograph_does_not_show_count_nothing(photographed):
+def test_invisible_sides_do_not_change_the_error(photographed):
     _, scene = photographed
     sides = np.asarray(scene.photo.sides)
     judged = np.asarray(scene.photo.judged)
@@ -86,7 +86,7 @@ def test_sides_that_the_photograph_does_not_show_count_nothing(photographed):
     assert errors[True] > errors[False] + 10.0
 
 
-def test_a_box_at_the_border_is_cut():
+def test_a_box_at_the_image_border_is_cut():
     spec = stored_scene("photo_1")
     item = spec.objects[1]
     box = item.box2d.as_tuple()

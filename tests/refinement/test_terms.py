@@ -1,4 +1,4 @@
-"""Reward terms and optimizers of a user's own, and drift of joints."""
+"""User-defined reward terms and optimizers, and drift of joints."""
 
 from inspect import unwrap
 
@@ -41,7 +41,7 @@ def scene():
 
 
 def right(scene, layouts, rollout):
-    """Return how far the objects were moved to the right, in units of 10 cm."""
+    """Return the mean displacement to the right, in units of 10 cm."""
     return jnp.mean(layouts.xy[..., 0], axis=1) / 0.1
 
 
@@ -64,7 +64,7 @@ def test_one_loop_runs_every_optimizer(scene, name):
 
 
 class Still(eqx.Module):
-    """An optimizer that proposes its start again and again."""
+    """Optimizer that always proposes the initial layout."""
 
     def init(self, mean):
         return mean
@@ -76,7 +76,7 @@ class Still(eqx.Module):
         return state
 
 
-def test_an_optimizer_of_ones_own(scene):
+def test_a_user_defined_optimizer(scene):
     assert not refine(scene, options(), optimizer=Still()).history["xy"].any()
     with pytest.raises(ConfigError, match=r"refine\.optimizer: cannot import 'cmaes'.*cma_es"):
         refine(scene, options(optimizer="cmaes"))
@@ -126,17 +126,17 @@ def infinite(scene, layouts, rollout):
 )
 def test_a_term_is_tried_before_the_search(scene, fn, message):
     with pytest.raises(ConfigError, match=message) as error:
-        refine(scene, options(), terms=[Term("own", fn, 1.0)])
+        refine(scene, options(), terms=[Term("custom", fn, 1.0)])
     where = "no source file" if fn == 3.0 else r"test_terms\.py:\d+"
-    assert error.match(rf"reward term own \(.*{where}\)")
+    assert error.match(rf"reward term custom \(.*{where}\)")
 
 
-def test_a_name_that_is_taken_is_refused(scene):
+def test_a_duplicate_name_is_an_error(scene):
     with pytest.raises(ConfigError, match="reward term d_pen: the name is taken"):
         refine(scene, options(), terms=[Term("d_pen", right, 1.0)])
 
 
-def test_a_candidate_that_a_term_makes_nan_has_failed(scene):
+def test_a_candidate_with_a_nan_term_has_failed(scene):
     def sometimes(scene, layouts, rollout):
         shift = jnp.sum(layouts.xy, axis=(1, 2))
         return jnp.where(shift > 0.0, jnp.nan, shift)
@@ -150,7 +150,7 @@ def test_a_candidate_that_a_term_makes_nan_has_failed(scene):
     assert not bad[refined.winner]
 
 
-def test_a_scene_may_be_a_path_and_nothing_else(scene, tmp_path):
+def test_a_scene_is_a_specification_or_a_path(scene, tmp_path):
     (tmp_path / "scene.json").write_text(scene.spec.to_json())
     o = options(rollout={"duration_s": 0.0, "samples_per_object": 64})
     by_path = refine(str(tmp_path), o, engine="native")
@@ -173,7 +173,7 @@ def gate(tilt):
     return scenes.on_table((spec, (0, 0), 0.0, {"fixed_base": True}))
 
 
-def test_a_door_that_swings_open_by_itself_has_drifted():
+def test_a_door_that_swings_open_has_drifted():
     scene = compile_scene(gate(0.0), samples=16)
     zero = Layout.zero(2, 2)
     still = unmoved(scene, scene.place(zero))
