@@ -19,7 +19,7 @@ class EngineEntry(NamedTuple):
     accelerator: bool
     """True if `auto` uses the engine only where JAX has an accelerator."""
     agreement: float
-    """Least required share of verdicts that equal MuJoCo's, on layouts away from the thresholds."""
+    """Minimum fraction of verdicts that equal MuJoCo's, on layouts away from the thresholds."""
 
 
 ENGINES: dict[str, EngineEntry] = {
@@ -27,15 +27,15 @@ ENGINES: dict[str, EngineEntry] = {
         ".physics.warp_engine:WarpEngine", "NVIDIA GPUs, by MuJoCo Warp", False, 0.98
     ),
     "mjx": EngineEntry(
-        ".physics.mjx_engine:MjxEngine", "accelerators of JAX, by MuJoCo MJX", True, 0.98
+        ".physics.mjx_engine:MjxEngine", "JAX accelerators, by MuJoCo MJX", True, 0.98
     ),
     "native": EngineEntry(
         ".physics.native:NativeEngine", "CPUs, by C MuJoCo on all cores", False, 0.99
     ),
 }
-"""Engines by name. `auto` uses, for each rollout, the available one of least cost."""
+"""Engines by name. `auto` chooses the fastest available one for each rollout."""
 
-ENGINES_HELP = "Physics engine; auto takes the one that costs least here: " + "; ".join(
+ENGINES_HELP = "Physics engine; auto chooses the fastest available one: " + "; ".join(
     f"{name}: {entry.purpose}" for name, entry in ENGINES.items()
 )
 

@@ -28,7 +28,7 @@ class PaperDifference(NamedTuple):
     reason: str
     """Reason for another default, as one English sentence."""
     effect: str = ""
-    """Measured effect with n, default first; empty if the ablations of the search measure it."""
+    """Measured effect with n, default first; empty if an ablation of the search measures it."""
 
 
 class Options(BaseModel):
@@ -79,7 +79,7 @@ def traced(default: Any, meaning: str, **details: Any) -> Any:
 
 
 def static(reason: str, default: Any, meaning: str, **details: Any) -> Any:
-    """Declare an option whose change recompiles the program, for a reason."""
+    """Declare an option whose change recompiles the program; `reason` says why."""
     return _declare(default, meaning, "static", reason=reason, **details)
 
 

@@ -60,7 +60,11 @@ class MLLMOptions(Options):
         3, "Maximum number of attempts at a response that matches the schema.", ge=1
     )
     max_cost_usd: float | None = option(
-        None, "Stop, resumably, before the run costs more; null means no limit.", unit="USD", gt=0
+        None,
+        "Cost before which the run stops; it can be resumed with a higher limit. null means no "
+        "limit.",
+        unit="USD",
+        gt=0,
     )
     prices: Path | None = option(
         None, "YAML file of prices in USD per million tokens; null is the built-in table."

@@ -1,7 +1,7 @@
 """Options of Step 5: search, rewards, rollouts, semantic scores and the final check.
 
-These are traced, static or of the host; `tests/sweeps/test_grouping.py` checks the declarations
-against the parameters that the search really compiles with.
+Options are host, traced or static; `tests/sweeps/test_grouping.py` compares the declarations with
+the search's actual compilations.
 """
 
 from typing import Literal
@@ -11,7 +11,7 @@ from ..options import Options, PaperDifference, option, static, traced
 
 _PROGRAM, _SHAPE = "changes the program", "sets array shapes"
 _EARLY_STOP = "sets the early-stop rule"
-"""Reason of options that are traced in the reward, but static while `rollout.early_stop` is on."""
+"""Reason of options that are traced in the reward, but static if `rollout.early_stop` is on."""
 
 
 class CEMOptions(Options):
@@ -47,7 +47,7 @@ class CEMOptions(Options):
         le=1,
         difference=PaperDifference(
             1.0,
-            "The parse of an object whose boxes match is rarely off by more.",
+            "If an object's boxes match, its parsed yaw and scale rarely have larger errors.",
             "heading after the search 1.90 and 2.29 deg, valid 20 and 18 of 20 rendered scenes "
             "(with 0.25; scenes 0 to 19)",
         ),
@@ -141,7 +141,7 @@ class DescentOptions(Options):
         "penetration; 0 starts the search at the composed scene.",
         ge=0,
         difference=PaperDifference(
-            0, "Gradients of boxes and penetration give a direction that random draws have to find."
+            0, "Gradients of boxes and penetration give directions that random draws have to find."
         ),
     )
     project: Literal["never", "needed", "always"] = static(
@@ -198,8 +198,8 @@ class RewardOptions(Options):
     )
     drift_free: float = traced(
         0.1,
-        "Drift of an object that has no cost: 0.1 is 1 mm or 0.5 degrees, by which stable objects "
-        "settle.",
+        "Drift of an object without a penalty: 0.1 is 1 mm or 0.5 degrees, by which stable "
+        "objects settle.",
         unit="drift scales",
         ge=0,
         difference=PaperDifference(
@@ -360,7 +360,7 @@ class RefineOptions(Options):
             "never",
             "Objects that lean, lie in a container or roll rest at a tilt that no layout can "
             "express; only simulation finds it.",
-            "with it 23 of 30 initial scenes valid; 11 before it and two smaller fixes (n = 30 "
+            "23 of 30 initial scenes valid, 11 without it and without two smaller fixes (n = 30 "
             "scenes)",
         ),
     )
