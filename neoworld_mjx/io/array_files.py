@@ -25,7 +25,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
         error: class of the error to raise.
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, holds no plain arrays, or
+        NeoWorldError: of the class `error`: the file cannot be read, does not hold plain arrays, or
             unpacks to more than `files.max_array_mib`.
     """
     limit = file_bounds().max_array_mib * MIB

@@ -38,8 +38,8 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         max_bytes: maximum size.
 
     Raises:
-        OSError: the file cannot be read, is no regular file, or is larger; `strerror` describes the
-            problem.
+        OSError: the file cannot be read, is not a regular file, or is larger; `strerror` describes
+            the problem.
     """
     with _opened(path) as handle:
         size = os.fstat(handle).st_size
@@ -202,7 +202,7 @@ def content_hash(value: object) -> str:
 
     Raises:
         FileNotFoundError: a path is missing.
-        OSError: a file cannot be read, or is no regular file.
+        OSError: a file cannot be read, or is not a regular file.
     """
     digest = hashlib.sha256()
     if isinstance(value, Path) and value.is_dir():

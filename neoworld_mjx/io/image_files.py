@@ -21,7 +21,7 @@ IMAGE_FORMATS = (
 def open_image(
     data: bytes, name: str, error: type[NeoWorldError], formats: tuple[str, ...] = IMAGE_FORMATS
 ) -> Iterator[Image.Image]:
-    """Open an image; of an animation or a multi-page file, the first frame.
+    """Open an image, or the first frame of an animation or multi-page file.
 
     Args:
         data: contents of the file.
@@ -30,11 +30,11 @@ def open_image(
         formats: formats to try.
 
     Yields:
-        The image, its pixels not yet decoded.
+        The image, before its pixels are decoded.
 
     Raises:
-        NeoWorldError: of the class `error`: the data is no image of these formats, has too many
-            pixels, or is damaged, which may only show when the image is used.
+        NeoWorldError: of the class `error`: the data is not an image in these formats, has too
+            many pixels, or is damaged, which may only show when the image is used.
     """
     limit = file_bounds().max_picture_mpx
     try:

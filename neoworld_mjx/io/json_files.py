@@ -26,8 +26,8 @@ def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") ->
         kind: kind of file for messages, such as "tape".
 
     Raises:
-        NeoWorldError: of the class `error`: the file is missing, no regular file, too large, or
-            not UTF-8.
+        NeoWorldError: of the class `error`: the file is missing, not a regular file, too large,
+            or not UTF-8.
     """
     try:
         return read_text(Path(path), file_bounds().max_text_mib * MIB)
@@ -40,7 +40,7 @@ def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds the
-            size, depth or number of values that `files` of the configuration allows.
+            size, depth or number of values that the options `files` allow.
     """
     text = _checked_text(path, error, kind)
     try:

@@ -59,7 +59,7 @@ def read_rows(
         error: class of the error to raise.
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, is no Parquet file, is
+        NeoWorldError: of the class `error`: the file cannot be read, is not a Parquet file, is
             damaged, or lacks a column.
     """
     try:

@@ -14,16 +14,16 @@ def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
     """Format a validation error as one line with each key, its value and the valid choices."""
     lines = []
     for item in error.errors():
-        where = ".".join(str(step) for step in item["loc"]) or "(root)"
+        key = ".".join(str(step) for step in item["loc"]) or "(root)"
         if item["type"] == "extra_forbidden":
             keys = _keys_at(model, item["loc"][:-1])
-            lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
+            lines.append(f"unknown key {key}: {choices(str(item['loc'][-1]), keys)}")
         elif any(name in item["loc"] for name in _SECRET):
-            lines.append(f"{where}: {item['msg']}")
+            lines.append(f"{key}: {item['msg']}")
         else:
             shown = repr(item["input"])
             shown = shown if len(shown) <= 80 else shown[:77] + "..."
-            lines.append(f"{where}: {item['msg']}, got {shown}")
+            lines.append(f"{key}: {item['msg']}, got {shown}")
     return "; ".join(lines)
 
 

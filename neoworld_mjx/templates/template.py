@@ -49,7 +49,7 @@ class Parameter:
     unit: str = ""
 
     def checked(self, value: Value) -> Value:
-        """Return a value in the parameter's own type.
+        """Validate a value and convert it to the parameter's type.
 
         Raises:
             SpecError: the value is outside the range or the choices.
@@ -83,14 +83,14 @@ class Template:
     label: str
     """Common name of the object."""
     partnet: str
-    """Its category in PartNet-Mobility; empty if it has none."""
+    """Category of the object in PartNet-Mobility; empty if there is none."""
     text: str
     parameters: Mapping[str, Parameter]
     lines: Mapping[str, int]
-    """Line of each parameter in the text, from 0."""
+    """Line of each parameter in the text, counted from 0."""
 
     def program(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the program's text with new values of parameters.
+        """Return the program's text with parameters set to new values.
 
         Raises:
             SpecError: a parameter is unknown, or its value is outside its range.
@@ -157,7 +157,7 @@ def _parameter(file: str, name: str, default: object, comment: str) -> Parameter
         parameter = Parameter(name, default, float(match[1]), float(match[2]), unit=match[3] or "")
     else:
         raise SpecError(
-            f"{file}: {name} needs '# LOW to HIGH [m|deg|kg]' or '# one of a, b' behind it, "
+            f"{file}: {name} needs '# LOW to HIGH [m|deg|kg]' or '# one of a, b' after it, "
             f"got {comment!r}"
         )
     try:
@@ -177,9 +177,9 @@ def template(name: str) -> Template:
     """Return a bundled template.
 
     Raises:
-        SpecError: there is no such template.
+        SpecError: no template has this name.
     """
-    every = templates()
-    if name not in every:
-        raise SpecError(f"template: {choices(name, every)}")
-    return every[name]
+    bundled = templates()
+    if name not in bundled:
+        raise SpecError(f"template: {choices(name, bundled)}")
+    return bundled[name]
