@@ -36,12 +36,13 @@ def keep_compilations() -> Path | None:
     return folder
 
 
-def make_room(share: float = 0.5) -> bool:
+def free_memory_maps(share: float = 0.5) -> bool:
     """Clear JAX's caches before the process runs out of memory maps; return True if cleared.
 
     On CPUs every compiled program maps some hundred regions, JAX keeps the programs of past scenes,
     and Linux allows 65 530 maps per process: compilation would fail after some thirty scenes.
-    Caches are cleared at a share of the allowed maps, never where the system does not report them.
+    Caches are cleared if the process uses more than `share` of the allowed maps. Systems that do
+    not report their maps never clear caches.
     """
     import jax
 

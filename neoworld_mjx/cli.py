@@ -76,12 +76,12 @@ def _no_command(args: Sequence[str]) -> str:
 
     if not args:
         return f"name a command: {', '.join(COMMANDS)}; see neoworld --help"
-    wrong, choices = printable(args[0]), f"choices: {', '.join(COMMANDS)}"
-    if wrong.startswith("-"):
-        return f"the command comes before its options, got {wrong!r} first; {choices}"
-    near = difflib.get_close_matches(wrong, COMMANDS, n=1)
+    name, choices = printable(args[0]), f"choices: {', '.join(COMMANDS)}"
+    if name.startswith("-"):
+        return f"the command comes before its options, got {name!r} first; {choices}"
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ";"
-    return f"there is no command {wrong!r}{hint} {choices}"
+    return f"there is no command {name!r}{hint} {choices}"
 
 
 def parse(name: str, args: Sequence[str]) -> Any:
@@ -185,8 +185,8 @@ _TABLES = {
         "fault",
         "hint",
     ],
-    "points": ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"],
-    "differences": ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"],
+    "points": _POINT_COLUMNS,
+    "differences": _POINT_COLUMNS,
     "missing": ["what", "costs", "mend"],
     "examples": ["name", "objects", "joints", "shows", "licence", "photo"],
     "matrix": ["kind", "n", "detected", "named", "repaired"],

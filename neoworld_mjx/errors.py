@@ -25,18 +25,18 @@ class ProgramError(NeoWorldError):
 
 
 class ModelError(NeoWorldError):
-    """A multimodal model could not be asked, or gave no valid answer."""
+    """Failed request to a multimodal model, or one without a valid response."""
 
     texts: tuple[str, ...] = ()
-    """The answers that could not be used, as they came, without keys."""
+    """Invalid responses as received, without API keys."""
 
 
 class MissingResponseError(ModelError):
-    """A tape holds no answer for a request."""
+    """Request without a response in the tape."""
 
 
 class BudgetError(ModelError):
-    """Cost cap of a run that is reached; the run can be resumed with a higher cap."""
+    """Reached cost cap of a run; the run can be resumed with a higher cap."""
 
 
 class EngineError(NeoWorldError):

@@ -26,20 +26,21 @@ _PACKAGES = ("config", "measure", "physics", "refinement", "spec")
 SOURCES = (*(f"neoworld_mjx/{name}" for name in _PACKAGES), "neoworld_kernels")
 """Packages from which programs are traced, and whose constants they may contain."""
 TRACED_LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
-MOST_PROGRAMS, MAX_BYTES = 64, 64 * MIB
-"""Number of stored programs, beyond which the oldest are removed; and the largest one read."""
+MAX_PROGRAMS, MAX_BYTES = 64, 64 * MIB
+"""Number of stored programs, beyond which the oldest are removed, and largest size to read."""
 _Program = Callable[..., Any]
 
 
 def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]:
     """Return a jitted function whose lowered programs are stored on disk.
 
-    They are stored on CPUs only, where tracing takes seconds, and only with a compilation cache of
-    JAX. Within another traced function the result is `fn` itself.
+    They are stored on CPUs only, where tracing takes seconds, and only if JAX's compilation cache
+    is enabled. Within another traced function, `fn` itself is called.
 
     Args:
         fn: a jitted function of arrays and static keywords.
-        like: returns, given the same arrays, a tree with the structure of the result; traced.
+        like: function of the same arrays that returns a tree with the result's structure; only
+            its shapes are evaluated.
     """
     programs: dict[Any, tuple[_Program, Any]] = {}
 
@@ -51,11 +52,14 @@ def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[.
         avals = tuple((np.shape(x), str(jax.dtypes.canonicalize_dtype(x.dtype))) for x in leaves)
         form, options = str(tree), tuple(sorted(static.items()))
         if " at 0x" in form:
-            # Objects of this process are compiled in.
+            # The tree refers to objects of this process.
             return fn(*args, **static)
         key = (form, avals, options)
         if key not in programs:
-            flat = lambda *flat: jax.tree.leaves(fn(*jax.tree.unflatten(tree, flat), **static))
+
+            def flat(*flat_args: Any) -> list[Any]:
+                return jax.tree.leaves(fn(*jax.tree.unflatten(tree, flat_args), **static))
+
             program = _open(flat, f"{fn.__module__}.{fn.__qualname__}{key}", avals)
             programs[key] = program, jax.tree.structure(jax.eval_shape(like, *args))
         program, result = programs[key]
@@ -65,7 +69,7 @@ def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[.
 
 
 def computes_on_cpu() -> bool:
-    """Return whether JAX computes on the CPU, as the only backend or by `jax.default_device`."""
+    """Return True if JAX computes on the CPU, as the only backend or by `jax.default_device`."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         return jax.default_backend() == "cpu"
@@ -73,7 +77,7 @@ def computes_on_cpu() -> bool:
 
 
 def _is_stored(leaves: list[Any]) -> bool:
-    """Return whether the program of a call with these arguments is stored."""
+    """Return True if the program of a call with these arguments can be stored."""
     concrete = (np.ndarray, np.generic, jax.Array)
     if any(isinstance(x, Tracer) or not isinstance(x, concrete) for x in leaves):
         return False
@@ -91,7 +95,7 @@ def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
     assert folder is not None
     path = folder / f"{_fingerprint(name)}.bin"
     exported = None
-    # A damaged file is traced again, and overwritten.
+    # Replace a damaged file.
     with contextlib.suppress(Exception):
         exported = jax.export.deserialize(bytearray(read_bytes(path, MAX_BYTES)))
     if exported is None:
@@ -106,7 +110,7 @@ def _store(path: Path, exported: jax.export.Exported) -> None:
     with contextlib.suppress(OSError, ImportError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, bytes(exported.serialize()))
-        for old in sorted(path.parent.glob("*.bin"), key=os.path.getmtime)[:-MOST_PROGRAMS]:
+        for old in sorted(path.parent.glob("*.bin"), key=os.path.getmtime)[:-MAX_PROGRAMS]:
             old.unlink(missing_ok=True)
 
 
@@ -120,11 +124,11 @@ def _sources() -> str:
     digest = hashlib.sha256()
     for library in TRACED_LIBRARIES:
         digest.update(f"{library} {importlib.metadata.version(library)} ".encode())
-    for place in SOURCES:
-        package = place.split("/")[0]
+    for source in SOURCES:
+        package, *subpackages = source.split("/")
         spec = importlib.util.find_spec(package)
         assert spec is not None and spec.origin is not None
-        root = Path(spec.origin).parent.joinpath(*place.split("/")[1:])
+        root = Path(spec.origin).parent.joinpath(*subpackages)
         for path in sorted(root.rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

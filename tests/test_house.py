@@ -132,13 +132,13 @@ def test_annotations_are_checked_at_every_call():
     from beartype.roar import BeartypeCallHintViolation
     from neoworld_kernels.convex_pieces import PieceGroup, signed_distance
 
-    from neoworld_mjx.cache import make_room
+    from neoworld_mjx.cache import free_memory_maps
     from neoworld_mjx.physics.layout import Layout
     from neoworld_mjx.spec.convex import Piece
 
     rows = jnp.zeros((1, 3))
     wrong: dict[str, Callable[[], object]] = {
-        "type": lambda: make_room("half"),  # pyright: ignore[reportArgumentType]
+        "type": lambda: free_memory_maps("half"),  # pyright: ignore[reportArgumentType]
         "type of a field": lambda: Piece("ball"),  # pyright: ignore[reportArgumentType]
         "shape": lambda: signed_distance("box", jnp.zeros((4, 2)), PieceGroup(*[rows] * 6)),
         "shape of a field": lambda: Layout(jnp.zeros((2, 3, 2)), jnp.zeros((2, 3)), jnp.zeros(2)),

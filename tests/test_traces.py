@@ -61,7 +61,7 @@ def test_nothing_is_stored_within_another_trace_or_without_a_folder(counted, mon
 
 def test_only_the_newest_traces_are_stored(counted, monkeypatch):
     _, folder, new, _ = counted
-    monkeypatch.setattr(traces, "MOST_PROGRAMS", 2)
+    monkeypatch.setattr(traces, "MAX_PROGRAMS", 2)
     for n in (1, 2, 3):
         new()({"a": np.ones(n, np.float32), "b": np.float32(2)})
     assert len(list(folder.glob("*.bin"))) == 2

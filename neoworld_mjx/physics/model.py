@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from neoworld_kernels import sorted_samples
 
-from ..cache import make_room
+from ..cache import free_memory_maps
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
 from ..spec.object import mass_exponent
@@ -30,7 +30,7 @@ MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 class Powers(NamedTuple):
-    """Exponents of the object's scale in the entries of MjModel fields."""
+    """Exponents with which entries of MjModel fields scale with their object's scale."""
 
     body_mass: np.ndarray
     body_inertia: np.ndarray
@@ -62,10 +62,10 @@ class StaticScene:
     start: np.ndarray
     """qpos of the composed scene, shape [nq]."""
     characteristic_length: np.ndarray
-    """Factor that turns a rate of each dof into one in metres, shape [nv]: half the diagonal of the
-    object's bounding box [m] for turning dofs, 1 for sliding ones."""
+    """Factor that converts the rate of each dof to metres, shape [nv]: half the diagonal of the
+    object's bounding box [m] for rotational dofs, 1 for translational ones."""
     joints: np.ndarray
-    """MuJoCo's indices of the joints of objects, free bases left out, shape [joint]."""
+    """MuJoCo's indices of all joints except free joints, shape [joint]."""
     joint_names: tuple[str, ...]
     """Their names, "object/joint"."""
     joint_object: np.ndarray
@@ -77,11 +77,11 @@ class StaticScene:
 class SceneModel(SceneArrays):
     """A compiled scene, valid for any number of layouts.
 
-    It is an argument of jitted functions: `static` is static, everything else are arrays. `place`,
-    `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts
-    (inside a function: the bound method itself has no hash for `jax.jit`). A function that needs
-    only the arrays takes a `SceneArrays`, which `pad_scene` pads, so that it is not recompiled for
-    every scene.
+    Jitted functions take it as an argument: `static` is a static field, all others are arrays.
+    `place`, `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated
+    with respect to layouts (inside a function, since `jax.jit` cannot hash the bound method). A
+    function that needs only the arrays takes a `SceneArrays`, which `pad_scene` pads, so that it is
+    not recompiled for every scene.
     """
 
     static: StaticScene = eqx.field(static=True)
@@ -118,9 +118,9 @@ class SceneModel(SceneArrays):
 
         Args:
             layouts: the candidates, padded or not.
-            index: of the candidate.
-            poses: of the candidates from `place`, which give the heights, since snapping a single
-                candidate may round differently in the last bit of single precision.
+            index: index of the candidate.
+            poses: poses of the candidates from `place`, whose heights are used, since snapping a
+                single candidate may round differently in the last bit of single precision.
         """
         count = len(self.names)
         # As NumPy, since JAX would compile the indexing for every number of objects.
@@ -147,8 +147,8 @@ def compile_scene(
 
     Args:
         scene: the composed scene, which is the zero layout.
-        timestep: of rollouts [s].
-        samples: surface samples of each object for D_pen.
+        timestep: time step of rollouts [s].
+        samples: number of surface samples of each object for D_pen.
         reach: largest displacement at which objects are still snapped; see `layout.arrange`.
         gap: clearance under snapped objects [m].
 
@@ -160,7 +160,7 @@ def compile_scene(
             f"compile_scene: scene is a {type(scene).__name__}, not a SceneSpec: load_scene takes "
             "a scene.json or a run folder"
         )
-    make_room()
+    free_memory_maps()
     try:
         mjm = to_mjspec(scene, timestep=timestep).compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -221,7 +221,7 @@ def load_scene(
     """Read a scene.json, or that of a run folder, and compile it; see `compile_scene`.
 
     Raises:
-        SpecError: there is no such file, or it holds no scene.
+        SpecError: there is no such file, or it contains no scene.
     """
     if not isinstance(path, Path | str):
         raise SpecError(

@@ -20,9 +20,10 @@ def test_scenes_have_cameras_and_boxes(name):
     assert sum(item.box2d is not None for item in scene.objects) >= 3
 
 
+@pytest.mark.slow
 def test_valid_scene_stays_unchanged_and_compiles_nothing(monkeypatch):
     # A full process forgets what it has compiled; here that would be counted.
-    monkeypatch.setattr(model, "make_room", lambda: False)
+    monkeypatch.setattr(model, "free_memory_maps", lambda: False)
     (row,) = real_refinements(("rt1_move_near",), options=QUICK)
     assert row.valid and row.kept == row.movable == 6
     assert row.programs == 0 and row.rollouts == 1
