@@ -18,7 +18,7 @@ FORMAT = "neoworld-sweep/1"
 
 
 class SweepFolder:
-    """Output folder of a sweep, with the runs of an earlier part of the sweep in `rows`."""
+    """Output folder of a sweep, with the runs completed before it was resumed in `rows`."""
 
     def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
         """Create the folder, or continue in an existing one.
@@ -30,7 +30,7 @@ class SweepFolder:
             overwrite: delete the files of an earlier sweep, but no others.
 
         Raises:
-            RunError: the path is a file, cannot be written, or holds files that must stay.
+            RunError: the path is a file, cannot be written, or holds files not to be replaced.
         """
         self.path = Path(path)
         self.rows: list[Row] = []

@@ -89,7 +89,7 @@ def refine_separately(
             refine(model, unscored, seed=run.seed, start=run.start, engine=engine)
         scoring: dict[str, Any] = {}
         if scores is not None and scored_by_model(run.options):
-            scoring = scores.of(case, point.label, run.seed)
+            scoring = scores.refine_arguments(case, point.label, run.seed)
         refined = refine(
             model, run.options, seed=run.seed, start=run.start, engine=engine, **scoring
         )

@@ -22,11 +22,11 @@ class PointGroup(NamedTuple):
     members: tuple[int, ...]
     """Indices of the points."""
     compile_options: RefineOptions
-    """Options to compile a scene with: those of the first member, with the widest sigma_xy."""
+    """Options to compile a scene with: those of the first member, with the largest sigma_xy."""
 
 
 def static_part(options: RefineOptions) -> str:
-    """Return, as JSON, the values that must be equal for runs to share a computation."""
+    """Return the values that runs must have in common to share a computation, as JSON."""
     values = option_values(options)
     static = {path: values[path] for path in STATIC}
     static["terms"] = list(values["reward.terms"])
@@ -36,32 +36,32 @@ def static_part(options: RefineOptions) -> str:
     return json.dumps(static, sort_keys=True)
 
 
-def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
+def grouped(points: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
     """Group points by static options; without `fold` each point is its own group.
 
-    All groups have the widest sigma_xy of the sweep, so that one compiled scene serves all points
+    All groups have the largest sigma_xy of the sweep, so that one compiled scene serves all points
     with the same time step and samples.
     """
     groups: dict[str, list[int]] = {}
-    for k, options in enumerate(every):
+    for k, options in enumerate(points):
         groups.setdefault(static_part(options) if fold else str(k), []).append(k)
-    sigma = max(options.cem.sigma_xy for options in every)
+    sigma = max(options.cem.sigma_xy for options in points)
     result = []
     for members in groups.values():
-        first = every[members[0]]
+        first = points[members[0]]
         cem = first.cem.model_copy(update={"sigma_xy": sigma})
         result.append(PointGroup(tuple(members), first.model_copy(update={"cem": cem})))
     return result
 
 
-def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
+def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
     """Return one line per static option that splits the points into groups."""
-    tables = [option_values(options) for options in every]
-    count = len({static_part(options) for options in every})
+    tables = [option_values(options) for options in points]
+    count = len({static_part(options) for options in points})
     if count == 1 or not fold:
         return []
     lines = []
-    early_stop = any(options.rollout.early_stop for options in every)
+    early_stop = any(options.rollout.early_stop for options in points)
     for name, reason in (STATIC | (_STATIC_IF_EARLY_STOP if early_stop else {})).items():
         values = list(dict.fromkeys(json.dumps(table[name]) for table in tables))
         if len(values) > 1:
@@ -69,4 +69,4 @@ def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
             lines.append(f"refine.{name} = {listed} ({reason}): compiles {len(values)} times")
     if len({tuple(table["reward.terms"]) for table in tables}) > 1:
         lines.append("refine.reward.terms: other terms are another program")
-    return [*lines, f"so {len(every)} points are {count} computations per scene"]
+    return [*lines, f"so {len(points)} points are {count} computations per scene"]

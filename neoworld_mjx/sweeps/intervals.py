@@ -49,8 +49,8 @@ def mean(values: Sequence[float]) -> Estimate:
 def rate_difference(hits: Sequence[bool], others: Sequence[bool]) -> Estimate:
     """Estimate the difference of two paired rates with Agresti and Min's adjusted Wald interval.
 
-    Half an observation is added to each of the four outcomes of a pair, so that the interval has a
-    width even if all pairs agree. `mean` is the plain difference.
+    Half an observation is added to each of the four outcomes of a pair, so that the interval has
+    nonzero width even if all pairs agree. `mean` is the plain difference.
 
     Args:
         hits: first outcome of each pair.

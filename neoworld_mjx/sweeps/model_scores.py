@@ -30,7 +30,7 @@ class ModelScores:
         recorded: folder of scores that an earlier sweep recorded; replaces model calls.
         tapes: tapes, or folders of tapes, for the provider `replay`.
         out: folder of the sweep, which records scores and responses; None records nothing.
-        earlier: ledger of the part of the sweep that is resumed, from sweep.json.
+        earlier: ledger of the sweep to resume, from sweep.json.
 
     Raises:
         ConfigError: `recorded` is not a folder, or the provider is invalid.
@@ -63,7 +63,7 @@ class ModelScores:
             )
         if self._panel is not None and earlier:
             try:
-                self._panel.ledger.carry(earlier)
+                self._panel.ledger.add_earlier(earlier)
             except (AttributeError, LookupError, TypeError, ValueError):
                 raise RunError(
                     f"{out}: the costs in sweep.json are damaged; use --overwrite"
@@ -89,7 +89,7 @@ class ModelScores:
                 "folder, or choose refine.semantic.scorer: geometric"
             )
 
-    def of(self, case: Case, point: str, seed: int) -> dict[str, Any]:
+    def refine_arguments(self, case: Case, point: str, seed: int) -> dict[str, Any]:
         """Return the arguments of `refine` for the scores of one run."""
         name = file_name(case.name, point, seed)
         arguments: dict[str, Any] = {}
@@ -122,7 +122,7 @@ class ModelScores:
 
 
 def file_name(scene: str, point: str, seed: int) -> str:
-    """Return the file name of a run's scores; scene names never become paths."""
+    """Return the file name of a run's scores; it contains no path from the scene's name."""
     short = hashlib.sha256(f"{scene}\n{point}".encode()).hexdigest()[:8]
     words = re.sub(r"[^a-z0-9]+", "_", f"{Path(scene).name} {point}".lower()).strip("_")
     return f"{words[:60]}_{short}_{seed}.jsonl"

@@ -143,7 +143,7 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
         options = _with_values(base, dict(zip(axes, combination, strict=True)), "axes")
         # Validated values make 1 and 1.0 the same point.
         dump = {ROOT: options.model_dump(mode="json")}
-        values = {path: _at(dump, path) for path in axes}
+        values = {path: _value_at(dump, path) for path in axes}
         label = ", ".join(
             f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in axes
         )
@@ -195,7 +195,7 @@ def _check_path(path: str, where: str) -> None:
         raise ConfigError(f"{where}: {path} is a group of options: name one of {members}")
 
 
-def _at(tree: dict[str, Any], path: str) -> Any:
+def _value_at(tree: dict[str, Any], path: str) -> Any:
     value: Any = tree
     for name in path.split("."):
         value = value[name]

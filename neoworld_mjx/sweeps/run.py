@@ -83,7 +83,7 @@ def sweep(
     Raises:
         ConfigError: the plan is invalid; raised before any run.
         SpecError: a scene does not exist.
-        RunError: the folder cannot be written, or holds files that must stay.
+        RunError: the folder cannot be written, or holds files that must not be replaced.
     """
     runner = _Runner(read(plan, Plan), cases, sources or {}, engine)
     return runner.run(out, resume=resume, overwrite=overwrite)
@@ -185,7 +185,7 @@ class _Runner:
         models: dict[tuple[float, int], SceneModel],
         compiled_kinds: set[str],
     ) -> dict[str, Any] | None:
-        """Compute the missing runs of a group on a scene; return its timing, None if none missed.
+        """Compute the missing runs of a group on a scene; return their timing, None without any.
 
         Args:
             scene: the scene.

@@ -28,8 +28,8 @@ from ..refinement.search_run import SearchResult
 from ..spec import SceneSpec
 
 CHECK_S, SERIAL_S, START_S = 0.9, 0.35, 10.0
-"""Core time of one run's winner, the part of it that holds the GIL, and the start-up time of a
-process [s]; the first two measured for coffee on an AMD EPYC."""
+"""Core time to choose one run's winner, the part of it that holds the GIL, and start-up time of a
+process [s]; the first two measured for the example coffee on an AMD EPYC."""
 
 
 class _Job(NamedTuple):
@@ -47,7 +47,7 @@ def winners(
     model: SceneModel,
     results: Sequence[SearchResult],
 ) -> list[Winner]:
-    """Choose the winner of every run, and return objects that moved unnecessarily.
+    """Choose the winner of every run, and move objects that moved unnecessarily back.
 
     Args:
         scene: the composed scene.
@@ -56,22 +56,22 @@ def winners(
         results: the searches of the runs.
     """
     cores = os.cpu_count() or 1
-    # Custom reward terms may be defined in this process only.
+    # Other processes may lack the definitions of custom reward terms.
     portable = all(has_builtin_terms_only(result.problem.objective) for result in results)
-    if portable and processes_pay(len(results), cores):
-        chosen = in_processes(scene, compile_options, results, min(cores, len(results)))
+    if portable and processes_are_faster(len(results), cores):
+        chosen = choose_in_processes(scene, compile_options, results, min(cores, len(results)))
         if chosen is not None:
             return chosen
     with ThreadPoolExecutor(cores) as pool:
         return list(pool.map(lambda r: _winner(model, _job(r), r.problem.objective), results))
 
 
-def processes_pay(runs: int, cores: int) -> bool:
-    """Return True if processes choose the winners of so many runs faster than threads."""
+def processes_are_faster(runs: int, cores: int) -> bool:
+    """Return True if processes choose the winners of `runs` faster than threads."""
     return START_S + runs * CHECK_S / cores < runs * max(SERIAL_S, CHECK_S / cores)
 
 
-def in_processes(
+def choose_in_processes(
     scene: SceneSpec,
     compile_options: RefineOptions,
     results: Sequence[SearchResult],

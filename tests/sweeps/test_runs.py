@@ -20,7 +20,7 @@ from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.sweeps import winners as module
 from neoworld_mjx.sweeps.group_runs import in_few_batches
 from neoworld_mjx.sweeps.run_rows import summaries
-from neoworld_mjx.sweeps.winners import in_processes, processes_pay, winners
+from neoworld_mjx.sweeps.winners import choose_in_processes, processes_are_faster, winners
 from tests.support.scenes import noisy_layouts, stored_scene
 
 ENGINE = NativeEngine()
@@ -196,7 +196,7 @@ def test_an_accelerator_gets_a_quarter_of_a_population_at_once(monkeypatch):
 def test_processes_choose_the_winners_that_threads_choose(model):
     results = search(model, started(model, [options(2.0)], (0, 1, 2)), ENGINE, keep=False)
     threads = winners(model.spec, options(), model, results)
-    processes = in_processes(model.spec, options(), results, 2)
+    processes = choose_in_processes(model.spec, options(), results, 2)
     assert processes is not None
     for one, other in zip(threads, processes, strict=True):
         assert one.chosen == other.chosen
@@ -209,7 +209,7 @@ def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
     results = search(model, started(model, [options(2.0)], (0,)), ENGINE, keep=False)
     lines = []
     monkeypatch.setattr(module, "report", lines.append)
-    monkeypatch.setattr(module, "processes_pay", lambda runs, cores: True)
+    monkeypatch.setattr(module, "processes_are_faster", lambda runs, cores: True)
     monkeypatch.setattr(sys, "executable", "/bin/false")
     (winner,) = winners(model.spec, options(), model, results)
     assert winner.chosen.tried > 0
@@ -218,7 +218,7 @@ def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
     ]
 
 
-def test_processes_pay_for_many_runs_on_many_cores():
-    assert not processes_pay(10_000, 2)
-    assert not processes_pay(8, 16)
-    assert processes_pay(512, 16)
+def test_processes_are_faster_for_many_runs_on_many_cores():
+    assert not processes_are_faster(10_000, 2)
+    assert not processes_are_faster(8, 16)
+    assert processes_are_faster(512, 16)
