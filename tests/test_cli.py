@@ -12,7 +12,7 @@ from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands import COMMANDS
-from neoworld_mjx.commands.doctor_command import NEEDS, DoctorCommand
+from neoworld_mjx.commands.doctor_command import COMPONENTS, DoctorCommand
 from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.config import Config, list_options
@@ -304,20 +304,20 @@ def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, mon
     )
 
 
-@pytest.mark.parametrize("need", NEEDS, ids=lambda need: need.what)
-def test_doctor_names_extras_that_exist(need):
+@pytest.mark.parametrize("part", COMPONENTS, ids=lambda part: part.name)
+def test_doctor_names_extras_that_exist(part):
     extras = tomllib.loads(Path("pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert isinstance(need.present(), bool)
-    assert "pip install" not in need.mend, "the package is on no index"
-    named = re.findall(r"--extra (\w+)", need.mend)
-    assert named == [need.what.split()[-1]] or not need.what.startswith("extra ")
+    assert isinstance(part.present(), bool)
+    assert "pip install" not in part.remedy, "the package is on no index"
+    named = re.findall(r"--extra (\w+)", part.remedy)
+    assert named == [part.name.split()[-1]] or not part.name.startswith("extra ")
     assert set(named) <= extras.keys()
 
 
 def test_listings_are_short(neoworld, tmp_path):
     said = neoworld("doctor").stdout.splitlines()
     assert "Python 3" in said[0] and said[1].startswith("engines: ") and "native" in said[1]
-    assert len(said) <= 3 + 2 * len(NEEDS) and all(len(line) < 160 for line in said)
+    assert len(said) <= 3 + 2 * len(COMPONENTS) and all(len(line) < 160 for line in said)
     said = neoworld("template").stdout.splitlines()
     assert said[0] == f"{len(templates())} templates:" and len(said) < 20
     listed = " ".join(said[1:-1]).replace(" ", "").split(",")

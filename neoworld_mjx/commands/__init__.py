@@ -1,7 +1,7 @@
 """Commands of `neoworld`: dataclasses whose fields are the flags and whose `run` does the work.
 
-To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside of
-`run`, and a command's module only when the command is named, so that `--help` is quick.
+To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside
+`run`, and a command's module only when the command is used, so that `--help` is fast.
 """
 
 from importlib import import_module
@@ -64,7 +64,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "annotate": CommandEntry(
         ".view_command:AnnotateCommand",
-        "Make a scene of a photograph by hand, with no model: boxes, labels, camera, templates.",
+        "Annotate a photograph by hand, without a model: boxes, labels, camera and templates.",
     ),
     "sweep": CommandEntry(
         ".sweep_commands:SweepCommand",

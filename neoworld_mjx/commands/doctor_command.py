@@ -13,14 +13,14 @@ from .listing_lines import doctor_lines
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 
 
-class Need(NamedTuple):
+class Component(NamedTuple):
     """Optional component of an installation."""
 
-    what: str
+    name: str
     present: Callable[[], bool]
-    costs: str
-    """Functions that are missing or slow without the component."""
-    mend: str
+    consequence: str
+    """Missing or slow functions without the component."""
+    remedy: str
     """Command that installs it."""
 
 
@@ -53,48 +53,48 @@ def _blender() -> bool:
     return blender_python().exists()
 
 
-NEEDS = (
-    Need(
+COMPONENTS = (
+    Component(
         *("a model's key", _key),
-        "other photographs than the examples need responses by hand (--provider mailbox)",
+        "photographs other than the examples need responses by hand (--provider mailbox)",
         "export ANTHROPIC_API_KEY=..., or OPENAI_API_KEY=... with the extra openai",
     ),
-    Need(
+    Component(
         *("JAX on the GPU", _gpu_in_use),
         "the engine mjx runs on the CPU, hundreds of times slower",
         "uv sync --inexact --extra cuda",
     ),
-    Need(
+    Component(
         *("extra warp", lambda: _installed("warp")() and _installed("mujoco_warp")()),
         "no engine warp, the fastest on NVIDIA GPUs for large populations",
         "uv sync --inexact --extra warp",
     ),
-    Need(
+    Component(
         *("extra openai", _installed("openai")),
-        "no provider openai, nor servers with its protocol",
+        "no provider openai, and no servers with its protocol",
         "uv sync --inexact --extra openai",
     ),
-    Need(
+    Component(
         *("extra baselines", _installed("evosax")),
         "no refine.optimizer cma_es",
         "uv sync --inexact --extra baselines",
     ),
-    Need(
+    Component(
         *("extra metrics", _installed("onnxruntime")),
-        "bench run pictures gives SSIM alone, no LPIPS, CLIP, DINOv2 or Uni3D",
+        "bench run pictures gives only SSIM, no LPIPS, CLIP, DINOv2 or Uni3D",
         "uv sync --inexact --extra metrics",
     ),
-    Need(
+    Component(
         *("extra plot", _installed("matplotlib")),
         "sweeps end without a figure",
         "uv sync --inexact --extra plot",
     ),
-    Need(
+    Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "neoworld doctor --install blender",
     ),
-    Need(
+    Component(
         *("compilations of an earlier run", _cached),
         "the first run compiles for 30 s or more",
         "uv run neoworld reconstruct examples/coffee.png --out out",
@@ -135,9 +135,9 @@ class DoctorCommand(Command):
             "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
             "tapes": tapes,
             "missing": [
-                {"what": need.what, "costs": need.costs, "mend": need.mend}
-                for need in NEEDS
-                if not need.present()
+                {"what": part.name, "costs": part.consequence, "mend": part.remedy}
+                for part in COMPONENTS
+                if not part.present()
             ],
             "versions": versions(),
         }

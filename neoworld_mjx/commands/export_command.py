@@ -52,7 +52,7 @@ class ExportCommand(ConfiguredCommand):
             raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")
         described, notes = self._read()
         if self.photo:
-            described = self._printed(described)
+            described = self._with_photo(described)
         files = write_formats(
             described, self.out, kinds, simulator=self.simulator, floor=self.floor
         )
@@ -71,7 +71,7 @@ class ExportCommand(ConfiguredCommand):
             result["collider_error_mm"] = round(1e3 * collider_error(described), 3)
         return result
 
-    def _printed(self, described: "SceneSpec | ObjectSpec") -> "SceneSpec":
+    def _with_photo(self, described: "SceneSpec | ObjectSpec") -> "SceneSpec":
         from ..export.photo_prints import printed
         from ..parse.photo import load_photo
         from ..spec import SceneSpec

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
-"""Default camera direction: slightly to the side of the photograph's."""
+"""Default camera direction, slightly to the side of the photograph's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,7 @@ class RenderCommand(ConfiguredCommand):
         return encode_animation(frames, pause_ms, out.suffix.lower()), size, out
 
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
-        """Return the camera of the flags; None without any means the scene's own."""
+        """Return the camera that the flags define; None for the scene's own."""
         from ..render import View
         from ..render.viewpoints import subject_points
 

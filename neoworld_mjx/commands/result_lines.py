@@ -46,18 +46,18 @@ def scene_check_lines(result: CommandResult) -> list[str]:
     passed, checks = result["passed"], result["checks"]
     failed = [check for check in checks if not check["passed"]]
     failures = [
-        f"{measure(check['value'], check['name'])} {_of(check)}"
+        f"{measure(check['value'], check['name'])} {_subject(check)}"
         f"over {measure(check['threshold'], check['name'])} ({check['name']})"
         for check in failed
     ]
     movable = count(result["movable"], "movable object")
     head = f"valid: {movable}, all {len(checks)} checks pass"
-    worst = max((c for c in checks if c["passed"]), key=_share, default=None)
+    worst = max((c for c in checks if c["passed"]), key=_threshold_ratio, default=None)
     rows = [head if passed else f"not valid: {_reasons(failures)}", f"scene: {result['target']}"]
     if worst is not None and worst["value"]:
         rows.append(
             f"closest to its threshold: {worst['name']} {measure(worst['value'], worst['name'])} "
-            f"{_of(worst)}of {measure(worst['threshold'], worst['name'])}"
+            f"{_subject(worst)}of {measure(worst['threshold'], worst['name'])}"
         )
     rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     return [*rows, DETAILS]
@@ -86,7 +86,9 @@ def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> l
     for check in bad[:MAX_REASONS]:
         place = " ".join(str(check[k]) for k in ("part", "joint") if check.get(k))
         hint = f"; hint: {check['hint']}" if check.get("hint") else ""
-        rows.append(f"  {check['scenario']} {check['name']} {place}: {_against(check)}{hint}")
+        rows.append(
+            f"  {check['scenario']} {check['name']} {place}: {_value_and_threshold(check)}{hint}"
+        )
     if len(bad) > MAX_REASONS:
         rows.append(f"  and {len(bad) - MAX_REASONS} more")
     repair = result.get("repair")
@@ -164,26 +166,26 @@ def file_lines(result: CommandResult) -> list[str]:
     ]
 
 
-def _against(check: Mapping[str, Any]) -> str:
+def _value_and_threshold(check: Mapping[str, Any]) -> str:
     if check.get("value") is None:
         return str(check.get("evidence") or check["outcome"])
     unit = check.get("unit", "")
     factor, shown = _UNITS.get(unit, (1.0, unit))
     threshold = check.get("threshold")
-    against = "" if threshold is None else f" against {factor * threshold:.3g}"
-    return f"{factor * check['value']:.3g}{against} {shown}".strip()
+    suffix = "" if threshold is None else f" against {factor * threshold:.3g}"
+    return f"{factor * check['value']:.3g}{suffix} {shown}".strip()
 
 
-def _share(check: Mapping[str, Any]) -> float:
+def _threshold_ratio(check: Mapping[str, Any]) -> float:
     return check["value"] / check["threshold"] if check["threshold"] else 0.0
 
 
-def _of(check: Mapping[str, Any]) -> str:
+def _subject(check: Mapping[str, Any]) -> str:
     return f"of {check['where']} " if check.get("where") else ""
 
 
 def _worst(result: CommandResult) -> str:
-    """Return the largest drift and overlap of a scene that fails for no recorded reason."""
+    """Return the largest drift and overlap of a scene that fails without a recorded reason."""
     drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
     depth = 1000 * result.get("max_depth_m", 0.0)
     return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"

@@ -79,7 +79,7 @@ class StatusLine(logging.Handler):
             self._facts.update(facts)
         if self._shows(record):
             text = printable(self.format(record))
-            with suppress(OSError, ValueError):  # The reader of the stream may be gone.
+            with suppress(OSError, ValueError):  # The stream may be closed.
                 if self._live.is_started:
                     self._console.print(Text(text))
                 else:

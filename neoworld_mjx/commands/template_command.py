@@ -15,11 +15,11 @@ class TemplateCommand(Command):
     """List the object templates, or write the program of one."""
 
     name: Positional[str | None] = None
-    """Name of the template; all are listed by default."""
+    """Name of the template; without it, all are listed."""
     out: Path | None = None
     """Output file (.py) for the program; `neoworld build` builds the object."""
     seed: int | None = None
-    """Seed for sampling all parameters from their ranges; by default they have default values."""
+    """Seed for sampling all parameters from their ranges; without it they keep their defaults."""
     size: tuple[float, float, float] | None = None
     """Depth, width and height [m], such as a measured box; clipped to their ranges."""
     set: UseAppendAction[tuple[str, ...]] = ()

@@ -19,12 +19,12 @@ class PageCommand(ConfiguredCommand):
     """Options of the commands that serve a page."""
 
     host: str = "127.0.0.1"
-    """Address to listen on; by default nobody else can open the page. Who can may change files."""
+    """Address to listen on, by default this machine only; users of the page can change files."""
     port: int | None = None
-    """Port to listen on; by default 8080 or, where that is in use, any free one."""
+    """Port to listen on; by default 8080, or any free port if that is in use."""
 
     def serve_until_interrupted(self, address: str) -> CommandResult:
-        """Say where the page is, and wait for Ctrl-C."""
+        """Log the page's address, and wait for Ctrl-C."""
         _log.info("open %s in a browser; Ctrl-C ends it", address)
         try:
             threading.Event().wait()
@@ -48,7 +48,7 @@ class ViewCommand(PageCommand):
         from ..view.pages.view_target import open_target
 
         config = self.load_config()
-        target = open_target(self.target, config)  # Report a wrong path before a port is taken.
+        target = open_target(self.target, config)  # Report a wrong path before opening a port.
         server = open_server(f"neoworld: {target.title}", host=self.host, port=self.port)
         try:
             SceneViewer(
@@ -61,14 +61,14 @@ class ViewCommand(PageCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class AnnotateCommand(PageCommand):
-    """Make a scene of a photograph by hand, with no model: boxes, labels, camera, templates."""
+    """Annotate a photograph by hand, without a model: boxes, labels, camera and templates."""
 
     photo: Positional[Path]
     """The photograph."""
     out: Path
-    """Run folder to write; a new or empty one, or a run of this photograph to correct."""
+    """Run folder: new, empty, or a run of this photograph to correct."""
     start: Annotated[Literal["parse"] | None, arg(name="from")] = None
-    """Begin with what the run in --out parsed or annotated, instead of an empty page."""
+    """Start from the parsed or annotated run in --out, instead of an empty page."""
 
     def run(self) -> CommandResult:
         """Serve the page."""
@@ -82,14 +82,14 @@ class AnnotateCommand(PageCommand):
         annotation = empty_annotation(self.photo, config)
         if self.start is not None:
             empty, annotation = annotation.camera, read_annotation(self.out)
-            of_run, of_photo = (
+            run_size, photo_size = (
                 f"{camera.width} x {camera.height_px} pixels"
                 for camera in (annotation.camera, empty)
             )
-            if of_run != of_photo:
+            if run_size != photo_size:
                 raise RunError(
-                    f"{self.out} is a run of another photograph: its own has {of_run}, "
-                    f"{self.photo} has {of_photo}"
+                    f"{self.out} is a run of another photograph: that one has {run_size}, "
+                    f"{self.photo} has {photo_size}"
                 )
         elif self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise RunError(
