@@ -16,7 +16,7 @@ def main(args: Sequence[str] | None = None) -> None:
     command = tyro.cli(
         suite_commands(SUITES),
         prog="python -m benchmarks",
-        description="Measure what only developers of the package need.",
+        description="Run the benchmarks for developers of the package.",
         args=args,
         config=(FlagCreatePairsOff, DisallowNone),
     )

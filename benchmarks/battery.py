@@ -1,7 +1,7 @@
-"""The battery's simulations of many objects at once: C MuJoCo on all cores, MuJoCo Warp on one GPU.
+"""Object tests of many objects at once: C MuJoCo on all cores, MuJoCo Warp on one GPU.
 
-The slope is left out, since its contacts need other solver options. Both engines get the same
-initial states and forces, and the times are those of simulation alone.
+The slope scenario is left out because its contacts need other solver options. Both engines get the
+same initial states and forces; times are of the simulation alone.
 """
 
 import os
@@ -27,10 +27,10 @@ from neoworld_mjx.spec import ObjectSpec, scale
 from tests.support.valid_objects import FAMILIES, valid_objects
 
 SIZES = (1.0, 0.8, 1.25, 1.5)
-"""Scales of the valid objects, so that there are more than a hundred of them."""
+"""Scales of the valid objects, which make more than a hundred objects of them."""
 NEAR_M, NEAR_DEG, NEAR = 0.002, 1.0, 0.02
-"""Largest difference of a final coordinate of two runs that agree: absolute, or relative to its
-movement."""
+"""Bounds on the difference of a final coordinate of two runs that agree: absolute, or relative to
+its displacement."""
 REPEATS = 3
 
 
@@ -55,9 +55,9 @@ class BatteryRow(Row):
     runs_per_s: float | None = None
     same_end: float | None = None
     """Share of runs that end like C MuJoCo's: every coordinate within 2 mm, 1 degree, or 2 % of its
-    movement."""
+    displacement."""
     failed: int = 0
-    """Runs that end in a value that is not finite."""
+    """Runs whose final state is not finite."""
     status: str = "ok"
 
 
@@ -89,7 +89,7 @@ def batteries(
         together: objects that share a model on the GPU.
 
     Raises:
-        EngineError: there are fewer objects, or `together` of them do not fit into a model.
+        EngineError: fewer objects exist, or `together` of them do not fit into a model.
     """
     if not 1 <= together <= 31:
         raise EngineError(f"together: 1 to 31 objects fit into a model, not {together}")
@@ -159,7 +159,7 @@ def prepare(spec: ObjectSpec, options: VerifyOptions | None = None) -> Prepared:
         simulation.groups, simulation.joints, simulation.options, fixed_base=False
     )
     runs = [run for run in runs if run.world != "gripping"]
-    # Runs without gravity come last: on the GPU they share worlds with those of other objects.
+    # Runs without gravity come last: on the GPU they share worlds with other objects' runs.
     runs.sort(key=lambda run: run.world == "weightless")
     starts = np.array([simulation.start(run) for run in runs])
     forces = np.array([simulation.forces(run, s) for run, s in zip(runs, starts, strict=True)])
@@ -174,7 +174,7 @@ class OnCores:
 
     def run(self) -> list[NDArray]:
         """Simulate all runs; return the final qpos [runs, nq] of each object."""
-        # The longest object first, so that no thread starts it last.
+        # The longest object first, so that it does not delay the last thread.
         order = sorted(self.prepared, key=lambda p: -p.forces.size)
         with ThreadPoolExecutor(self.threads) as pool:
             ends = dict(zip(map(id, order), pool.map(_roll_out, order), strict=True))
@@ -197,7 +197,7 @@ def _roll_out(p: Prepared) -> NDArray:
 def agreement(
     prepared: Sequence[Prepared], ends: Sequence[NDArray], expected: Sequence[NDArray]
 ) -> NDArray[np.bool_]:
-    """Return for every run whether its two rollouts agree at the end."""
+    """Return True for every run whose two final states agree."""
     agrees = []
     for p, a, b in zip(prepared, ends, expected, strict=True):
         model = p.simulation.model
@@ -227,7 +227,7 @@ def _timed(run: Callable[[], list[NDArray]]) -> tuple[list[NDArray], list[float]
     return ends, times
 
 
-def answer(o: Battery) -> dict[str, Any]:
+def run_suite(o: Battery) -> dict[str, Any]:
     """Simulate many objects at once."""
     rows = collect(batteries(o.objects, o.engine, together=o.together))
     return {"machine": machine(), "rows": plain(rows)}

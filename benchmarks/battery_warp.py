@@ -1,8 +1,8 @@
-"""Runs of many objects on a GPU: several objects in each model, each model on its own stream.
+"""Object tests of many objects on a GPU: several objects a model, each model on its own stream.
 
-Objects of a model do not collide with each other, and a world of it is one run of each of them.
-Runs of different kinds share a model because held objects hang high above the floor and each world
-has its own gravity.
+Objects of a model do not collide with each other; each world holds one run of each of them.
+Runs of different kinds share a model, as held objects hang high above the floor and each world has
+its own gravity.
 """
 
 from collections.abc import Sequence
@@ -21,9 +21,9 @@ from neoworld_mjx.physics.mjcf import to_mjspec
 LIFT = 10.0
 """Height [m] by which held objects are lifted."""
 AT_ONCE = 10
-"""Steps in one launch of a graph."""
+"""Steps per launch of a CUDA graph."""
 ITERATIONS = 50
-"""Most iterations of the constraint solver; all worlds of a model wait for the slowest."""
+"""Maximum iterations of the constraint solver; all worlds of a model wait for the slowest."""
 PROBED_STEPS, PROBE_EVERY = 150, 5
 _FIELDS = ("dof_armature", "dof_invweight0", "body_invweight0")
 
@@ -32,10 +32,10 @@ class Batch:
     """All objects on one device."""
 
     def __init__(self, prepared: Sequence[Prepared], together: int, device: Any) -> None:
-        """Put objects with about as many runs into a model together.
+        """Group objects with similar numbers of runs into models.
 
         Raises:
-            EngineError: MuJoCo Warp cannot carry them.
+            EngineError: MuJoCo Warp does not support them.
         """
         self.device = device
         self.count = len(prepared)
@@ -69,7 +69,7 @@ class Batch:
 
 
 class Group:
-    """Some objects in one model, with a world for each of their runs."""
+    """Several objects in one model, with a world for each of their runs."""
 
     def __init__(self, objects: Sequence[Prepared], device: Any) -> None:
         self.objects, self.device = objects, device
@@ -79,7 +79,7 @@ class Group:
         mjm = _one_model(objects)
         heavy = max(sum(_gravity(p)) for p in objects)
         self.worlds = worlds = heavy + max(len(p.runs) - sum(_gravity(p)) for p in objects)
-        # World of each run: those with gravity from the front, those without behind all of them.
+        # World of each run: runs with gravity first, then those without.
         self.world = [
             np.concatenate([np.arange(sum(g)), heavy + np.arange(len(g) - sum(g))])
             for g in map(_gravity, objects)
@@ -143,7 +143,7 @@ class Group:
             for array in (d.qacc_warmstart, d.time, d.overflow, self.time):
                 array.zero_()
             if self.graph is None and self.device.is_cuda:
-                self._step()  # compiles and loads kernels, which a capture cannot
+                self._step()  # Compiles and loads kernels, which is not possible during capture.
                 with wp.ScopedCapture(stream=self.stream) as capture:
                     for _ in range(AT_ONCE):
                         self._step()
@@ -233,7 +233,7 @@ def _room(objects: Sequence[Prepared]) -> tuple[int, int]:
     contacts = constraints = 0
     for p in objects:
         most_contacts = most_constraints = 0
-        # The falls, and the joints at the ends of their ranges.
+        # The falls, and the runs with joints at the ends of their ranges.
         for k in np.unique(np.linspace(0, len(p.runs) - 1, 6).astype(int)):
             model = p.models[k]
             data = mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""Compose the bundled photographs with and without the steps that are not the paper's."""
+"""Composition of the bundled photographs with and without the steps that the paper lacks."""
 
 import tempfile
 from pathlib import Path
@@ -21,7 +21,7 @@ VARIANTS: dict[str, dict[str, dict[str, bool]]] = {
 }
 
 
-def answer(options: Composing) -> dict[str, Any]:
+def run_suite(options: Composing) -> dict[str, Any]:
     """Measure each composed scene, before any search."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as place:

@@ -1,4 +1,4 @@
-"""What a photograph costs: the requests of the bundled examples, sized and priced."""
+"""Estimated cost of a photograph: tokens and prices of the bundled examples' requests."""
 
 import json
 import math
@@ -18,14 +18,14 @@ from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 
 CHARACTERS_A_TOKEN = 4.0
 PIXELS_A_TOKEN, LONGEST_PX = 750.0, 1568.0
-"""Size of a picture in tokens, and the side that servers shrink larger ones to."""
+"""Pixels of an image per token, and the longer side that servers resize larger images to."""
 
 
-def answer(options: Costs) -> dict[str, Any]:
+def run_suite(options: Costs) -> dict[str, Any]:
     """Replay the examples, and estimate tokens and dollars from their requests and responses.
 
-    No response's thinking and no server's count is known: text is taken as 4 characters a token,
-    pictures as 750 pixels a token, and nothing as read from a cache.
+    Reasoning tokens and the servers' own counts are unknown: a token is 4 characters of text or 750
+    pixels of an image, and nothing is read from a cache.
     """
     rows = []
     for name, example in bundled_examples().items():

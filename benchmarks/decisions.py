@@ -1,4 +1,4 @@
-"""True if `neoworld check` of a scene's files decides as `neoworld refine` did that wrote them."""
+"""Agreement of `neoworld check` with the verdict of the `neoworld refine` that wrote a scene."""
 
 import logging
 import tempfile
@@ -28,26 +28,26 @@ SEARCH = {
     "finalists": 1,
     "returns": 0,
 }
-"""A search so short that it mends few scenes: decisions of both kinds are to be compared."""
+"""Short search that repairs few scenes, so that both verdicts occur."""
 
 
-def answer(options: Decisions) -> dict[str, Any]:
-    """Compare the decisions on the examples, and on disturbed scenes of them."""
+def run_suite(options: Decisions) -> dict[str, Any]:
+    """Compare the verdicts on the examples and on perturbed scenes of them."""
     rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         composed: dict[str, SceneSpec] = {}
         for name, example in bundled_examples().items():
             run = folder / name
             result = reconstruct(example.photo, run, load_config(None, {"provider": "replay"}))
             composed[name] = read_composed(run)
-            # A passed example has failed no bound; of another one only the decision is told.
+            # An example that passed has failed no check; otherwise only the verdict is known.
             rows.append(_row(name, "example", bool(result.passed), [], run))
         short = load_config(None, {"refine": SEARCH}).refine
         names = list(composed)
         for number in range(options.scenes):
             name = names[number % len(names)]
-            scene = _disturbed(composed[name], short, options.seed + number)
+            scene = _perturbed(composed[name], short, options.seed + number)
             refined = refine(scene, short, seed=options.seed + number)
             path = folder / f"{number}.json"
             path.write_text(refined.scene.to_json(), encoding="utf-8")
@@ -70,21 +70,21 @@ def answer(options: Decisions) -> dict[str, Any]:
 
 
 def _row(name: str, scene: str, passed: bool, failed: list[str], path: Path) -> dict[str, Any]:
-    """Check what was written, as the command does, beside what the refinement said of it."""
+    """Check a written scene by the command, and return the row with the refinement's verdict."""
     checked = CheckCommand(target=path, quiet=True).run()
-    bounds = [check["name"] for check in checked["checks"] if not check["passed"]]
+    failed_in_check = [check["name"] for check in checked["checks"] if not check["passed"]]
     return {
         "example": name,
         "scene": scene,
         "refine": passed,
         "check": bool(checked["passed"]),
         "failed_in_refine": failed,
-        "failed_in_check": bounds,
+        "failed_in_check": failed_in_check,
     }
 
 
-def _disturbed(scene: SceneSpec, options: RefineOptions, seed: int) -> SceneSpec:
-    """Move, turn and scale what may move, by 15 % of its diagonal, 20 degrees and 15 %."""
+def _perturbed(scene: SceneSpec, options: RefineOptions, seed: int) -> SceneSpec:
+    """Perturb movable objects: xy by 15 % of the diagonal, yaw by 20 degrees, size by 15 %."""
     model = compile_for_search(scene, options)
     rng = np.random.default_rng(seed)
     free = np.asarray(model.optimised, float)

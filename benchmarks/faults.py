@@ -1,4 +1,4 @@
-"""Faults that strike runs of the example at random moments: how each ended, and what came after."""
+"""Faults injected into runs of an example at random moments, and the resumed runs after them."""
 
 import json
 import logging
@@ -14,8 +14,8 @@ from benchmarks.suites import Faults
 log = logging.getLogger(__name__)
 
 
-def answer(options: Faults) -> dict[str, Any]:
-    """Strike runs by the faults of consecutive seeds, and count those that were contained."""
+def run_suite(options: Faults) -> dict[str, Any]:
+    """Inject the faults of consecutive seeds into runs, and count those that were contained."""
     command = [sys.executable, "-m", "tests.faults.strikes", str(options.seed), str(options.count)]
     command += [options.until, options.photo]
     struck: list[dict[str, Any]] = []

@@ -1,6 +1,6 @@
-"""Foreign programs: what each needs and reads, and probes of them in environments of their own.
+"""Other simulators and readers: requirements, file formats, and probes in separate environments.
 
-`uv` makes the environments, of wheels that it keeps; nothing is left in this package's.
+`uv` creates the environments from cached wheels; the environment of this package is not changed.
 """
 
 import json
@@ -12,27 +12,27 @@ from typing import Any, NamedTuple
 from benchmarks.probe import MARK
 
 PROBE = Path(__file__).with_name("probe.py")
-PATIENCE_S = 1800.0
-"""Of a program for all of its jobs [s]; some compile for minutes."""
+TIMEOUT_S = 1800.0
+"""Time limit of a program for all of its jobs [s]; some compile for minutes."""
 
 
 class Program(NamedTuple):
-    """A foreign program."""
+    """A simulator or reader by others."""
 
     probe: str
-    """Its functions in reader_probe and motion_probe."""
+    """Key of its functions in reader_probe and motion_probe."""
     package: str
-    """What it is called where it is installed; its version is told."""
+    """Name of its installed package, whose version is reported."""
     requirements: tuple[str, ...]
-    """Of its environment; none is this one."""
+    """Requirements of its environment; none for this package's own environment."""
     objects: tuple[str, ...]
-    """Files of an object that it reads."""
+    """Object files that it reads."""
     scenes: tuple[str, ...] = ()
-    """Files of a scene that it reads."""
+    """Scene files that it reads."""
     moves: bool = False
     """True if it simulates."""
     known: tuple[str, ...] = ()
-    """Differences of its own, from the words of `readers.KNOWN`."""
+    """Known differences, as keys of `readers.KNOWN`."""
 
 
 PROGRAMS: dict[str, Program] = {
@@ -78,14 +78,14 @@ PROGRAMS: dict[str, Program] = {
         "urdf_usd_converter", "urdf-usd-converter", ("urdf-usd-converter",), ("object.urdf",)
     ),
 }  # fmt: skip
-"""Programs by the name that `--reader` takes."""
+"""Programs by their names for `--reader`."""
 
 
 def probe(name: str, jobs: list[dict[str, Any]]) -> tuple[str, list[dict[str, Any]]]:
-    """Let a program do jobs, and return its version and a result for each job.
+    """Run jobs in a program; return its version and a result for each job.
 
-    A job on which the program dies has an `error`; the others are done by a new process. What
-    cannot be started gives that error for every job that is left.
+    A job that crashes the program has an `error`; a new process does the remaining jobs. If the
+    program does not start, all remaining jobs have that error.
     """
     program, results, version = PROGRAMS[name], [], ""
     while len(results) < len(jobs):
@@ -102,20 +102,29 @@ def probe(name: str, jobs: list[dict[str, Any]]) -> tuple[str, list[dict[str, An
 def _run(program: Program, jobs: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str]:
     python = [sys.executable]
     if program.requirements:
-        wanted = [flag for one in program.requirements for flag in ("--with", one)]
-        own = f"{sys.version_info.major}.{sys.version_info.minor}"
-        python = ["uv", "run", "--quiet", "--no-project", "--python", own, *wanted, "python"]
+        with_flags = [flag for one in program.requirements for flag in ("--with", one)]
+        python_version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        python = [
+            "uv",
+            "run",
+            "--quiet",
+            "--no-project",
+            "--python",
+            python_version,
+            *with_flags,
+            "python",
+        ]
     command = [*python, str(PROBE), program.probe, program.package]
     try:
         done = subprocess.run(
             command, input=json.dumps(jobs), capture_output=True, text=True, check=False,
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
         )  # fmt: skip
     except FileNotFoundError:
         return [], "uv is not installed"
     except subprocess.TimeoutExpired as late:
         out = late.stdout.decode() if isinstance(late.stdout, bytes) else late.stdout or ""
-        return _results(out), f"took more than {PATIENCE_S:g} s"
+        return _results(out), f"took more than {TIMEOUT_S:g} s"
     error = " ".join(done.stderr.split())[-200:]
     return _results(done.stdout), f"ended with {done.returncode}: {error}"
 

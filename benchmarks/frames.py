@@ -1,4 +1,4 @@
-"""How fast the page of `neoworld view` loads and turns, in a chromium that draws in software."""
+"""Load time and frame rate of the page of `neoworld view` in a Chromium with software rendering."""
 
 import os
 import statistics
@@ -20,8 +20,8 @@ COUNT = """() => { window.frames_at = []; const next = t => { window.frames_at.p
 requestAnimationFrame(next); }; requestAnimationFrame(next); }"""
 
 
-def answer(options: Frames) -> dict[str, Any]:
-    """Open the page of a scene, and turn the view for some seconds."""
+def run_suite(options: Frames) -> dict[str, Any]:
+    """Open the page of a scene, and rotate the view for some seconds."""
     begun = time.perf_counter()
     target = open_target(options.scene, Config())
     server = open_server("frames", port=0)
@@ -67,8 +67,9 @@ def _visit(url: str, seconds: float) -> dict[str, float]:
 
 
 def _processor_s() -> float:
-    """Return the processor time of the browser's processes so far [s], which other work, unlike
-    frames a second, hardly changes.
+    """Return the processor time of all child processes [s].
+
+    Unlike the frame rate it hardly depends on other load.
     """
     children: dict[int, list[int]] = {}
     seconds: dict[int, float] = {}
@@ -76,15 +77,15 @@ def _processor_s() -> float:
         try:
             fields = (folder / "stat").read_text().rpartition(")")[2].split()
         except OSError:
-            continue  # It has ended meanwhile.
+            continue  # The process has ended.
         children.setdefault(int(fields[1]), []).append(int(folder.name))
         ticks = int(fields[11]) + int(fields[12])
         seconds[int(folder.name)] = ticks / os.sysconf("SC_CLK_TCK")
-    total, todo = 0.0, [os.getpid()]
-    while todo:
-        for child in children.get(todo.pop(), []):
+    total, parents = 0.0, [os.getpid()]
+    while parents:
+        for child in children.get(parents.pop(), []):
             total += seconds[child]
-            todo.append(child)
+            parents.append(child)
     return total
 
 
@@ -94,7 +95,7 @@ def _main_thread_s(session: Any) -> float:
 
 
 def _turn(page: Page, seconds: float) -> None:
-    """Drag the view around for some seconds."""
+    """Rotate the view with the mouse for some seconds."""
     mouse, begun = page.page.mouse, time.perf_counter()
     mouse.move(260, 300)
     mouse.down()

@@ -1,4 +1,4 @@
-"""Hostile inputs from a generator, read in a process of their own that may hang or die."""
+"""Generated hostile inputs, read in a separate process that may hang or crash."""
 
 import json
 import logging
@@ -16,20 +16,20 @@ from benchmarks.suites import Inputs
 log = logging.getLogger(__name__)
 
 HANG_S = 120.0
-"""Wall time after which an input counts as a hang; the machine may be busy."""
+"""Wall time after which an input counts as a hang, with a margin for busy machines."""
 
 
-def answer(options: Inputs) -> dict[str, Any]:
+def run_suite(options: Inputs) -> dict[str, Any]:
     """Read the inputs of consecutive seeds and count those that were contained."""
     outcomes: list[dict[str, Any]] = []
     end = options.seed + options.count
-    at = options.seed
-    while at < end:
-        for outcome in _outcomes(at, end - at):
+    seed = options.seed
+    while seed < end:
+        for outcome in _outcomes(seed, end - seed):
             outcomes.append(outcome)
-            at = outcome["seed"] + 1
+            seed = outcome["seed"] + 1
             if outcome["wrong"]:
-                log.warning("seed %d, %s: %s", at - 1, outcome["kind"], outcome["wrong"])
+                log.warning("seed %d, %s: %s", seed - 1, outcome["kind"], outcome["wrong"])
     kinds = Counter(outcome["kind"] for outcome in outcomes)
     good = Counter(outcome["kind"] for outcome in outcomes if not outcome["wrong"])
     return {
@@ -46,7 +46,7 @@ def answer(options: Inputs) -> dict[str, Any]:
 
 
 def _outcomes(first: int, count: int) -> list[dict[str, Any]]:
-    """Return the outcomes of a process; the last is a hang or crash if it came to no end."""
+    """Run a process and return its outcomes; if it hangs or crashes, the last one records that."""
     command = [sys.executable, "-m", "tests.support.hostile_inputs", str(first), str(count)]
     outcomes: list[dict[str, Any]] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
@@ -58,7 +58,7 @@ def _outcomes(first: int, count: int) -> list[dict[str, Any]]:
                 line = lines.get(timeout=HANG_S)
             except queue.Empty:
                 process.kill()
-                wrong = f"no answer within {HANG_S:g} s"
+                wrong = f"no result within {HANG_S:g} s"
                 break
             if not line:
                 wrong = f"the process ended with code {process.wait()}"

@@ -1,14 +1,14 @@
-"""Simulations of one file by foreign programs, each with its own functions and defaults.
+"""Simulations of a file by other simulators, each with its own functions and defaults.
 
-A simulation takes the file and options, and returns `roots`: of every body that stands on its own
-where it was, `start`, and how far it went, `pos` [m] and `quat` (w, x, y, z); or `q` of a joint.
+A simulation takes the file and options. It returns `roots`, for every root body its initial
+position `start` [m] and its displacement, `pos` [m] and `quat` (w, x, y, z); or `q` of a joint.
 
-    {"low": 0.0, "seconds": 2}            an object rests on a plane at that height [m]
-    {"scene": true, "seconds": 2}         a scene as it is
+    {"low": 0.0, "seconds": 2}            an object rests on a plane at this height [m]
+    {"scene": true, "seconds": 2}         an unchanged scene
     {"joint": "slide", "link": "drawer", "offset": [0.2, 0, 0], "force": [3, 0, 0], "seconds": 0.5}
-                                          its base is fixed, and the force [N] acts at a point of
-                                          the link [m] from its frame; `dry` false takes dry
-                                          friction of joints away (MuJoCo, SAPIEN)
+                                          the base is fixed, and the force [N] acts at an offset
+                                          [m] in the link's frame; `dry` false removes the joints'
+                                          dry friction (MuJoCo, SAPIEN)
 """
 
 import math
@@ -20,11 +20,11 @@ Options = dict[str, Any]
 Motion = dict[str, Any]
 STEP_S = 0.001
 LONG_STEP_S = 0.002
-"""Of programs that are slow here."""
+"""Time step for slow simulators."""
 
 
 def _between(start: Any, end: Any, turned: Any) -> Motion:
-    """Return how far a body went: places [m], and its rotation (w, x, y, z) since."""
+    """Return the motion of a body: start and displacement [m], and rotation (w, x, y, z)."""
     return {
         "start": [float(a) for a in start],
         "pos": [float(b) - float(a) for a, b in zip(start, end, strict=True)],
@@ -45,9 +45,9 @@ def _since(first: Any, last: Any) -> list[float]:
 
 
 def _find(names: list[str], own: str) -> int:
-    """Return the index of our name among a program's, which may put others before it.
+    """Return the index of our name among a program's names, which may have prefixes.
 
-    Of several the shortest is ours: `cabinet_door` is, beside `cabinet_left_door`.
+    The shortest match counts: `cabinet_door` rather than `cabinet_left_door`.
     """
     last = [name.rpartition("/")[2].rstrip("_") for name in names]
     fits = [k for k, name in enumerate(last)
@@ -61,7 +61,7 @@ def mujoco(path: str, o: Options) -> Motion:
 
     spec = mujoco.MjSpec.from_file(path)
     spec.option.timestep = STEP_S
-    if path.endswith("urdf"):  # Which it does not look for by itself.
+    if path.endswith("urdf"):  # MuJoCo does not look for meshes there by itself.
         for pair in ElementTree.parse(f"{path[:-5]}.srdf").iter("disable_collisions"):
             spec.add_exclude(bodyname1=pair.get("link1"), bodyname2=pair.get("link2"))
     if "scene" not in o:
@@ -131,7 +131,7 @@ def drake(path: str, o: Options) -> Motion:
     builder = DiagramBuilder()
     plant, graph = AddMultibodyPlantSceneGraph(builder, STEP_S)
     parser = Parser(plant)
-    if path.endswith("xml"):  # MJCF has no words for what URDF and SDF say of contacts.
+    if path.endswith("xml"):  # MJCF lacks the contact properties of URDF and SDF.
         config = SceneGraphConfig()
         config.default_proximity_properties.compliance_type = "compliant"
         config.default_proximity_properties.hydroelastic_modulus = 1e8
@@ -195,7 +195,7 @@ def _bullet_motion(bullet: Any, path: str, o: Options) -> Motion:
     body = bullet.loadURDF(path, useFixedBase="joint" in o, flags=flags)
     info = [bullet.getJointInfo(body, k) for k in range(bullet.getNumJoints(body))]
     for joint in info:
-        # Its joints hold themselves unless told not to; dry friction is such a motor's force.
+        # Joints have motors by default; the motor's force acts as dry friction.
         bullet.setJointMotorControl2(body, joint[0], bullet.VELOCITY_CONTROL, force=joint[7])
     steps = round(o["seconds"] / STEP_S)
     if "joint" in o:
@@ -203,7 +203,7 @@ def _bullet_motion(bullet: Any, path: str, o: Options) -> Motion:
         for _ in range(steps):
             state = bullet.getLinkState(body, k, computeForwardKinematics=True)
             point, _ = bullet.multiplyTransforms(state[4], state[5], o["offset"], [0, 0, 0, 1])
-            # Forces are for one step.
+            # Forces last for one step.
             bullet.applyExternalForce(body, k, o["force"], point, bullet.WORLD_FRAME)
             bullet.stepSimulation()
         return {"q": float(bullet.getJointState(body, k)[0])}
@@ -211,7 +211,7 @@ def _bullet_motion(bullet: Any, path: str, o: Options) -> Motion:
     ground = bullet.createMultiBody(0, plane, basePosition=[0, 0, o["low"]])
     bullet.changeDynamics(ground, -1, lateralFriction=1.0)
 
-    # A base is where its centre of mass is, along its principal axes.
+    # The base's pose is that of its center of mass and principal axes.
     inertia = bullet.getDynamicsInfo(body, -1)
     inner = bullet.invertTransform(inertia[3], inertia[4])
 
@@ -265,7 +265,7 @@ def newton(path: str, o: Options) -> Motion:
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     suffix = path.rpartition(".")[2]
-    # MJCF has no words for what newton.usda says: contacts from 2 mm on, several points a pair.
+    # MJCF lacks newton.usda's contact settings: a 2 mm margin and several points per pair.
     several = True if suffix == "xml" else None
     if suffix == "xml":
         builder.rigid_gap = 0.002
@@ -321,7 +321,7 @@ def genesis(path: str, o: Options) -> Motion:
 
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="error")
-    # Contacts as the MJCF states them, whose options it does not take.
+    # Genesis ignores the MJCF's options, so its contacts are set here.
     contacts = gs.options.RigidOptions(
         friction_cone=gs.friction_cone.elliptic, impratio=10.0, constraint_timeconst=0.02
     )
@@ -350,7 +350,7 @@ def genesis(path: str, o: Options) -> Motion:
 
 
 def _turned(link: Any, force: list[float]) -> list[float]:
-    """Return a force of the world along a link's axes."""
+    """Rotate a force from world to link axes."""
     import numpy as np
 
     w, *axis = (float(v) for v in link.get_quat().tolist())
@@ -367,4 +367,4 @@ MOVERS: dict[str, Callable[[str, Options], Motion]] = {
     "mujoco": mujoco, "drake": drake, "pybullet": pybullet, "sapien": sapien,
     "newton": newton, "genesis": genesis,
 }  # fmt: skip
-"""How each program simulates."""
+"""Simulation function of each program."""

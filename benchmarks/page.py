@@ -22,7 +22,7 @@ MARK = "<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figur
 
 
 class Figure(BaseModel):
-    """A table of measured values, and what it was measured on."""
+    """A table of measured values with its conditions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,21 +51,21 @@ class Page(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
-    """Name of the file, without ending."""
+    """File name without suffix."""
     title: str
     intro: str
     figures: list[str]
-    """Names of figures, without ending."""
+    """File names of figures without suffix."""
 
 
 class Contents(BaseModel):
-    """The front page and the pages behind it: `figures/page.yaml`."""
+    """Contents of `figures/page.yaml`: the front page and its subpages."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     intro: str
     key: list[str]
-    """Figures whose tables stand on the front page."""
+    """Figures whose tables are on the front page."""
     pages: list[Page]
 
 
@@ -110,31 +110,31 @@ def anchor(title: str) -> str:
 
 
 def read_figure(name: str) -> Figure:
-    """Read a figure of `benchmarks/figures`, of either form."""
+    """Read a YAML or JSON figure of `benchmarks/figures`."""
     if (FIGURES / f"{name}.json").exists():
-        return from_answer(json.loads((FIGURES / f"{name}.json").read_text(encoding="utf-8")))
+        return from_result(json.loads((FIGURES / f"{name}.json").read_text(encoding="utf-8")))
     text = (FIGURES / f"{name}.yaml").read_text(encoding="utf-8")
     return Figure.model_validate(yaml.safe_load(text))
 
 
-def from_answer(answer: dict[str, Any]) -> Figure:
-    """Turn what a suite printed with `--json` into a figure.
+def from_result(result: dict[str, Any]) -> Figure:
+    """Convert the JSON that a suite prints into a figure.
 
-    The table is that of its `rows`, else of its first list of records, else of its single values.
+    The table holds `rows`, otherwise the first list of records, otherwise the numeric values.
     """
-    machine = answer["machine"]
-    tables = [v for v in answer.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
-    values = {key: value for key, value in answer.items() if isinstance(value, int | float)}
-    rows = answer.get("rows") or next(iter(tables), [values])
+    machine = result["machine"]
+    tables = [v for v in result.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
+    values = {key: value for key, value in result.items() if isinstance(value, int | float)}
+    rows = result.get("rows") or next(iter(tables), [values])
     columns = [key for key, value in rows[0].items() if not isinstance(value, list | dict)]
     return Figure(
-        title=f"{answer['suite']}, as printed",
-        suite=answer["suite"],
-        command=answer["command"],
+        title=f"{result['suite']}, as printed",
+        suite=result["suite"],
+        command=result["command"],
         device=f"{machine['processor']}, {machine['cores']} cores; {', '.join(machine['devices'])}",
         software=", ".join(f"{k} {v}" for k, v in machine["versions"].items()),
         n=f"rows: {len(rows)}",
-        date=answer["date"],
+        date=result["date"],
         columns=columns,
         rows=[[_cell(row.get(key)) for key in columns] for row in rows],
     )

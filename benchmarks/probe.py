@@ -1,6 +1,6 @@
-"""Let one foreign program read or simulate files, and print what came of it, a line of JSON each.
+"""Let a simulator or reader by others process files, and print a line of JSON for each.
 
-Run in an environment that has the program; it needs nothing of this package. Jobs are JSON on
+The script runs in an environment with that program and does not need this package. Jobs are JSON on
 standard input: a list of `{"read": FILE}` and `{"move": FILE, ...options of motion_probe}`.
 
     echo '[{"read": "object.sdf"}]' | uv run --no-project --with drake benchmarks/probe.py drake
@@ -12,11 +12,11 @@ from importlib import import_module
 from importlib.metadata import version
 
 MARK = "@probe "
-"""Begins our lines among those of the program."""
+"""Prefix of our lines in the program's output."""
 
 
 def main() -> None:
-    # A script's folder comes first on the path, where modules of ours would hide packages.
+    # The script's folder is first on the path, where its modules would shadow packages.
     folder = sys.path.pop(0)
     sys.path.append(folder)
     read = import_module("reader_probe").READERS
@@ -27,9 +27,9 @@ def main() -> None:
     for job in json.load(sys.stdin):
         try:
             result = read[name](job["read"]) if "read" in job else move[name](job["move"], job)
-        except Exception as error:  # a foreign program's border
+        except Exception as error:  # Programs raise exceptions of many types.
             result = {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]}
-        # Programs write on without ending their lines.
+        # Programs may not end their lines.
         print(f"\n{MARK}{json.dumps(result)}", flush=True)
 
 

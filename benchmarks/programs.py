@@ -78,7 +78,7 @@ back = cabinet.part("rail", material="oak")
 back.add(box((0.02, Y, 0.04)), at=top.anchor("back.top"), by="back.bottom")
 cabinet.fixed("nails", top, back)
 """
-"""A program of 30 parts and 8 joints that move."""
+"""Program with 30 parts and 8 movable joints."""
 
 
 def programs(
@@ -131,7 +131,7 @@ def programs(
 
 
 def cabinet_times(repeats: int) -> dict[str, Any]:
-    """Time building the cabinet, its checks over its joints' ranges, and its three exports."""
+    """Time the cabinet's build, its checks over the joint ranges, and its three exports."""
     options = ProgramOptions(check_timeout_s=30.0)
     built = run(CABINET, options)
     assert built.spec is not None, built.signals
@@ -166,7 +166,7 @@ def _median_ms(work: Callable[[], Any], repeats: int) -> float:
 
 @contextmanager
 def _busy(count: int) -> Iterator[None]:
-    """Keep cores busy while the block runs."""
+    """Keep cores busy within the context."""
     loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -176,7 +176,7 @@ def _busy(count: int) -> Iterator[None]:
             loop.wait()
 
 
-def answer(o: Programs) -> dict[str, Any]:
+def run_suite(o: Programs) -> dict[str, Any]:
     """Test the sandbox and time a cabinet."""
     return programs(
         hostile=not o.no_hostile,

@@ -1,4 +1,4 @@
-"""Random trees of parts with every kind of joint, for comparing formats."""
+"""Random trees of parts with every kind of joint, for round trips."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What foreign programs make of a file, each by its own functions."""
+"""Objects as other programs read them from a file, each with its own functions."""
 
 import re
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 Read = dict[str, Any]
-"""links: origin [m] of each in the root's frame; mass [kg]; joints: how many move; shapes."""
+"""links: origin of each in the root's frame [m]; mass [kg]; joints: number that move; shapes."""
 
 
 def mujoco(path: str) -> Read:
@@ -101,7 +101,7 @@ def pybullet(path: str) -> Read:
     moving = sum(i[2] != bullet.JOINT_FIXED for i in info)
     shapes = sum(len(bullet.getCollisionShapeData(body, k)) for k in range(-1, count))
     bullet.disconnect()
-    # The base's own place is that of its centre of mass; links are told relative to its frame.
+    # The base's pose is that of its center of mass; links are relative to its frame.
     return {"links": links, "mass": mass, "joints": moving, "shapes": shapes, "base": "com"}
 
 
@@ -127,12 +127,12 @@ def sapien(path: str) -> Read:
 
     scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
     body = sapien_object(scene, path, fixed=True)
-    if not hasattr(body, "links"):  # One part is no articulation.
+    if not hasattr(body, "links"):  # An object of one part is no articulation.
         (rigid,) = (k for k in body.components if hasattr(k, "collision_shapes"))
         shapes = len(rigid.collision_shapes)
         return {"links": {}, "mass": float(rigid.mass), "joints": 0, "shapes": shapes}
     active, parts = body.active_joints, body.links
-    # Its links are put in their places by their joints only when those are set.
+    # Links get their poses when joint positions are set.
     body.qpos = body.qpos * 0
     links = {link.name: link.entity_pose.p.tolist() for link in parts}
     mass = float(sum(link.mass for link in parts))
@@ -141,10 +141,10 @@ def sapien(path: str) -> Read:
 
 
 def sapien_object(scene: Any, path: str, *, fixed: bool) -> Any:
-    """Load a URDF and its SRDF without what is visible, which asks for a graphics device."""
+    """Load a URDF and its SRDF without visual shapes, which would require a graphics device."""
     file = Path(path)
     text = re.sub("<visual.*?</visual>", "", file.read_text(), flags=re.DOTALL)
-    # Beside the file, as its meshes are named from there.
+    # In the folder of the file, as mesh paths are relative to it.
     plain = file.with_name(f"{file.stem}-plain.urdf")
     plain.write_text(text)
     loader = scene.create_urdf_loader()
@@ -203,7 +203,7 @@ def usd(path: str) -> Read:
 
 
 def nvidia(path: str) -> Read:
-    from physx_usd_schemas import PhysxSchema  # noqa: F401  # its attributes are known then
+    from physx_usd_schemas import PhysxSchema  # noqa: F401  # Registers its attributes.
     from usd_validation_nvidia import ValidationEngine
 
     found = [str(issue) for issue in ValidationEngine().validate(path).issues()]
@@ -242,4 +242,4 @@ READERS: dict[str, Callable[[str], Read]] = {
     "usd": usd, "nvidia": nvidia, "mujoco_usd_converter": mujoco_usd_converter,
     "urdf_usd_converter": urdf_usd_converter,
 }  # fmt: skip
-"""How each program reads."""
+"""Reader function of each program."""

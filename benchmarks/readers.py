@@ -1,4 +1,4 @@
-"""Foreign programs beside what we mean: what they read of our files, and how that moves in them."""
+"""Exported files in other simulators: what they read, and motion compared with MuJoCo."""
 
 import contextlib
 import tempfile
@@ -25,29 +25,30 @@ from neoworld_mjx.spec import ObjectSpec, SceneSpec, bounds, inertial, read_scen
 ROOT = Path(__file__).parents[1]
 OBJECTS = ROOT / "examples" / "objects"
 TOLERANCE_M, TOLERANCE_MASS, LEAST_KG = 1e-6, 1e-5, 1e-5
-"""Masses are alike within a share, or this: SAPIEN and others give frames a milligram each."""
+"""Tolerances of positions, of masses (relative) and of small masses; SAPIEN and others give each
+frame a milligram."""
 REST_MM, REST_DEGREES, PULLED = 5.0, 2.0, 0.1
-"""How far what rests may end beside where it ends in MuJoCo, and a pulled joint, over its value."""
+"""Tolerances of resting poses against MuJoCo's, and of pulled joints relative to their value."""
 REST_S = 2.0
 ASSET = "asset_"
-"""Begins the names of the assets of others, which are counted apart."""
+"""Prefix of the names of external assets, which are counted separately."""
 KNOWN = {
-    "dry": "knows no dry friction of joints: pulls are held against MuJoCo's without it",
-    "coefficient": "takes URDF's dry friction for a coefficient: it is set to 0, and in MuJoCo",
+    "dry": "has no dry friction of joints: pulls are compared with MuJoCo's without it",
+    "coefficient": "reads URDF's dry friction as a coefficient: it is set to 0 there and in MuJoCo",
 }
-"""Differences of programs that a comparison allows for."""
+"""Known differences of programs, for which the comparison allows."""
 CHECKS = ("loads", "joints", "masses", "colliders", "places", "rest", "pulled")
 Row = dict[str, Any]
 Results = dict[Any, dict[str, Any]]
-"""Of jobs by (object or "scene", what), and with them whether joints had their dry friction."""
+"""Results by ((object, kind of job), dry friction), and by "scene"."""
 
 
-def answer(o: Readers) -> dict[str, Any]:
-    """Export objects and the example's scene, let programs read and simulate them, and compare."""
+def run_suite(o: Readers) -> dict[str, Any]:
+    """Export objects and a scene, read and simulate them in other programs, and compare."""
     names = o.reader or tuple(PROGRAMS)
     for name in names:
         if name not in PROGRAMS:
-            raise ValueError(f"no reader {name}; there are {', '.join(PROGRAMS)}")
+            raise ValueError(f"no reader {name}; readers are {', '.join(PROGRAMS)}")
     rows: list[Row] = []
     faults: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -96,7 +97,7 @@ def objects(o: Readers, scene: SceneSpec | None) -> Iterator[ObjectSpec]:
 
 
 def expectations(home: Path, specs: dict[str, ObjectSpec], scene: SceneSpec | None) -> Results:
-    """Return how objects move in this environment's MuJoCo: by job, as `jobs_of` names them."""
+    """Return the motions in this environment's MuJoCo, by the jobs of `jobs_of`."""
     result: Results = {}
     for dry in (True, False):
         jobs = jobs_of(home, specs, "object.xml", dry)
@@ -111,7 +112,7 @@ def expectations(home: Path, specs: dict[str, ObjectSpec], scene: SceneSpec | No
 def jobs_of(
     home: Path, specs: dict[str, ObjectSpec], name: str, dry: bool
 ) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return simulations of objects by (object, what): at rest, and pulled by a handle."""
+    """Return simulation jobs by (object, kind): at rest, and pulled by a handle."""
     jobs: dict[tuple[str, str], dict[str, Any]] = {}
     for key, spec in specs.items():
         file = str(home / key / name)
@@ -130,7 +131,7 @@ def rows_of(
     scene: SceneSpec | None,
     expected: Results,
 ) -> list[Row]:
-    """Let a program read and simulate, and return a row for each format and file of a scene."""
+    """Run a program, and return a row for each object format and scene file."""
     program = PROGRAMS[name]
     jobs: list[dict[str, Any]] = []
     places: list[tuple[int, str, str]] = []
@@ -198,11 +199,11 @@ def _compare_objects(
 
 
 def compare(spec: ObjectSpec, read: dict[str, Any]) -> dict[str, str | None]:
-    """Return in words where a reader's object is not what the spec means; None where it is."""
+    """Return the difference of a reader's object from the spec in words; None if equal."""
     mass = sum(inertial(spec, part).mass for part in spec.parts)
     light = abs(read["mass"] - mass) > max(TOLERANCE_MASS * mass, LEAST_KG)
     moving = sum(joint.type != "fixed" for joint in spec.joints)
-    # In URDF a ball is three hinges.
+    # URDF has three hinges for a ball joint.
     turns = moving + 2 * sum(joint.type == "ball" for joint in spec.joints)
     pieces = sum(
         len(geom.shape.pieces()) for p in spec.parts for geom in p.geoms if geom.role != "visual"
@@ -228,7 +229,7 @@ def compare(spec: ObjectSpec, read: dict[str, Any]) -> dict[str, str | None]:
 
 
 def apart(moved: dict[str, Any], reference: dict[str, Any]) -> str | None:
-    """Return in words where something did not move as in MuJoCo; None where it did."""
+    """Return the difference of a motion from MuJoCo's in words; None if within tolerance."""
     if "error" in moved:
         return moved["error"]
     if "q" in reference:
@@ -266,7 +267,7 @@ def _compare_scene(
 
     note("loads", read.get("error"))
     items = [(i, sum(inertial(i.spec, p).mass for p in i.spec.parts)) for i in scene.objects]
-    # What cannot move has no mass in USD.
+    # Static objects have no mass in USD.
     masses = [sum(m for i, m in items if not (still and i.static)) for still in (True, False)]
     moving = sum(j.type != "fixed" for i, _ in items for j in i.spec.joints)
     if "error" not in read:
@@ -301,13 +302,13 @@ def _share(tally: tuple[int, int]) -> str:
 
 
 def _label(row: Row) -> str:
-    """Name a row's file, also where objects and scenes have one of the same name."""
+    """Return a name of a row's file that is unique over objects and scenes."""
     both = row["file"] == "newton.usda" and not row["scene"]
     return f"`{row['file']}`{' of objects' if both else ''}"
 
 
 def write_figure(path: Path, rows: list[Row]) -> None:
-    """Write rows as the table of a figure of `benchmarks/figures`, where that file has the rest."""
+    """Write rows as the table of an existing figure of `benchmarks/figures`."""
     kept = yaml.safe_load(path.read_text(encoding="utf-8")) if path.exists() else {}
     kept["columns"] = ["", "file", *CHECKS]
     kept["rows"] = [

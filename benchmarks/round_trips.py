@@ -1,4 +1,4 @@
-"""Objects written in a format and read again: how far is what comes back from what was written."""
+"""Differences of objects that were written in a format and read again."""
 
 import tempfile
 from collections.abc import Callable, Iterator
@@ -39,17 +39,17 @@ BOUNDS: dict[str, float] = {
     "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,
     "mimic": 1e-5, "sites_m": 1e-5, "friction": 1e-4, "colour": 0.005, "shine": 1e-5,
 }  # fmt: skip
-"""Largest differences: of masses, inertias and dynamics over the greater of both."""
+"""Tolerances; those of masses, inertias and dynamics are relative."""
 LOST: dict[Format, frozenset[str]] = {
     "mjcf": frozenset({"velocity"}),
     "urdf": frozenset({"stiffness", "armature", "shine"}),
     "usd": frozenset(),
 }
-"""Numbers of joints and materials that a format has no place for, as `neoworld export` says."""
+"""Fields of joints and materials that a format cannot store, as `neoworld export` reports."""
 DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")
 
 
-def answer(o: RoundTrips) -> dict[str, Any]:
+def run_suite(o: RoundTrips) -> dict[str, Any]:
     """Write and read objects in every format and compare."""
     rows = {kind: {"format": kind, "objects": 0} | dict.fromkeys(BOUNDS, 0.0) for kind in READERS}
     bounds_mm = dict.fromkeys(READERS, 0.0)
@@ -99,7 +99,7 @@ def round_trip(spec: ObjectSpec, kind: Format) -> dict[str, float]:
 
 
 def compare(own: ObjectSpec, back: ObjectSpec, lost: frozenset[str]) -> dict[str, float]:
-    """Return the largest differences between an object and what came back of it.
+    """Return the largest differences between an object and its round trip.
 
     Places are relative to the root's centre of mass, as the middle of an object's box moves with
     the facets of its round shapes; `extent_m` is by how much colliders' bounds differ.
@@ -135,7 +135,7 @@ def compare(own: ObjectSpec, back: ObjectSpec, lost: frozenset[str]) -> dict[str
         state = {k: v for j in moving for k, v in _values(j, rng).items()}
         moved, other_moved = link_poses(own, state), link_poses(back, state)
         for part in own.parts:
-            # Three points tell a rotation besides.
+            # Three points also determine the rotation.
             for point in np.array(inertial(own, part).pos) + [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]:
                 at = moved[part.name].apply(point)
                 read = other_moved[names[part.name]].apply(point + shift)
@@ -186,7 +186,7 @@ def _values(joint: JointSpec, rng: np.random.Generator) -> dict[str, float]:
 
 
 def _materials(spec: ObjectSpec, part: Any, role: str, what: str) -> list[list[float]]:
-    """Return a part's frictions, colours, or metallic and roughness, each once."""
+    """Return the unique frictions, colors, or metallic and roughness values of a part."""
     chosen = [spec.material(geom.material) for geom in part.geoms if geom.role in (role, "both")]
     kinds: dict[str, Callable[[Material], list[float]]] = {
         "friction": lambda m: [m.friction],
@@ -198,7 +198,7 @@ def _materials(spec: ObjectSpec, part: Any, role: str, what: str) -> list[list[f
 
 
 def _apart(one: list[list[float]], other: list[list[float]]) -> float:
-    """Return how far each value of one list is from the nearest of the other, at most."""
+    """Return the largest distance of a value of either list from the nearest of the other."""
     if not one or not other:
         return 0.0 if one == other else np.inf
     gaps = np.abs(np.array(one)[:, None] - np.array(other)[None]).max(axis=2)

@@ -1,4 +1,4 @@
-"""Overlap of scoring by a model with physics: either alone, both together, and a dead server.
+"""Overlap of model scoring with physics: each alone, both together, and with a dead server.
 
 A server on this machine is as slow and unreliable as a real one. Physics is either a pause of a
 given length, which leaves the processor to drawing, or rollouts on all cores.
@@ -48,7 +48,7 @@ class ScoringRow(BaseModel):
     physics_s: float
     """Physics alone."""
     scoring_s: float
-    """Scoring alone: drawing, asking, waiting."""
+    """Scoring alone: rendering, requests, waiting."""
     both_s: float
     ratio: float
     """`both_s` over the larger of the two alone."""
@@ -60,7 +60,7 @@ class ScoringRow(BaseModel):
     calls: int
     failed_calls: int
     drawing_s: float
-    """Drawing time while both run, in one thread beside physics."""
+    """Rendering time while both run, in one thread alongside physics."""
     dead_server_s: float
     """Both together without a server."""
     dead_stopped: str | None
@@ -107,7 +107,7 @@ def scoring(
         update={"scorer": "mllm", "top": top, "wait": wait, "late": late}
     )
     model = compile_scene(_seen(crowded(objects)), samples=32)
-    # As much noise as the search samples.
+    # The standard deviation that the search starts with.
     draws = [
         noisy_layouts(model, population, seed=seed + t, noise=Noise(xy=0.05))
         for t in range(iterations)
@@ -187,7 +187,7 @@ def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> 
         np.median([_timed(lambda: engine.rollout(model, model.place(layouts))) for _ in range(3)])
     )
     times = max(1, round(seconds / duration))
-    # The amount of work is fixed, not its time.
+    # The work is fixed; its time varies.
     return lambda population: [engine.rollout(model, model.place(population)) for _ in range(times)]
 
 
@@ -215,7 +215,7 @@ def _seen(scene: SceneSpec) -> SceneSpec:
     return scene.model_copy(update={"camera": camera, "objects": objects})
 
 
-def answer(o: Scoring) -> dict[str, Any]:
+def run_suite(o: Scoring) -> dict[str, Any]:
     """Score while physics runs, with every way of waiting and kind of physics."""
     rows = collect(
         scoring(

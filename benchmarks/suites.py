@@ -1,4 +1,4 @@
-"""The table of developer suites: the options of each, and the function that runs it."""
+"""Developer suites: their options and functions."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +17,11 @@ class Programs:
     mutations: int = 5000
     """Mutants of the guide's programs; some 20 ms each."""
     repeats: int = 9
-    """Repetitions of each timing; the answer gives medians."""
+    """Repetitions of each timing; medians are reported."""
     no_hostile: bool = False
-    """Leave the hostile programs out; they take a minute."""
+    """Skip the hostile programs, which take a minute."""
     neighbours: int = 0
-    """Processes that keep the cores busy beside the hostile programs."""
+    """Processes that keep the cores busy while hostile programs run."""
     seed: int = 0
     """Seed of the mutations."""
 
@@ -31,15 +31,15 @@ class Scoring:
     """Score candidates by a slow, unreliable server on this machine while physics runs."""
 
     wait: tuple[Literal["all", "bounded", "none"], ...] = ("all", "bounded", "none")
-    """Ways of waiting; a row for each."""
+    """Ways of waiting, with a row for each."""
     physics: tuple[Literal["pause", "native"], ...] = ("pause", "native")
-    """A pause leaves the processor to drawing pictures, rollouts on all cores do not."""
+    """Physics: a pause leaves the processor to rendering; native rollouts use all cores."""
     iterations: int = 6
     """Iterations of the search."""
     physics_s: float = 3.0
-    """Physics of one iteration alone [s]."""
+    """Duration of physics alone in one iteration [s]."""
     delay_s: float = 3.0
-    """How long the server takes for a call [s]; it answers eight at once."""
+    """Time of the server for a call [s]; it serves eight at once."""
     failing: float = 0.1
     """Share of its calls that fail."""
     seed: int = 0
@@ -48,26 +48,26 @@ class Scoring:
 
 @dataclass(frozen=True, kw_only=True)
 class Verify:
-    """Put faults into valid objects, and count those that the battery detects, names and
-    repairs.
+    """Inject faults into valid objects, and count those that the object tests detect, name and
+    repair.
     """
 
     objects: int | None = None
-    """Number of valid objects; by default all."""
+    """Number of valid objects; all by default."""
     kind: tuple[str, ...] = ()
-    """Kinds of faults; none takes all."""
+    """Kinds of faults; all by default."""
     no_repair: bool = False
-    """Detect and name only."""
+    """Detect and name faults only."""
     workers: int = 0
-    """Processes; 0 takes all cores."""
+    """Processes; 0 for all cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Battery:
-    """Simulate the battery's runs of many objects at once, on all cores and on a GPU."""
+    """Run the object tests of many objects at once, on all cores and on a GPU."""
 
     objects: int = 100
-    """Number of objects; valid ones in up to four sizes."""
+    """Number of objects: valid objects in up to four sizes."""
     engine: tuple[Literal["native", "warp"], ...] = ("native", "warp")
     """Engines that simulate them."""
     together: int = 16
@@ -76,100 +76,102 @@ class Battery:
 
 @dataclass(frozen=True, kw_only=True)
 class Templates:
-    """Build every template at its defaults and as drawn, check it, and run the battery on it."""
+    """Build every template at its defaults and at random parameters, and run all checks and object
+    tests.
+    """
 
     name: tuple[str, ...] = ()
-    """Templates; none takes all."""
+    """Templates; all by default."""
     seeds: int = 3
-    """Drawn instances of each, besides its defaults."""
+    """Random instances of each, in addition to its defaults."""
     sheet: Path | None = None
-    """Picture to draw of all of them, at rest and opened."""
+    """Contact sheet to write of all templates, at rest and opened."""
     workers: int = 0
-    """Processes; 0 takes all cores."""
+    """Processes; 0 for all cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Readers:
-    """Let foreign programs read and simulate exported objects and the example's scene, beside what
-    is meant and how it moves in MuJoCo.
+    """Read and simulate exported objects and a scene in other simulators, and compare them with the
+    spec and with MuJoCo.
 
-    `uv` makes their environments, which contradict each other; some are gigabytes. Without
-    `--reader` all of them run, some 40 minutes on a core.
+    `uv` creates their environments, some of them gigabytes. Without `--reader` all of them run,
+    which takes 40 minutes on a core.
     """
 
     reader: UseAppendAction[tuple[str, ...]] = ()
-    """Program; may be repeated, none takes all."""
+    """Program; may be repeated; all by default."""
     object: UseAppendAction[tuple[str, ...]] = ()
-    """Program of examples/objects; may be repeated, none takes all."""
+    """Program of examples/objects; may be repeated; all by default."""
     scene: Path | None = None
     """Run folder of the scene; by default the bundled example is reconstructed."""
     no_scene: bool = False
-    """Leave the scene and its objects out."""
+    """Skip the scene and its objects."""
     assets: Path | None = None
-    """Folder with further objects, <name>/model.xml."""
+    """Folder of further objects, <name>/model.xml."""
     figure: Path | None = None
-    """Figure of benchmarks/figures whose table to write."""
+    """Figure of benchmarks/figures whose table is written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoundTrips:
-    """Write objects as MJCF, URDF and USD, read them again, and compare what came back."""
+    """Write objects as MJCF, URDF and USD, read them again, and compare."""
 
     templates: int = 24
-    """Templates, one drawn instance of each; beside them go all of examples/objects."""
+    """Templates, one random instance of each, in addition to all of examples/objects."""
     random: int = 24
-    """Random trees with every kind of joint."""
+    """Number of random trees with every kind of joint."""
     assets: Path | None = None
-    """Folder with further objects, <name>/model.xml."""
+    """Folder of further objects, <name>/model.xml."""
     seed: int = 0
     """Seed of the templates and trees."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Read generated hostile inputs of every kind, each watched, in a process that may die."""
+    """Read generated hostile inputs of every kind in a monitored process that may crash."""
 
     count: int = 1000
-    """Number of inputs; some 100 ms each."""
+    """Number of inputs; about 100 ms each."""
     seed: int = 0
-    """Seed of the first; the others follow."""
+    """Seed of the first; the others are consecutive."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """Strike runs by faults at random moments, and go on with them."""
+    """Inject faults into runs at random moments, and resume the runs."""
 
     count: int = 200
     """Number of faults; some seconds each."""
     seed: int = 0
-    """Seed of the first; the others follow."""
+    """Seed of the first; the others are consecutive."""
     until: str = "verify"
-    """Last step of the runs; refine and export are struck by an engine that returns NaN, too."""
+    """Last step of the runs; faults of refine and export include an engine that returns NaN."""
     photo: str = "coffee.png"
-    """A photograph in `examples`; microwave.jpg and drawers.png show things with joints."""
+    """Photograph in `examples`; microwave.jpg and drawers.png show articulated objects."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decisions:
-    """Check what refinements wrote, of the examples and of disturbed scenes, and compare."""
+    """Compare the verdicts of `check` and `refine` on the examples and on perturbed scenes."""
 
     scenes: int = 50
-    """Number of disturbed scenes; some seconds each."""
+    """Number of perturbed scenes; some seconds each."""
     seed: int = 0
-    """Seed of the first; the others follow."""
+    """Seed of the first; the others are consecutive."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Composing:
-    """Compose the bundled photographs, and again without refit and without settling."""
+    """Compose the bundled photographs with all steps, without refit and without settling."""
 
     example: tuple[str, ...] = ()
-    """Bundled photographs; none takes all."""
+    """Bundled photographs; all by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """Estimate tokens and dollars of the bundled examples from their requests and answers."""
+    """Estimate tokens and dollars of the bundled examples from their requests and responses."""
 
     model: tuple[str, ...] = (
         "claude-haiku-5-5",
@@ -177,34 +179,34 @@ class Costs:
         "claude-opus-5-5",
         "gpt-6-sol",
     )
-    """Models of the table of prices."""
+    """Models of the price table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frames:
-    """Open a scene's page in a headless browser, and count frames while the view is turned."""
+    """Open a scene's page in a headless browser, and count frames while the view rotates."""
 
     scene: Path = Path("benchmarks/neoworld_bench/photographs/real/coffee.json")
     """A run folder, a scene.json or a program."""
     seconds: float = 6.0
-    """How long the view is turned [s]."""
+    """Duration of the rotation [s]."""
     visits: int = 3
-    """Visits of a new browser."""
+    """Number of visits, each in a new browser."""
 
 
 SUITES = {
-    "composing": Suite(Composing, "benchmarks.composing:answer"),
-    "frames": Suite(Frames, "benchmarks.frames:answer"),
-    "costs": Suite(Costs, "benchmarks.costs:answer"),
-    "decisions": Suite(Decisions, "benchmarks.decisions:answer"),
-    "faults": Suite(Faults, "benchmarks.faults:answer"),
-    "inputs": Suite(Inputs, "benchmarks.inputs:answer"),
-    "readers": Suite(Readers, "benchmarks.readers:answer"),
-    "round-trips": Suite(RoundTrips, "benchmarks.round_trips:answer"),
-    "programs": Suite(Programs, "benchmarks.programs:answer"),
-    "verify": Suite(Verify, "benchmarks.verify:answer"),
-    "battery": Suite(Battery, "benchmarks.battery:answer"),
-    "templates": Suite(Templates, "benchmarks.templates:answer"),
-    "scoring": Suite(Scoring, "benchmarks.scoring:answer"),
+    "composing": Suite(Composing, "benchmarks.composing:run_suite"),
+    "frames": Suite(Frames, "benchmarks.frames:run_suite"),
+    "costs": Suite(Costs, "benchmarks.costs:run_suite"),
+    "decisions": Suite(Decisions, "benchmarks.decisions:run_suite"),
+    "faults": Suite(Faults, "benchmarks.faults:run_suite"),
+    "inputs": Suite(Inputs, "benchmarks.inputs:run_suite"),
+    "readers": Suite(Readers, "benchmarks.readers:run_suite"),
+    "round-trips": Suite(RoundTrips, "benchmarks.round_trips:run_suite"),
+    "programs": Suite(Programs, "benchmarks.programs:run_suite"),
+    "verify": Suite(Verify, "benchmarks.verify:run_suite"),
+    "battery": Suite(Battery, "benchmarks.battery:run_suite"),
+    "templates": Suite(Templates, "benchmarks.templates:run_suite"),
+    "scoring": Suite(Scoring, "benchmarks.scoring:run_suite"),
 }
-"""What `python -m benchmarks NAME` runs."""
+"""Suites that `python -m benchmarks NAME` runs."""

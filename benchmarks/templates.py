@@ -1,4 +1,4 @@
-"""Templates: every one built, checked and simulated, at its defaults and as drawn."""
+"""Builds, checks and object tests of all templates, at their defaults and at random parameters."""
 
 import os
 import time
@@ -24,7 +24,7 @@ from neoworld_mjx.templates import template, templates
 from neoworld_mjx.templates.template import BOX
 
 SIDE, COLUMNS = 150, 12
-"""Pixels of a picture in the contact sheet, and pictures in a row: two a template."""
+"""Size of an image in the contact sheet [px], and images per row: two for each template."""
 
 
 class TemplateRow(BaseModel):
@@ -34,14 +34,14 @@ class TemplateRow(BaseModel):
     seed: int | None
     """None for the defaults."""
     joints: int
-    """That move."""
+    """Number of movable joints."""
     passed: bool
     """True if it builds to its box and passes the compile checks and the object tests."""
     failed: list[str] = []
     battery_s: float = 0.0
 
 
-def answer(options: Templates) -> dict[str, Any]:
+def run_suite(options: Templates) -> dict[str, Any]:
     """Run the suite."""
     began = time.perf_counter()
     names = list(options.name or templates())
@@ -98,7 +98,7 @@ def _instance(task: tuple[str, int | None]) -> TemplateRow:
 
 
 def _pictures(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Draw an object at rest and opened, in one frame."""
+    """Render an object at rest and opened, with the same camera."""
     spec = run(template(name).program()).spec
     assert spec is not None
     states = ({}, opened_state(spec))

@@ -1,4 +1,4 @@
-"""The fault matrix: kinds of faults times magnitudes in valid objects; detected, named, repaired.
+"""Fault matrix: kinds and magnitudes of faults in valid objects; detected, named, repaired.
 
 `faults` contradict physics or a declared intent. Of them, `detected` failed the object tests, and
 `named` did so with the right fault as the cause. `false_alarms` are valid objects that failed. The
@@ -33,7 +33,7 @@ class FaultRow(BaseModel):
     kind: str
     magnitude: float
     counts: bool
-    """True if it contradicts physics or an intent; a faint one does not."""
+    """True if it contradicts physics or an intent; a slight fault does not."""
     detected: bool
     named: bool
     cause: str = ""
@@ -153,7 +153,7 @@ def _fault(text: str, name: str, magnitude: float, with_repair: bool) -> FaultRo
 
 
 def summary(rows: Sequence[ValidRow | FaultRow]) -> dict[str, Any]:
-    """Summarize rows; each share has its denominator beside it."""
+    """Summarize rows; each share has its denominator."""
     valid = [row for row in rows if isinstance(row, ValidRow)]
     faults = [row for row in rows if isinstance(row, FaultRow)]
     counted = [row for row in faults if row.counts]
@@ -225,7 +225,7 @@ def _line(kind: Kind, rows: list[FaultRow]) -> dict[str, Any]:
     }
 
 
-def answer(o: Verify) -> dict[str, Any]:
+def run_suite(o: Verify) -> dict[str, Any]:
     """Inject faults into valid objects."""
     rows = collect(verify_matrix(o.objects, o.kind, with_repair=not o.no_repair, workers=o.workers))
     return {**summary(rows), "machine": machine()}

@@ -163,6 +163,7 @@ def test_physics_rows_compare_rates_with_the_naive_loop():
         assert row.status.startswith(("ok", "skipped"))
 
 
+@pytest.mark.slow
 def test_row_runs_in_a_separate_process_within_its_budget(monkeypatch):
     task = Task(engine="native", objects=3, population=8, duration_s=0.1, budget_s=20)
     result = timing._in_a_process(task)

@@ -71,6 +71,7 @@ def test_request_describes_the_scene_but_not_the_success_condition():
     assert "joint drawer_2_slide (prismatic)" in plan_request(drawer, drawer.scene).prompt
 
 
+@pytest.mark.slow
 def test_feedback_moves_the_named_objects_until_the_plan_succeeds():
     lower = TASK.scene.object("lower")
     wrong = TASK.with_object("lower", xy=(lower.xy[0] + 0.015, lower.xy[1] - 0.015))

@@ -30,8 +30,8 @@ def test_unknown_names_are_refused(name, message):
         case(name, SOURCES)
 
 
-def test_a_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
-    result = case("bench:shelf_boxes", SOURCES)
+def test_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
+    result = case("bench:tents", SOURCES)
     model = compile_scene(result.scene)
     errors = result.errors(model, Layout.zero(1, len(model.names)))
     assert result.scene.camera is not None and result.start is None

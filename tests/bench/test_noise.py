@@ -180,6 +180,7 @@ def test_wrong_parents_and_relations_keep_positions(answer):
         assert [n.box3d for n in tree.nodes] == [n.box3d for n in answer.nodes]
 
 
+@pytest.mark.slow
 def test_injected_parse_errors_pass_the_checks(desk, answer, monkeypatch):
     monkeypatch.setattr(parse_noise, "UNSEEN", 0.25)
     monkeypatch.setattr(parse_noise, "SPLIT", 0.25)
@@ -344,13 +345,13 @@ def test_each_kind_of_joint_noise():
     steps = np.array(
         [
             np.subtract(joint_noise.off_pivot(chest, name, np.random.default_rng(k)).pos, lid.pos)
-            for k in range(200)
+            for k in range(80)
         ]
     )
     assert np.abs(steps @ axis).max() < 1e-9
     # What was measured: the mean distance of lines over the diagonal.
     assert np.linalg.norm(steps, axis=1).mean() / diagonal == pytest.approx(0.0128, rel=0.15)
-    ranges = [joint_noise.off_range(chest, name, np.random.default_rng(k)) for k in range(400)]
+    ranges = [joint_noise.off_range(chest, name, np.random.default_rng(k)) for k in range(100)]
     overlap = [min(j.upper, lid.upper) / max(j.upper, lid.upper) for j in ranges]
     assert np.mean(overlap) == pytest.approx(0.82, abs=0.03)
     slides = joint_noise.of_other_type(chest, name)
@@ -386,6 +387,7 @@ def test_program_noise_is_deterministic(desk):
     assert log.refused == ["walls"]
 
 
+@pytest.mark.slow
 def test_initial_scene_with_all_noise_composes(desk):
     # Few objects, since a fit costs most of the time.
     names = ("table", "chest", "dice", "carton", "tin", "cup")

@@ -46,7 +46,7 @@ def test_output_of_a_suite_is_a_valid_figure(capfd):
     with pytest.raises(SystemExit):
         cli.main(words)
     answer = json.loads(capfd.readouterr().out)
-    figure = page.from_answer(answer)
+    figure = page.from_result(answer)
     assert figure.command == "neoworld bench run agreement --scene stack --layouts 2 --json"
     assert "cores" in figure.device and "mujoco" in figure.software
     assert "| stack |" in page.markdown(figure)

@@ -25,10 +25,8 @@ from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.refit import refit_tree
 
 
-# Of few objects, as many of each part.
-@pytest.mark.parametrize(
-    "scenes", [(8, 29), pytest.param((8, 10, 22, 29), marks=pytest.mark.slow)], ids=["two", "four"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("scenes", [(8, 29), (8, 10, 22, 29)], ids=["two", "four"])
 def test_each_step_reduces_the_errors(scenes):
     options = searching_little(RefineOptions(check_duration_s=0.3))
     rows = list(photo_rows(scenes, refine_options=options))
@@ -53,6 +51,7 @@ def test_each_step_reduces_the_errors(scenes):
         assert all(len(lines) <= 1 for lines in part["made_worse"].values())
 
 
+@pytest.mark.slow
 def test_fits_bring_a_crowded_scene_closer_to_the_ground_truth():
     """Hidden, cut, lying and leaning things, seen by rays and answered as models answer."""
     scene = photo_scene(9)

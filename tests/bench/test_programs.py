@@ -1,5 +1,7 @@
 """Developer suite of programs."""
 
+import pytest
+
 from benchmarks.programs import CABINET, cabinet_times
 from benchmarks.programs import programs as bench
 from neoworld_mjx.program import build
@@ -33,6 +35,7 @@ def test_crash_of_a_mutant_is_reported(monkeypatch):
     assert len(programs()) >= 8
 
 
+@pytest.mark.slow
 def test_result_has_all_documented_keys(monkeypatch):
     two = dict(list(hostile.HOSTILE.items())[:2])
     monkeypatch.setattr("benchmarks.programs.HOSTILE", two)

@@ -6,6 +6,7 @@ from benchmarks.scoring import scoring
 from neoworld_mjx.config import SemanticOptions
 
 
+@pytest.mark.slow
 def test_scores_are_assigned_to_their_candidates():
     row = scoring(
         "bounded",
