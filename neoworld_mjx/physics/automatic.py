@@ -15,15 +15,15 @@ from .model import SceneModel, StaticScene
 
 
 class AutomaticEngine:
-    """Engine that selects another one for every rollout, by costs measured on this machine.
+    """Engine that delegates every rollout to the engine of least cost, as measured here.
 
-    A few candidates run on the CPU, large populations on the accelerator; the threshold depends on
-    the scene and the machine. Engines may disagree within a factor of 2 of a threshold, so `name`
-    lists the engines used.
+    Small populations run on the CPU, large ones on the accelerator; the crossover depends on the
+    scene and the machine. Verdicts of two engines may differ within a factor of 2 of a threshold,
+    so `name` lists the engines used.
     """
 
     def __init__(self, engines: Mapping[str, Engine]) -> None:
-        """Select among opened engines, by name."""
+        """Select among `engines`, a map from names to opened engines."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engines = dict(engines)
         self._machine = f"{jax.devices()[0].device_kind}, {cores} cores"
@@ -56,12 +56,13 @@ class AutomaticEngine:
         scenes = scene_class(len(scene.names), model.ngeom, early_stop=early_stop is not None)
         started = self._started_with(scene.static)
         refused = self._refused.setdefault(scene.static, set())
-        while left := [name for name in self._engines if name not in refused]:
-            predict = lambda name: self._costs[name].predict(
-                scenes, candidates, steps, started=name in started
-            )
-            name = min(left, key=predict)
-            began = time.perf_counter()
+        while remaining := [name for name in self._engines if name not in refused]:
+            seconds = {
+                name: self._costs[name].predict(scenes, candidates, steps, started=name in started)
+                for name in remaining
+            }
+            name = min(remaining, key=seconds.__getitem__)
+            begin = time.perf_counter()
             try:
                 rollout = jax.block_until_ready(
                     self._engines[name].rollout(
@@ -76,8 +77,8 @@ class AutomaticEngine:
                 refused.add(name)
                 self.refusals.append(f"{name} cannot simulate this scene: {error}")
                 continue
-            seconds = time.perf_counter() - began
-            self._costs[name].add(scenes, candidates, steps, seconds, started=name in started)
+            elapsed = time.perf_counter() - begin
+            self._costs[name].add(scenes, candidates, steps, elapsed, started=name in started)
             started.add(name)
             if name not in self._used:
                 self._used.append(name)
@@ -87,6 +88,6 @@ class AutomaticEngine:
         raise EngineError("; ".join(self.refusals) or "no engine can run here")
 
     def _started_with(self, static: StaticScene) -> set[str]:
-        """Return the engines that have rolled a scene out, with or without drag."""
+        """Return the engines that have already simulated a scene, with or without drag."""
         known = (names for other, names in self._started.items() if other.spec is static.spec)
         return self._started.setdefault(static, next(known, set()))

@@ -1,6 +1,6 @@
 """Canonical colliders of a scene as arrays: convex pieces by kind.
 
-D_pen is measured on these, whichever engine simulates the scene.
+D_pen is measured on these colliders, whichever engine simulates the scene.
 """
 
 import jax
@@ -46,8 +46,8 @@ def _distinct(shape: Shape) -> list[tuple[Piece, int]]:
 
 def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
     faces = [planes(p) if p.kind == "mesh" else np.zeros((0, 4)) for _, p, _, _ in rows]
-    most = max((len(f) for f in faces), default=0)
-    table = np.zeros((len(rows), most, 4))
+    width = max((len(f) for f in faces), default=0)
+    table = np.zeros((len(rows), width, 4))
     table[..., 3] = 1e6
     size, extent = np.zeros((len(rows), 3)), np.zeros((len(rows), 2, 3))
     for k, (_, piece, _, repeats) in enumerate(rows):
@@ -62,7 +62,7 @@ def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
         pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
         rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
         size=f32(size, (-1, 3)),
-        planes=f32(table, (len(rows), most, 4)),
+        planes=f32(table, (len(rows), width, 4)),
         extent=f32(extent, (-1, 2, 3)),
     )
 

@@ -17,8 +17,9 @@ from ..io.files import write_atomic
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)
-"""Remaining concavity, relative to the mesh's size, and largest number of pieces: of closed meshes;
-and of open ones, which CoACD wraps first, so that more pieces cost time but are no thinner.
+"""Concavity threshold, relative to the mesh's size, and largest number of pieces, for closed and
+for open meshes. CoACD first wraps an open mesh, so more pieces would cost time without being
+thinner.
 """
 MAX_CORNERS = 48
 CACHE_VERSION = "3"
@@ -36,7 +37,7 @@ def installed() -> bool:
 def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     """Split a mesh of vertices [v, 3] m and triangles [f, 3] into hulls, each of points [n, 3] m.
 
-    A convex mesh is a single piece, and so is any mesh without CoACD, or if it fails.
+    A convex mesh yields a single piece, as does any mesh if CoACD is not installed or fails.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
     whole = [hull_points(vertices)]
@@ -51,7 +52,7 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
         if stored and all(_is_piece(points) for points in stored):
             return stored
     except (RunError, TypeError, ValueError):
-        pass  # Recomputed below.
+        pass  # A missing or invalid entry is recomputed.
     pieces = _coacd(vertices, faces) or whole
     _store(path, pieces)
     return pieces
@@ -93,10 +94,10 @@ def volume_of_hull(vertices: NDArray) -> float:
 
 
 def hull_points(vertices: NDArray) -> NDArray:
-    """Return few points [n, 3] whose hull approximates that of a mesh and is never flat.
+    """Return a few points [n, 3] whose hull approximates that of a mesh and is never flat.
 
-    A hull with many corners keeps the extreme ones in evenly spread directions; sheets are
-    thickened along their normal.
+    Of a hull with many corners, the extreme ones in evenly spread directions remain. A flat sheet
+    is thickened along its normal.
     """
     points = np.unique(np.round(vertices, 9), axis=0)
     centre = points.mean(axis=0)
@@ -138,12 +139,12 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     mesh = _merged(vertices, faces)
     # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
-    concavity, most = CLOSED if closed else OPEN
+    concavity, max_pieces = CLOSED if closed else OPEN
     try:
         parts = coacd.run_coacd(
             coacd.Mesh(mesh.vertices, mesh.faces) if closed else coacd.Mesh(vertices, faces),
             threshold=concavity,
-            max_convex_hull=most,
+            max_convex_hull=max_pieces,
             preprocess_mode="off" if closed else "auto",
             preprocess_resolution=50,
             mcts_iterations=20,
@@ -153,7 +154,7 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
             decimate=True,
             max_ch_vertex=MAX_CORNERS,
         )
-    except Exception as error:  # an external library; the hull remains
+    except Exception as error:  # CoACD documents no exception types.
         _log.warning("CoACD failed (%s); the mesh becomes its convex hull", error)
         return []
     # Wrapping enlarges open meshes; clip the pieces to the mesh's bounds.

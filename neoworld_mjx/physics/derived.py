@@ -17,7 +17,8 @@ from .model_fields import owner_scale
 from .native import open_batch
 
 KNOTS, SPAN = 65, 1.0
-"""Number of scales, up to exp(+-SPAN), at which objects of several mass exponents are tabulated."""
+"""Number of tabulated scales, from exp(-SPAN) to exp(SPAN), of objects whose parts have different
+mass exponents."""
 
 
 def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
@@ -48,10 +49,10 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
 def subtree_mass(static: StaticScene, body_mass: Any) -> Any:
     """Sum body masses [pop, nbody] over the subtrees of bodies."""
     m = static.mjm
-    below = np.eye(m.nbody)
+    subtree = np.eye(m.nbody)
     for b in range(m.nbody - 1, 0, -1):
-        below[m.body_parentid[b]] += below[b]
-    return jnp.sum(body_mass[:, None, :] * below, axis=-1)
+        subtree[m.body_parentid[b]] += subtree[b]
+    return jnp.sum(body_mass[:, None, :] * subtree, axis=-1)
 
 
 def static_geoms(
@@ -76,8 +77,8 @@ def static_geoms(
         b = int(m.geom_bodyid[g])
         if b in pos:
             xpos = xpos.at[:, g].set(pos[b] + _rotated(quat[b], geom_pos[:, g]))
-            own = jnp.broadcast_to(jnp.asarray(m.geom_quat[g], jnp.float32), (pop, 4))
-            xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], own, jnp)))
+            local = jnp.broadcast_to(jnp.asarray(m.geom_quat[g], jnp.float32), (pop, 4))
+            xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], local, jnp)))
     return xpos, xmat
 
 
@@ -91,12 +92,12 @@ def _one_mass_law(static: StaticScene) -> bool:
     return all(len(set(static.powers.body_mass[bodies].tolist())) < 2 for bodies in objects)
 
 
-_measured: dict[StaticScene, tuple[np.ndarray, np.ndarray]] = {}
+_log_tables: dict[StaticScene, tuple[np.ndarray, np.ndarray]] = {}
 
 
 def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the logs of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]."""
-    if scene.static not in _measured:
+    if scene.static not in _log_tables:
         count = len(scene.static.names)
         log = np.broadcast_to(np.linspace(-SPAN, SPAN, KNOTS)[:, None], (KNOTS, count))
         layouts = Layout(np.zeros((KNOTS, count, 2)), np.zeros((KNOTS, count)), log)
@@ -110,10 +111,10 @@ def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
                 np.log(np.stack([getattr(model, name) for model in models]))
                 for name in ("body_invweight0", "dof_invweight0")
             )
-        if len(_measured) >= 64:
-            _measured.clear()
-        _measured[scene.static] = (tables[0], tables[1])
-    return _measured[scene.static]
+        if len(_log_tables) >= 64:
+            _log_tables.clear()
+        _log_tables[scene.static] = (tables[0], tables[1])
+    return _log_tables[scene.static]
 
 
 def _interpolate(table: np.ndarray, log: Any) -> Any:
@@ -124,10 +125,10 @@ def _interpolate(table: np.ndarray, log: Any) -> Any:
     zero = ~np.isfinite(table[0])
     known = np.where(zero, 0.0, table)
     slope = np.gradient(known, axis=0)
-    at = (log + SPAN) / (2 * SPAN) * (KNOTS - 1)
-    at = jnp.broadcast_to(at, (log.shape[0], *table.shape[1:]))
-    k = jnp.clip(jnp.floor(at), 0, KNOTS - 2).astype(int)
-    u = at - k
+    knot = (log + SPAN) / (2 * SPAN) * (KNOTS - 1)
+    knot = jnp.broadcast_to(knot, (log.shape[0], *table.shape[1:]))
+    k = jnp.clip(jnp.floor(knot), 0, KNOTS - 2).astype(int)
+    u = knot - k
     pick = lambda values, i: jnp.take_along_axis(jnp.asarray(values, jnp.float32), i, axis=0)
     y0, y1, m0, m1 = pick(known, k), pick(known, k + 1), pick(slope, k), pick(slope, k + 1)
     t = jnp.clip(u, 0.0, 1.0)

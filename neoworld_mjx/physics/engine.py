@@ -1,6 +1,6 @@
 """The interface of physics engines: Engine, Rollout, RolloutStatus, EarlyStop and Schedule.
 
-This module and its imports know no engine; `simulate` opens engines by name.
+This module imports no engine; `simulate` opens engines by name.
 """
 
 import abc
@@ -23,10 +23,10 @@ class RolloutStatus(enum.IntEnum):
 
     OK = 0
     SETTLED = 1
-    """Stopped early: at rest, or lingering beyond the stability bounds. The last pose counts for
-    the remaining time."""
+    """Stopped early: at rest, or lingering beyond the stability bounds. The last pose fills the
+    remaining records."""
     DRIFTED = 2
-    """Stopped early: drifted beyond the cap, where D_drift is clipped anyway."""
+    """Stopped early: drifted beyond the cap at which D_drift is clipped."""
     FAILED = 3
     """Not finite, or diverged; the reward is minus infinity."""
     TRUNCATED = 4
@@ -37,15 +37,16 @@ class EarlyStop(eqx.Module):
     """Conditions under which a candidate's rollout ends before its time.
 
     Settled: every speed and acceleration is below its bound, and no speed grows, in `checks`
-    consecutive checks after `after`. Angular rates count by the speed they cause at the object's
-    edge, so that a quivering spoon does not count as moving; the speed of a toppling object grows
-    from check to check. A candidate beyond the stability bounds, whose verdict is therefore known,
-    also settles when its objects linger within a small part of these bounds; with `anywhere`, a
-    candidate that lingers settles wherever it is. Drifted: an object moved farther than `drift` or
-    rotated more than `tilt`. Engines that return states only at records check only there.
+    consecutive checks after `after`. Angular rates are converted to the speed at the object's edge,
+    so that a quivering spoon does not count as moving; the speed of a toppling object grows from
+    check to check. A candidate beyond the stability bounds is unstable whatever follows, so it also
+    settles if its objects linger: stay within a small part of these bounds for `linger`. With
+    `anywhere`, candidates within the bounds settle this way, too. Drifted: an object moved farther
+    than `drift` or rotated more than `tilt`. Engines that return states only at records check only
+    there.
 
-    With these bounds 4 of 1 728 verdicts changed over nine benchmark scenes, all within a factor of
-    2 of a threshold, at 22 % of the steps.
+    Over nine benchmark scenes, the default bounds changed 4 of 1 728 verdicts, all within a factor
+    of 2 of a threshold, and took 22 % of the steps.
     """
 
     after: float = 0.1
@@ -72,7 +73,7 @@ class EarlyStop(eqx.Module):
 
 
 class Schedule(NamedTuple):
-    """Records of a rollout, and its early stopping."""
+    """Recorded steps and early stopping of a rollout."""
 
     records: int
     """Number of recorded states."""
@@ -175,12 +176,13 @@ class BatchEngine(abc.ABC):
 def unplaceable(poses: Poses, xp: Any = np) -> Any:
     """Return a mask [pop] of candidates with a pose that is not finite or out of range.
 
-    A scale must be between 1e-3 and 1e3, since masses otherwise reach MuJoCo's smallest, and a
-    position within 1e6 m. Engines give other candidates the status FAILED without simulating them.
+    A scale must be between 1e-3 and 1e3, as smaller masses fall below MuJoCo's minimum, and a
+    position within 1e6 m. Engines give unplaceable candidates the status FAILED without simulating
+    them.
 
     Args:
-        poses: of all candidates.
-        xp: `jnp` for traced poses.
+        poses: poses of all candidates.
+        xp: array module, `jnp` for traced poses.
     """
     # Comparisons with NaN are false, so NaN fails as well.
     sized = (poses.scale > 1e-3) & (poses.scale < 1e3)

@@ -17,9 +17,9 @@ from ..cache import cache_folder
 
 COST_FILE = "engine-costs.json"
 COST_STEPS = 250
-"""Steps to which the seconds of tables refer; other lengths are proportional."""
+"""Number of steps that the seconds in tables refer to; other rollouts cost proportionally."""
 NEW_WEIGHT = 0.3
-"""Weight of a new measurement against the stored one."""
+"""Weight of a new measurement in its average with the stored one."""
 MOST_SIZES = 32
 """Largest number of entries of a table."""
 
@@ -46,10 +46,10 @@ class EngineCost:
     def add(
         self, scenes: str, candidates: int, steps: int, seconds: float, *, started: bool
     ) -> None:
-        """Add a measurement; one of a scene's first rollout updates the starting cost.
+        """Add a measurement; that of a scene's first rollout updates `start_s`.
 
-        A machine's first rollout of a class also compiles kernels that are then cached, for
-        minutes, so its starting cost only counts if it is below the prediction.
+        A machine's first rollout of a class may compile kernels for minutes, which are then cached.
+        Its starting cost therefore counts only if it is below the prediction.
         """
         if not started:
             later = self.predict(scenes, candidates, steps, started=True)
@@ -67,14 +67,13 @@ class EngineCost:
 
 def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
     """Return the class of scenes of similar cost: powers of two of objects and convex pieces."""
-    most = [1 << max(count - 1, 0).bit_length() for count in (objects, pieces)]
-    return f"{most[0]} objects, {most[1]} pieces{', early stop' if early_stop else ''}"
+    rounded = [1 << max(count - 1, 0).bit_length() for count in (objects, pieces)]
+    return f"{rounded[0]} objects, {rounded[1]} pieces{', early stop' if early_stop else ''}"
 
 
 def prior_costs(cores: int) -> dict[str, EngineCost]:
     """Return costs of six objects on an H200, and of `native` on `cores` cores of its host."""
-    one = 1 / 31.0
-    native = tuple((n, one * math.ceil(n / cores)) for n in (1, cores, 4096))
+    native = tuple((n, math.ceil(n / cores) / 31.0) for n in (1, cores, 4096))
     return {
         "native": EngineCost(0.05, native),
         "warp": EngineCost(12.0, ((1, 0.5), (64, 0.5), (1024, 0.71), (4096, 1.38))),

@@ -106,9 +106,9 @@ def object_depths(
 def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> SceneSpec:
     """Lower every snapped object onto its support, leaving `gap` [m], parents first.
 
-    Lowering an object by its distance from the support never overshoots; an object that penetrates
-    the support is raised until it does not. It keeps its height if that does not reduce the
-    penetration, as for sideways overlap.
+    Lowering an object by its distance from the support never overshoots. An object that penetrates
+    the support is raised until it no longer does; if raising does not reduce the penetration, as
+    for sideways overlap, the object keeps its height.
     """
     model, data = start_state(scene)
     owner = object_of_geom(scene, model)

@@ -13,7 +13,7 @@ import mujoco
 from ..spec.pose import IDENTITY
 
 PREFIX = "end_effector"
-"""Prefix of the names of its bodies, which no object of the scene may have as its name."""
+"""Prefix of the names of the gripper's bodies; no object of the scene may have this name."""
 OPENING_M = 0.12
 """Largest distance of the pads [m]."""
 CLOSED_M = -0.02
@@ -22,7 +22,10 @@ CLOSED_M = -0.02
 
 @dataclass(frozen=True)
 class Gripper:
-    """Initial state of a gripper; its tool frame has +z out of the palm, fingers close along y."""
+    """Initial pose and opening of a gripper.
+
+    The tool frame's +z axis points out of the palm; the fingers close along y.
+    """
 
     pos: tuple[float, float, float]
     """[m]"""
@@ -38,9 +41,9 @@ def attach_gripper(
 
     Args:
         model: the specification.
-        gripper: its initial state.
-        mjx: True sets condim 3 and priority 0 on its geoms, as `mjx_step` requires.
-        group: of its geoms; None keeps those of the file.
+        gripper: the gripper's initial state.
+        mjx: True sets condim 3 and priority 0 on the gripper's geoms, as `mjx_step` requires.
+        group: group of the gripper's geoms; None keeps the groups in its file.
     """
     hand = mujoco.MjSpec.from_string(_text())
     hand.body("hand").quat = gripper.quat

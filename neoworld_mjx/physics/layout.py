@@ -1,4 +1,4 @@
-"""Layouts: the four parameters of each object that CEM optimizes, and the poses they lead to."""
+"""Layouts: the four parameters of each object that CEM optimizes, and the resulting poses."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
@@ -15,7 +15,7 @@ from .array_types import AnyArray
 from .support import NO_SURFACE, Support, height_above, link_frame, no_support, support
 
 SNAPPED_AT_ONCE = 8192
-"""Number of objects, of all candidates, that are snapped at once; each takes about 30 KB."""
+"""Largest number of objects, over all candidates, that are snapped at once, at 30 KB each."""
 
 
 CandidatesT = TypeVar("CandidatesT", bound="Candidates")
@@ -142,8 +142,8 @@ def diagonal(item: SceneObject) -> float:
 def place(arrangement: Arrangement, layouts: Layout) -> Poses:
     """Place every object of every candidate, at its snapped height. Traceable and differentiable.
 
-    A child's offset in its parent's frame scales with the parent, its size does not. An object
-    without any part above its support keeps its composed height: it will fall.
+    A child's offset in its parent's frame scales with the parent; its size does not. An object with
+    no part above its support keeps its composed height and falls.
     """
     return compose_poses(arrangement, layouts, heights(arrangement, layouts))
 
@@ -166,7 +166,7 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
-    """Map a function over candidates [pop, object, ...], with SNAPPED_AT_ONCE objects at once."""
+    """Map a function over candidates [pop, object, ...], at most SNAPPED_AT_ONCE objects a time."""
     pop, objects = candidates[0].shape[:2]
     parts = -(-pop * objects // SNAPPED_AT_ONCE)
     if parts <= 1:
@@ -218,7 +218,7 @@ def _turn(yaw: Any, v: Any, xp: Any) -> Any:
 
 
 def rotation(quat: Float[AnyArray, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
-    """Turn unit quaternions into rotation matrices."""
+    """Convert unit quaternions to rotation matrices."""
     w, x, y, z = jnp.moveaxis(quat, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

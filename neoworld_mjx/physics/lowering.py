@@ -1,6 +1,6 @@
 """Colliders for MJX's own collision routines, which lack most pairs with cylinders and ellipsoids.
 
-Exported files have polyhedra instead, as far inside the true surface as outside.
+Exported files have polyhedra instead, whose surfaces deviate equally to either side.
 """
 
 import mujoco
@@ -64,7 +64,7 @@ def _ball() -> tuple[NDArray, float]:
 
 
 def polyhedron_error(kind: str, size: tuple[float, ...]) -> float:
-    """Return the largest distance [m] of the polyhedron that replaces a piece from its surface."""
+    """Return the largest distance [m] between a piece's surface and the polyhedron for it."""
     if kind == "cylinder":
         return (_prism_factor() - 1) * size[0]
     return (_ball()[1] - 1) * max(size) if kind == "ellipsoid" else 0.0

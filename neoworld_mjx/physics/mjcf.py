@@ -42,9 +42,9 @@ from ..spec.pose import Pose, pose
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
 START = "start"
 """Name of the keyframe with the scene's poses and joint states."""
-STICKS = 0.999
-"""Impedance of dry friction in joints. At MuJoCo's default 0.9 a held lid creeps by degrees per
-second, at a thousandth of its speed in free fall, however large its friction."""
+JOINT_FRICTION_IMPEDANCE = 0.999
+"""Impedance of dry friction in joints. At MuJoCo's default of 0.9, a lid that friction should hold
+creeps by degrees per second, however large the friction."""
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -63,15 +63,15 @@ def to_mjspec(
 
     Each convex piece becomes a collision geom of group 0, with its own mesh asset if needed. Masses
     are explicit, from `spec.inertial`. Parts that are fixed to either side of a moving joint never
-    collide across it; MuJoCo's own filter ensures that for free objects only. An effort
-    limit becomes the joint's actuatorfrcrange, which binds actuators that a user adds; velocity
-    limits have no counterpart. The rest position of every joint is 0; the scene's own state is the
-    keyframe "start".
+    collide across it; MuJoCo's own filter ensures that for free objects only. An effort limit
+    becomes the joint's actuatorfrcrange, which limits actuators that a user adds; velocity limits
+    have no counterpart. The rest position of every joint is 0; the keyframe "start" holds the
+    scene's state.
 
     Args:
-        scene: the scene; an ObjectSpec stands for a scene with that free object at the origin.
+        scene: the scene; a single ObjectSpec becomes a free object at the origin.
         visual: True adds smooth visual geoms in group 1.
-        timestep: of the simulation [s].
+        timestep: time step of the simulation [s].
 
     Returns:
         A specification without files; the same input gives the same XML to the byte.
@@ -120,11 +120,11 @@ def visual_name(owner: str, geom: GeomSpec) -> str:
 
 
 def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
-    at = camera.pose()
+    placement = camera.pose()
     model.worldbody.add_camera(
         name="photo",
-        pos=at.pos,
-        quat=at.quat,
+        pos=placement.pos,
+        quat=placement.quat,
         fovy=math.degrees(camera.fovy),
         resolution=[camera.width, camera.height_px],
     )
@@ -154,7 +154,7 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
                 inertia = inertia_about(joint, inertial(spec, part)) + joint.armature
                 # Stiff friction would drive a joint that damping stops within a step.
                 if joint.friction > 0 and model.option.timestep * joint.damping < inertia:
-                    added.solimp_friction[:2] = STICKS
+                    added.solimp_friction[:2] = JOINT_FRICTION_IMPEDANCE
                 start += _coordinates(spec, joint, item.joint_state)
         bodies[part.name], origins[part.name] = body, origin
         mass = inertial(spec, part)
@@ -223,7 +223,7 @@ def _add_geoms(
 ) -> None:
     for geom in part.geoms:
         material = spec.material(geom.material)
-        look = {"rgba": material.rgba}
+
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
                 at = geom.pose().then(pose(piece.pos, piece.quat))
@@ -235,7 +235,7 @@ def _add_geoms(
                     pos=at.pos - origin,
                     quat=at.quat,
                     condim=3,
-                    **look,
+                    rgba=material.rgba,
                 )
                 # Condim 3 ignores torsional and rolling friction.
                 added.friction[0] = material.friction
@@ -243,7 +243,7 @@ def _add_geoms(
                     _add_piece_mesh(model, added.name, piece)
                     added.meshname = added.name
         if visual and geom.role != "collision":
-            _add_visual(model, body, visual_name(owner, geom), geom, origin, look)
+            _add_visual(model, body, visual_name(owner, geom), geom, origin, material.rgba)
 
 
 def _add_piece_mesh(model: mujoco.MjSpec, name: str, piece: Piece) -> None:
@@ -258,7 +258,7 @@ def _add_visual(
     name: str,
     geom: GeomSpec,
     origin: np.ndarray,
-    look: dict[str, tuple[float, ...]],
+    rgba: tuple[float, ...],
 ) -> None:
     added = body.add_geom(
         name=name,
@@ -268,7 +268,7 @@ def _add_visual(
         mass=0,
         pos=geom.pose().pos - origin,
         quat=geom.quat,
-        **look,
+        rgba=rgba,
     )
     primitive = geom.shape.primitive()
     if primitive is not None:
@@ -290,15 +290,15 @@ def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
     for joint in joint_order(item.spec):
         if joint.mimic is None:
             continue
-        tie = model.add_equality(
+        equality = model.add_equality(
             name=f"{item.name}-{joint.name}",
             type=mujoco.mjtEq.mjEQ_JOINT,
             name1=f"{item.name}-{joint.name}",
         )
-        tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
+        equality.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
         # Without a movable leader the equality constrains the follower to a constant.
         if joints[joint.mimic.joint].type != "fixed":
-            tie.name2 = f"{item.name}-{joint.mimic.joint}"
+            equality.name2 = f"{item.name}-{joint.mimic.joint}"
 
 
 def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:

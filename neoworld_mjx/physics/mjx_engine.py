@@ -35,11 +35,11 @@ MJX_CHUNK = 8192
 """Largest number of candidates simulated at once."""
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
-"""Share of an accelerator's memory, and bytes on a CPU, that one chunk may take."""
+"""Largest size of a chunk: share of an accelerator's memory, and bytes on a CPU."""
 
-COMPACTED = 512
-"""Population from which a shrinking population moves into smaller programs, each of which compiles
-once; below it a half-empty program costs less than another compilation."""
+COMPACT_FROM = 512
+"""Least population that moves into smaller programs as its candidates stop. Each program compiles
+once; for smaller populations a half-empty program costs less than another compilation."""
 
 
 class MjxEngine(BatchEngine):
@@ -60,7 +60,7 @@ class MjxEngine(BatchEngine):
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
         whole = schedule.early_stop is None
-        # Early stopping continues in smaller programs: powers of two are shared by all populations.
+        # With early stopping, sizes are powers of two, so that populations share smaller programs.
         size = self._chunk(model, pop if whole else 1 << (pop - 1).bit_length())
 
         def run(chunk: Poses) -> Rollout:
@@ -93,7 +93,7 @@ class MjxEngine(BatchEngine):
         data = _begin(model, fields, start)
         recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
-        sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACTED else []
+        sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACT_FROM else []
         truncated = np.zeros(len(rows), bool)
         for time in range(schedule.records):
             if not len(recorder.active):
@@ -117,9 +117,9 @@ class MjxEngine(BatchEngine):
     def _chunk(self, model: MjxModel, pop: int) -> int:
         """Return the number of candidates that fit into the devices' memory at once."""
         shapes = jax.eval_shape(lambda m: make_data(m), model)
-        # The state before and after a step, and about as much again for intermediate values.
+        # The states before and after a step, and as much again for intermediate values.
         each = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
-        # Edges against faces of every evaluated pair, both ways.
+        # All combinations of an edge and a face in every evaluated pair.
         each += 40 * model.near * model.solids.edge.shape[1] * model.solids.plane.shape[1]
         device, count = self.devices[0], len(self.devices)
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}

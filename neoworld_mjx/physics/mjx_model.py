@@ -32,8 +32,8 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco.mjx._src import constraint, math
 
 NEWTON_ITERATIONS = 5
-"""Iterations of Newton's method per step, from the last step's accelerations. From zero, at deep
-penetration, 8 reach the minimum up to rounding; in rollouts 5 gave the same verdicts as 8.
+"""Newton iterations per step, warm-started with the accelerations of the last step. From zero and
+at deep penetration, 8 reach the minimum up to rounding; in rollouts 5 gave the same verdicts as 8.
 """
 NEAR_GAP_M = 0.002
 """Largest gap [m] of pairs of geoms that count as near in the composed scene."""
@@ -42,7 +42,7 @@ LOOKUP_STEPS = 5
 SPARE_PAIRS = 8
 """Pairs of geoms processed in addition to 1.5 times those near in the composed scene."""
 CONTACTS_PER_BODY, FEWEST_CONTACTS = 8, 32
-"""Contacts kept per movable body, and in total at least; the deepest ones."""
+"""Number of contacts kept per movable body, and least number in total; the deepest are kept."""
 
 MODEL_FIELDS = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
@@ -78,7 +78,7 @@ def put_model(scene: SceneModel) -> MjxModel:
     """Put a scene on JAX's default device.
 
     Raises:
-        EngineError: the scene has something that MJX cannot simulate.
+        EngineError: MJX cannot simulate the scene.
     """
     return put_compiled(scene.static.mjm, scene.static.start)
 
@@ -91,13 +91,13 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
         start: its initial qpos, which determines the number of near pairs.
 
     Raises:
-        EngineError: the model has something that MJX cannot simulate.
+        EngineError: MJX cannot simulate the model.
     """
     if mjm.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL:
         raise EngineError("engine mjx solves pyramidal friction cones; use --engine native")
     pairs, solids = geom_pairs(mjm), geom_solids(mjm)
     bare = copy.copy(mjm)
-    # So that MJX has no pairs to unroll.
+    # Without colliding geoms, MJX has no pairs to unroll.
     bare.geom_contype[:] = 0
     bare.geom_conaffinity[:] = 0
     bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
@@ -144,7 +144,7 @@ def candidate_fields(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Arr
 
 
 def with_fields(model: MjxModel, fields: Fields) -> MjxModel:
-    """Return the model with other fields of `mjx.Model`."""
+    """Return the model with fields of `mjx.Model` replaced."""
     return eqx.tree_at(lambda m: m.mjx, model, model.mjx.replace(**fields))
 
 
@@ -156,7 +156,7 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
         `vmap`; and the candidates' data, at rest at their poses.
 
     Raises:
-        EngineError: the scene has something that MJX cannot simulate.
+        EngineError: MJX cannot simulate the scene.
     """
     model = put_model(scene)
     fields, qpos = _candidates(scene, layouts)
@@ -250,11 +250,11 @@ def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx
 
 
 def _after_solver(d: mjx.Data) -> mjx.Data:
-    """Make the mass matrix that the integrator factors depend on the solver's result.
+    """Add a dependency on the solver's result to the integrator's mass matrix.
 
     On CPUs JAX factors a batch of matrices on its thread pool and waits for other threads of that
-    pool. If the integrator's matrix and that of `factor_m` are factored concurrently, as their data
-    dependencies allow, both deadlock on a pool of two (jaxlib 0.10 to 0.11).
+    pool. Two concurrent factorizations deadlock on a pool of two threads (jaxlib 0.10 to 0.11). The
+    dependency makes the integrator's factorization wait until that of `factor_m` has finished.
     """
     zero = jnp.minimum(jnp.abs(jnp.sum(d.qacc)), 0.0)
     impl = cast(Any, d)._impl
@@ -269,7 +269,7 @@ def nearest_pairs(model: MjxModel, d: mjx.Data) -> Int[Array, " near"]:
 
 
 def pairs_dropped(model: MjxModel, d: mjx.Data) -> Bool[Array, ""]:
-    """Return whether more bounding boxes overlapped in the last step than pairs were processed."""
+    """Return whether more pairs of bounding boxes overlapped than the last step processed."""
     if model.near == len(model.pairs.first):
         return jnp.array(False)
     return jnp.sum(_gaps(model, d) < 0) > model.near

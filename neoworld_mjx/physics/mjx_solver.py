@@ -2,9 +2,9 @@
 
 The forces minimize a convex function of the acceleration that is quadratic between breakpoints, at
 which constraints activate or deactivate (MuJoCo's documentation, Computation, "Primal problem").
-Along a line its slope is piecewise linear. MJX brackets the zero in some 64 passes over the rows of
-a step, which took a third of a step on a GPU. Here the slope is evaluated at all breakpoints at
-once, and the zero between two of them is exact.
+Along a line its slope is piecewise linear. MJX brackets the zero in some 64 passes over the rows,
+which takes a third of a step's time on a GPU. This module evaluates the slope at all breakpoints at
+once; the zero between two of them is exact.
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 MjxState = Any
 """An `mjx.Data` of MJX's implementation in JAX; only `mjx_model` imports MJX, which prints."""
 LONGEST_STEP = 100.0
-"""Longest step, in Newton steps, at which breakpoints count."""
+"""Distance, in Newton steps, beyond which breakpoints are ignored."""
 
 
 class Rows(NamedTuple):
@@ -78,7 +78,7 @@ def newton(
         direction = -jax.scipy.linalg.cho_solve(factor, gradient)
         weight_change = inertia @ direction
         residual_change = rows.jacobian @ direction
-        # Relative to the start of the line, which avoids cancellation.
+        # Forces relative to the start of the line avoid cancellation.
         ends = jnp.stack([rows.low, rows.high]) - push
         slope, curvature = jnp.dot(gradient, direction), jnp.dot(direction, weight_change)
         length = exact_step(ends, excess, rows.stiffness, residual_change, slope, curvature)
@@ -109,26 +109,26 @@ def exact_step(
 
     Args:
         ends: least and greatest change of each row's force.
-        excess: of the unclipped forces over the clipped ones at the start of the line.
-        stiffness: of the rows.
-        residual_change: of the rows along the line.
-        slope: of the function at the start.
-        curvature: of the part without constraints.
+        excess: unclipped minus clipped force of each row at the start of the line.
+        stiffness: D of each row.
+        residual_change: change of each row's residual along the line.
+        slope: slope of the function at the start.
+        curvature: curvature of the function without constraints.
     """
     change = stiffness * residual_change
-    at = (ends - excess) / jnp.where(jnp.abs(change) > 1e-20, change, jnp.inf)
-    at = jnp.where((at > 0) & (at < LONGEST_STEP), at, 0.0).reshape(-1)
+    knots = (ends - excess) / jnp.where(jnp.abs(change) > 1e-20, change, jnp.inf)
+    knots = jnp.where((knots > 0) & (knots < LONGEST_STEP), knots, 0.0).reshape(-1)
     # Beyond the last breakpoint the slope is linear, so two points define it.
-    last = jnp.max(at)
-    at = jnp.append(at, last + 1.0)
-    pulls = jnp.clip(at[:, None] * change + excess, ends[0], ends[1])
-    slopes = slope + at * curvature + jnp.sum(pulls * residual_change, axis=1)
+    last = jnp.max(knots)
+    knots = jnp.append(knots, last + 1.0)
+    forces = jnp.clip(knots[:, None] * change + excess, ends[0], ends[1])
+    slopes = slope + knots * curvature + jnp.sum(forces * residual_change, axis=1)
     descends = slopes < 0
-    after = jnp.min(jnp.where(descends, jnp.inf, at))
+    after = jnp.min(jnp.where(descends, jnp.inf, knots))
     inside = jnp.isfinite(after)
-    before = jnp.where(inside, jnp.max(jnp.where(descends, at, 0.0)), last)
+    before = jnp.where(inside, jnp.max(jnp.where(descends, knots, 0.0)), last)
     after = jnp.where(inside, after, last + 1.0)
-    left = jnp.max(jnp.where(at == before, slopes, -jnp.inf))
-    right = jnp.max(jnp.where(at == after, slopes, -jnp.inf))
+    left = jnp.max(jnp.where(knots == before, slopes, -jnp.inf))
+    right = jnp.max(jnp.where(knots == after, slopes, -jnp.inf))
     length = before - left * (after - before) / jnp.maximum(right - left, 1e-30)
     return jnp.where(slope < 0, length, 0.0)

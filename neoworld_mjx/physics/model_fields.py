@@ -1,6 +1,6 @@
 """Fields of a scene's MuJoCo model that depend on the layout, for a population of candidates.
 
-They follow the scaling law of `spec.scale`, so compiling a rearranged scene gives the same fields.
+They follow the scaling laws of `spec.scale`, so compiling a rearranged scene gives the same fields.
 """
 
 from typing import Any
@@ -35,8 +35,8 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
     qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
     for j in np.flatnonzero(m.jnt_type == FREE):
         owner, adr = s.jnt_object[j], m.jnt_qposadr[j]
-        seven = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
-        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), seven, xp) for q in (qpos, qpos0))
+        free_qpos = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
+        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), free_qpos, xp) for q in (qpos, qpos0))
     fields = {
         "body_pos": body_pos,
         "body_quat": body_quat,
@@ -84,10 +84,10 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
     for e in range(m.neq):
         follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
         # Without a leader the joint is constrained to a constant, the offset.
-        led = joints[m.joint(leader if leader >= 0 else follower).name]
-        multiplier, offset = mimic_exponents(joints[m.joint(follower).name], led)
-        own = jnt[:, follower]
-        pair = xp.stack([own**offset, own**multiplier], axis=-1)
+        source = joints[m.joint(leader if leader >= 0 else follower).name]
+        multiplier, offset = mimic_exponents(joints[m.joint(follower).name], source)
+        size = jnt[:, follower]
+        pair = xp.stack([size**offset, size**multiplier], axis=-1)
         factor = _put(
             factor.reshape(jnt.shape[0], -1), e * m.eq_data.shape[1] + np.arange(2), pair, xp
         )

@@ -24,18 +24,18 @@ from .recorder import Recorder, in_chunks
 NATIVE_CHUNK = 1024
 """Largest number of candidates simulated at once."""
 SLEEPING_CHUNK = 256
-"""Largest number where objects may sleep, for which MuJoCo keeps the data of each candidate."""
+"""Largest number of candidates if objects may sleep, as MuJoCo then keeps each one's data."""
 RING_BYTES = 128 << 20
 """Memory for the copies of a model with meshes; it bounds the chunk, and is kept for the next
 rollout of the same scene."""
 
 
 class NativeEngine(BatchEngine):
-    """C MuJoCo on the CPU; compiles nothing, bit-identical at any number of threads.
+    """C MuJoCo on the CPU; compiles nothing, and is bit-identical at any number of threads.
 
     With early stopping, contact components at rest sleep (`mjENBL_SLEEP`) until something touches
-    them, so a candidate costs only what still moves. 3 of 1 344 verdicts differed from full
-    rollouts over fourteen benchmark scenes, as close trajectories diverge in chaotic systems.
+    them, so only moving components take time. Over fourteen benchmark scenes, 3 of 1 344 verdicts
+    differed from full rollouts, as close trajectories diverge in chaotic systems.
     """
 
     name = "native"
@@ -45,10 +45,10 @@ class NativeEngine(BatchEngine):
         self.threads = threads
 
     def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
-        """Simulate every candidate; poses in double precision stay so."""
+        """Simulate every candidate, in the precision of its poses; see `Engine.rollout`."""
         poses = jax.tree.map(np.asarray, poses)
         sleeps = schedule.early_stop is not None
-        # Popped while in use, so that a rollout in another thread creates its own copies.
+        # Removed while in use, so that a rollout in another thread creates its own copies.
         ring = _rings.pop(scene.static, [])
 
         def run(chunk: Poses) -> Rollout:
@@ -68,7 +68,7 @@ class NativeEngine(BatchEngine):
 
 
 _rings: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = weakref.WeakKeyDictionary()
-"""Model copies of scenes with meshes; overwriting one takes a quarter of the time of a copy."""
+"""Model copies of scenes with meshes; overwriting one takes a quarter of the time of copying."""
 
 
 def has_meshes(scene: SceneModel) -> bool:
@@ -89,7 +89,7 @@ def open_batch(
     Args:
         scene: the compiled scene.
         poses: initial poses of the candidates' objects, NumPy arrays.
-        threads: 0 uses all cores.
+        threads: number of threads; 0 uses all cores.
         ring: copies of the scene's model to overwrite, when it has meshes; extended as needed. An
             earlier batch built from the same ring becomes invalid.
         sleeps: True if contact components at rest sleep.
@@ -145,7 +145,7 @@ def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _simulate(batch: Batch, recorder: Recorder, records: int) -> None:
     """Step a batch from record to record until no candidate is active."""
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
-    # MuJoCo keeps gravity as the acceleration of a sleeping tree.
+    # For a sleeping tree MuJoCo reports gravity as the acceleration.
     tree, asleep = batch.model.dof_treeid, batch.bind("tree_asleep")
     for time, steps in itertools.product(range(records), recorder.segments()):
         recorder.drop(_step(batch, recorder.active, steps), RolloutStatus.FAILED)

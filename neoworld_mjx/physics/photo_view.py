@@ -11,7 +11,7 @@ from .array_types import AnyArray
 from .sampling import surface_samples
 
 BOX_SAMPLES = 256
-"""Surface samples from which the 2D box of an object without a parsed box follows."""
+"""Number of surface samples that bound the 2D box of an object without a parsed one."""
 
 BORDER_PX = 2.0
 """Distance from the image border within which a box counts as cut by it."""
@@ -44,7 +44,7 @@ class PhotoView(NamedTuple):
     whole: Bool[AnyArray, " object"]
     """True for objects that are entirely visible."""
     hides: Bool[AnyArray, " object"]
-    """True for objects that occlude others; an object of glass does not."""
+    """True for objects that occlude others; transparent objects do not."""
 
 
 def photo_view(spec: SceneSpec) -> PhotoView:
@@ -92,7 +92,7 @@ def see_through(spec: ObjectSpec) -> bool:
 
 
 def _hides(spec: SceneSpec, depth: NDArray, able: NDArray) -> Bool[np.ndarray, "hider object"]:
-    """Return which objects may occlude which: those in front, and containers; only `able` ones."""
+    """Return a mask of pairs: the first is `able`, and in front of the second or contains it."""
     hides = depth[:, None] < depth
     for k, item in enumerate(spec.objects):
         if item.parent is not None and item.relation == "in":

@@ -1,7 +1,7 @@
-"""Placed candidates: poses, penetration depths, and what the camera sees.
+"""Placed candidates: poses, penetration depths and visibility.
 
-This is the expensive part of scoring before physics. It takes two programs for each bucket of
-scenes, for any population and reward: one places layouts, one measures poses.
+This is the expensive part of scoring before physics. It compiles two programs for each bucket of
+scenes, which serve any population and reward: one places layouts, the other measures poses.
 """
 
 from collections.abc import Callable
@@ -21,8 +21,8 @@ from .scene_arrays import SceneArrays
 from .visibility import Visible, as_parsed, unhidden, visibility
 
 CPU_CHUNK = 16
-"""Candidates that are measured at once on CPUs, where larger chunks gain nothing, and a single
-candidate costs as much as a chunk."""
+"""Number of candidates that are measured at once on CPUs, where a single candidate costs as much
+as a chunk and larger chunks gain nothing."""
 Out = TypeVar("Out")
 
 
@@ -31,11 +31,10 @@ class Placed(eqx.Module):
 
     poses: Poses
     depth: Float[AnyArray, "pop object object"]
-    """Depths of `pair_depths` [m]."""
+    """Penetration depths [m]; see `pair_depths`."""
     visible: Visible
     settled: Float[AnyArray, "pop object"]
-    """Displacement of each object by settling, in units of the bounds of `settled_by`; 0 without
-    settling."""
+    """Displacement of each object by settling, as `settled_by` returns it; 0 without settling."""
 
 
 BALL_EXTENT = 0.03
@@ -120,7 +119,7 @@ def settled_by(
     # Padded objects have no size.
     size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
-    before, after = (_own_up(quat, xp) for quat in (start.quat, end.quat))
+    before, after = (_z_axes(quat, xp) for quat in (start.quat, end.quat))
     sine = xp.linalg.norm(xp.cross(before, after), axis=-1)
     tilt = xp.where(ball, 0.0, xp.arctan2(sine, xp.sum(before * after, axis=-1)))
     shift = end.pos - start.pos
@@ -130,7 +129,7 @@ def settled_by(
     return xp.where(xp.asarray(scene.movable), largest, 0.0)
 
 
-def _own_up(quat: Any, xp: Any) -> Any:
+def _z_axes(quat: Any, xp: Any) -> Any:
     """Return the direction of each object's z axis."""
     w, x, y, z = xp.moveaxis(quat, -1, 0)
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
@@ -147,14 +146,15 @@ def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = N
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        number: how many of them are measured, the first standing for the others; None is all.
+        number: number of candidates to measure; all others get the measures of the first. None
+            measures all.
 
     Returns:
         Arrays on the host.
     """
     poses = poses_in_chunks(scene, layouts, number)
-    still = np.zeros(poses.scale.shape, np.float32)
-    return Placed(poses, *_in_chunks(measured_poses, scene, poses, number), still)
+    unsettled = np.zeros(poses.scale.shape, np.float32)
+    return Placed(poses, *_in_chunks(measured_poses, scene, poses, number), unsettled)
 
 
 def approximated_in_chunks(scene: SceneArrays, layouts: Layout, number: int) -> Placed:

@@ -13,7 +13,7 @@ from .layout import Poses
 from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
-"""Coordinates beyond this value are a failure, as in MuJoCo (mjMAXVAL)."""
+"""Absolute coordinate above which a candidate has diverged, as in MuJoCo (mjMAXVAL)."""
 SIMULATED = ("pos", "quat", "joint_shift", "status", "steps")
 """Fields of a rollout that a simulation computes."""
 LINGER_SHARE = 0.15
@@ -26,7 +26,7 @@ class Recorder:
     def __init__(
         self, static: StaticScene, start: Poses, schedule: Schedule, failed: NDArray | None = None
     ) -> None:
-        """Start with every candidate active, except those that have failed already."""
+        """Start with all candidates active except those masked by `failed` [pop]."""
         self.static, self.start = static, start
         records, self.every, self.rule = schedule
         pop = start.scale.shape[0]
@@ -54,7 +54,7 @@ class Recorder:
             self.drop(failed, RolloutStatus.FAILED)
 
     def segments(self) -> list[int]:
-        """Split the steps between two records at the checks that the rule requests."""
+        """Split the steps between two records at the checks for early stopping."""
         if self.rule is None:
             return [self.every]
         interval = self.rule.interval / float(self.static.mjm.opt.timestep)
@@ -79,9 +79,9 @@ class Recorder:
         Args:
             time: index of the record; a later segment of the same record overwrites it.
             qpos: coordinates [active, nq].
-            qvel: velocities [active, nv]; not needed without a rule.
-            qacc: accelerations [active, nv]; not needed without a rule.
-            steps: of the segment; None counts all between two records.
+            qvel: velocities [active, nv]; not needed without early stopping.
+            qacc: accelerations [active, nv]; not needed without early stopping.
+            steps: steps of the segment; None counts all between two records.
 
         Returns:
             A mask [active] of the candidates that remain active.
@@ -100,7 +100,7 @@ class Recorder:
         return running
 
     def _stop(self, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
-        """Stop candidates by the rule; return a mask [active] of those that remain."""
+        """Stop candidates early; return a mask [active] of those that remain."""
         rule, rows = self.rule, self.active
         assert rule is not None
         length = self.static.characteristic_length
@@ -155,7 +155,7 @@ class Recorder:
 
 
 class _Motion(NamedTuple):
-    """Motion of free objects between two states, compared without roots and arc cosines."""
+    """Motion of free objects between two states, without square roots and arc cosines."""
 
     squared: NDArray
     """Squared distances [m^2], shape [candidate, object]."""

@@ -1,7 +1,7 @@
 """Arrays of a compiled scene for jitted functions, and their padding to buckets.
 
-Scenes padded to the same bucket have the same shapes, so they share compiled functions. Padding can
-touch nothing and is not moved, rendered or scored.
+Scenes padded to the same bucket have the same shapes, so they share compiled functions. Padded
+entries touch nothing and are not moved, rendered or scored.
 """
 
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ PADDING_DEPTH_M = 1e4
 class SceneArrays(eqx.Module):
     """Arrays that placing and scoring need, padded or not; an argument of jitted functions.
 
-    A `SceneModel` is one that also holds the data of the host.
+    `SceneModel` adds the scene's data on the host.
     """
 
     arrangement: Arrangement
@@ -51,7 +51,7 @@ class SceneArrays(eqx.Module):
     """True for pairs of objects whose penetration depends on the layout: not both environment
     supports."""
     joint_object: Int[AnyArray, " joint"]
-    """Object of each joint, free bases left out."""
+    """Object of each joint except free joints."""
     joint_slides: Bool[AnyArray, " joint"]
     """True for sliding joints, whose shift is in m instead of rad."""
 
@@ -179,7 +179,7 @@ def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarra
     """
     count = len(arrangement.parent)
     wide = object_bucket(count)
-    # Jitted, so that rounding is that of a search.
+    # Jitted, so that heights are rounded as in a search.
     padded = on_device(pad_arrangement(arrangement, wide))
     return np.asarray(_heights(padded, on_device(pad_objects(layout, wide))))[:, :count]
 

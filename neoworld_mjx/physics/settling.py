@@ -1,4 +1,4 @@
-"""Settling of objects: drag limits their speed, so that they neither bounce nor roll away.
+"""Settling of objects under drag, which limits their speed, so that they neither bounce nor roll.
 
 `settle` settles populations on any engine, `at_rest` a single scene in C MuJoCo.
 """
@@ -30,19 +30,19 @@ aside keeps its heading in the photograph."""
 JOINT_DRAG = 1e6
 """Drag of joints relative to that of falling, in populations, so that they keep their positions."""
 COARSER = 2
-"""Factor of the time step of settling populations, as all speeds are low."""
+"""Factor by which the time step is longer when populations settle, as all speeds are low."""
 LEVEL_DEG = 0.3
 """Tilt below which an object counts as upright [deg]."""
 SETTLING_STOP = EarlyStop(
     distance=0.0067, angle=0.058, drift=1e3, tilt=1e3, linger=0.12, anywhere=True
 )
-"""Early stopping of settling: at rest at any displacement; objects may quiver within 1 mm and half
-a degree.
+"""Early stopping of settling: objects rest wherever they are, and may quiver within 1 mm and half a
+degree.
 """
 
 
 def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> Poses:
-    """Settle placed candidates against drag.
+    """Settle placed candidates under drag.
 
     Joints keep their positions. A candidate that fails keeps its placed poses.
 
@@ -64,22 +64,21 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> 
             early_stop=SETTLING_STOP,
         )
     )
-    lost = np.isin(rollout.status, (int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)))
+    failed = np.isin(rollout.status, (int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)))
     start: Poses = jax.tree.map(np.asarray, poses)
-    kept = lost[:, None, None]
+    unsettled = failed[:, None, None]
     return Poses(
-        np.where(kept, start.pos, rollout.pos[:, -1]),
-        np.where(kept, start.quat, rollout.quat[:, -1]),
+        np.where(unsettled, start.pos, rollout.pos[:, -1]),
+        np.where(unsettled, start.quat, rollout.quat[:, -1]),
         start.scale,
         start.height,
     )
 
 
 def with_drag(scene: SceneModel) -> SceneModel:
-    """Return a scene with drag, which limits the speed of free objects to FALL_M_S and holds
-    joints.
+    """Return a scene with drag that limits the speed of free objects to FALL_M_S and holds joints.
 
-    Drag is proportional to an object's weight at any scale. Time steps are longer by COARSER.
+    Drag is proportional to an object's weight at any scale. The time step is COARSER times longer.
     """
     known = _dragged.get(scene.static)
     if known is None:
@@ -126,7 +125,7 @@ def at_rest(
 
     Args:
         scene: the scene; joints move, but their stored values do not change.
-        phases: consecutive phases: True for drag, and the duration [s].
+        phases: consecutive phases, each a flag, True for drag, and a duration [s].
         sleeps: True lets objects at rest sleep until the next phase or contact.
     """
     model, data = start_state(scene)
@@ -179,7 +178,7 @@ def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
 
 
 def _placed(item: SceneObject, at: Pose) -> SceneObject:
-    """Return an object at a pose in its parent's frame, split into yaw and the tilt before it."""
+    """Return an object at a pose in its parent's frame, split into a tilt followed by a yaw."""
     turn = yaw_of(quat_mul(at.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
     yaw = math.remainder(item.yaw + turn, 2 * math.pi)
     tilt = quat_mul(conjugate(from_yaw(yaw)), at.quat)

@@ -15,8 +15,8 @@ from ..errors import EngineError
 from .array_types import AnyArray
 
 RIM_CORNERS, WALL_FACES = 8, 12
-"""Corners of the polygon that approximates a cylinder's rim, and faces of its wall; one of each
-points at the other solid.
+"""Corners of the polygon that approximates a cylinder's rim, and faces of its wall; the cylinder is
+rotated so that one of each points at the other solid.
 """
 
 _GEOM = mujoco.mjtGeom
@@ -54,7 +54,7 @@ class GeomPairs(NamedTuple):
 
 
 def geom_solids(m: mujoco.MjModel) -> Solids:
-    """Return the solid of every geom of a model; a point for geoms that do not collide.
+    """Return the solid of every geom of a model; geoms that do not collide become points.
 
     Raises:
         EngineError: a collision geom has an unsupported type.
@@ -193,7 +193,7 @@ def _polytope(points: NDArray) -> Solids:
     edges = [pair for pair, faces in sides.items() if len(set(faces)) > 1]
     stacked = np.array(planes)
     offset = span * -stacked[:, 3] + stacked[:, :3] @ middle
-    # Points in the middle of a face are no vertices.
+    # A point inside a face is no vertex.
     used = np.unique(np.array(edges))
     centre = points[used].mean(axis=0)
     return Solids(

@@ -33,7 +33,7 @@ object stands on an edge, and the wall next to that edge is no floor."""
 LINE_MARGIN_M = 1e-6
 """Margin around a piece [m] within which lines are tested."""
 NO_SURFACE = -1e3
-"""Height [m] that stands for no surface."""
+"""Height [m] that marks the absence of a surface."""
 
 
 class Support(NamedTuple):
@@ -93,12 +93,12 @@ def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
         )
         low, high = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
         if near.any():
-            low[near], high[near] = _meet(piece, at, xy[near])
+            low[near], high[near] = _intersect(piece, at, xy[near])
         return low, high
-    return _meet(piece, at, xy)
+    return _intersect(piece, at, xy)
 
 
-def _meet(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+def _intersect(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     """Intersect all lines with a piece; see `column`."""
     back = conjugate(at.quat)
     o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - at.pos)
@@ -211,12 +211,13 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     """Tabulate the surface that supports an object.
 
-    The surface is the highest one under the object's footprint; or, for an object inside its
-    parent, such as a can on a lower shelf, the highest one below pieces that leave space for the
-    object: of the two, the one closer to the composed height. An object inside its parent is never
-    lifted onto a wall; it penetrates the wall instead, where D_pen has a gradient that leads out. A
-    wall is any surface above the middle of the composed object with relation "in", WALL_M above the
-    top of another, or SOLE_M above the lowest point of one that leans in its parent on a floor.
+    There are two candidates: the highest surface under the object's footprint, and, for an object
+    inside its parent, such as a can on a lower shelf, the highest one below pieces that leave space
+    for the object. The one closer to the composed height is chosen. An object inside its parent is
+    never lifted onto a wall; it penetrates the wall instead, where D_pen has a gradient that leads
+    out. A surface counts as a wall if it is above the middle of an object with relation "in",
+    WALL_M above the top of any other object, or SOLE_M above the lowest point of an object that
+    leans in its parent and has a floor there.
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
@@ -321,9 +322,7 @@ def _cell(
     Float[Array, " UNDERSIDE_POINTS"],
     Bool[Array, " UNDERSIDE_POINTS"],
 ]:
-    """Return the cell of coordinates [m] along an axis, the fraction within it, and a mask of those
-    inside the grid.
-    """
+    """Return the cells of coordinates [m] along an axis, fractions within them, and a grid mask."""
     grid = (x - table.origin[axis]) / table.cell
     low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
     return low, jnp.clip(grid - low, 0.0, 1.0), (grid >= 0) & (grid <= GRID - 1)

@@ -68,13 +68,13 @@ class Visible(eqx.Module):
 
 def as_parsed(photo: PhotoView, pop: int) -> Visible:
     """Return the visible parts of candidates that match the photograph exactly."""
-    many = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
-    boxes, whole = many(photo.boxes), jnp.ones((pop, len(photo.boxes)))
+    repeated = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
+    boxes, whole = repeated(photo.boxes), jnp.ones((pop, len(photo.boxes)))
     x, y = ((boxes[..., k] + boxes[..., k + 2]) / 2 for k in range(2))
     tips = [(boxes[..., 0], y), (x, boxes[..., 1]), (boxes[..., 2], y), (x, boxes[..., 3])]
     extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
     middle = jnp.stack([x, y], axis=-1)
-    shown = Outlines(boxes, extremes, middle, many(photo.depth), whole)
+    shown = Outlines(boxes, extremes, middle, repeated(photo.depth), whole)
     return Visible(boxes, whole, jnp.broadcast_to(whole[..., None] > 0, boxes.shape), shown)
 
 
@@ -102,9 +102,9 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
     for axis, least in ((0, True), (1, True), (0, False), (1, False)):
         along, other = (x, y) if axis == 0 else (y, x)
         side = along.min(axis=2) if least else along.max(axis=2)
-        beside = jnp.min(jnp.where(along == side[..., None], other, jnp.inf), axis=2)
+        across = jnp.min(jnp.where(along == side[..., None], other, jnp.inf), axis=2)
         box.append(side)
-        extremes.append(jnp.stack((side, beside) if axis == 0 else (beside, side), axis=-1))
+        extremes.append(jnp.stack((side, across) if axis == 0 else (across, side), axis=-1))
     _, _, depth = project(jnp.mean(scene.corners, axis=1, keepdims=True))
     u, w, _ = project(scene.samples)
     within = (jnp.abs(u) <= v.half_size[0]) & (jnp.abs(w) <= v.half_size[1])
@@ -207,7 +207,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         jnp.zeros((scene.count, 4, pop), bool),
     )
 
-    def look(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
+    def observe(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
         k = order[i]
         window = jnp.clip(full[k], low, high)
         window = window.at[2:].set(jnp.maximum(window[2:], window[:2] + 1e-6))
@@ -258,7 +258,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         new = (box, share, ends_here & some)
         return tuple(a.at[k].set(b) for a, b in zip(result, new, strict=True))
 
-    boxes, share, sides = lax.fori_loop(0, number, look, start)
+    boxes, share, sides = lax.fori_loop(0, number, observe, start)
     first = lambda v: jnp.moveaxis(v, -1, 0)
     return Visible(first(boxes) * focal, first(share) * whole.inside, first(sides), whole)
 
