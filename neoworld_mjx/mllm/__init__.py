@@ -4,8 +4,8 @@
     response = panel.ask_sync(Request("reasoner", "parse", system, prompt, MySchema, pictures))
     response.value      # a MySchema
 
-The steps of the pipeline take a `Model` and use `Request`, `Picture` and `Response`, and `revise`
-for their rounds of criticism; the pipeline opens the `Panel`.
+Steps of the pipeline send a `Request` with its `Picture`s to a `Model` and receive a `Response`;
+`revise` runs their rounds of criticism. The pipeline opens the `Panel`.
 """
 
 from .ledger import Ledger, Price, load_prices

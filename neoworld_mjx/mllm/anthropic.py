@@ -1,7 +1,6 @@
-"""Servers that speak the Messages API: Anthropic's own, and local ones such as vLLM and Ollama.
+"""Provider for servers with the Messages API: Anthropic's own, and local ones such as vLLM.
 
-The system text and the first picture, which repeat from request to request, are marked for the
-prompt cache.
+Requests mark the system text and the first picture, which many of them share, for the prompt cache.
 """
 
 import asyncio
@@ -20,11 +19,11 @@ _CACHE = {"type": "ephemeral"}
 
 
 class Anthropic(ServerProvider):
-    """The provider for the Messages API.
+    """Provider for the Messages API.
 
     Args:
         options: models, base_url, headers and time limit.
-        batch_poll_s: interval at which a batch is polled, in seconds.
+        batch_poll_s: interval at which a batch is polled [s].
 
     Raises:
         ConfigError: a header needs an environment variable that is not set.
@@ -60,7 +59,7 @@ class Anthropic(ServerProvider):
         """Send requests as one message batch and wait for its end.
 
         Returns:
-            A reply for each request; None where the batch gave none.
+            A reply for each request; None if the batch gave none.
 
         Raises:
             ModelError: the batch could not be sent or fetched.
@@ -84,7 +83,7 @@ class Anthropic(ServerProvider):
 
     def _new_client(self) -> anthropic.AsyncAnthropic:
         connection = self._connection
-        # The SDK sends the key as a bearer token; local servers may look for the older header.
+        # The SDK sends the key as a bearer token; local servers may expect the older header.
         older = {"x-api-key": connection.key, "anthropic-version": "2023-06-01"}
         return anthropic.AsyncAnthropic(
             api_key=connection.key,
@@ -129,11 +128,11 @@ def _text(text: str) -> dict[str, Any]:
     return {"type": "text", "text": text}
 
 
-def _usage(given: Any, before: Usage) -> Usage:
-    """Read token counts; counts in a stream are running totals, and a delta may leave some out."""
+def _usage(counts: Any, before: Usage) -> Usage:
+    """Read token counts; in a stream, they are running totals, and a delta may omit some."""
 
     def count(name: str, old: int) -> int:
-        value = getattr(given, name, None)
+        value = getattr(counts, name, None)
         return old if value is None else int(value)
 
     return Usage(
@@ -156,6 +155,6 @@ def _stop(reason: str | None) -> Any:
     return "length" if reason in ("max_tokens", "model_context_window_exceeded") else "end"
 
 
-def _refusal(given: Any) -> str:
-    details = getattr(given, "stop_details", None)
+def _refusal(message: Any) -> str:
+    details = getattr(message, "stop_details", None)
     return str(getattr(details, "explanation", None) or "")

@@ -1,6 +1,6 @@
-"""Calls to a provider: within the limits, retried where that may help, and booked.
+"""Calls to a provider, with limits, retries and accounting.
 
-Every error of a provider is scrubbed of keys here.
+This module removes keys from all errors of a provider.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ from typing import Any
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from ..progress import update
-from .ledger import Ledger, most_tokens
+from .ledger import Ledger, token_bound
 from .requests import Provider, Rejection, Reply, Request, Transient, Usage
 from .secrets import scrub
 
@@ -24,13 +24,13 @@ _BATCH_SHARE = 0.5
 
 
 class Calls:
-    """Makes calls under the options' limits.
+    """Caller of a provider that enforces the limits of the options.
 
     Args:
         provider: the source of responses.
         options: retries, concurrency and time limit.
-        ledger: books every call.
-        backoff_s: first wait after a failed call, in seconds; it doubles from call to call.
+        ledger: ledger of the calls.
+        backoff_s: delay before the first retry of a call [s]; it doubles with every further retry.
     """
 
     def __init__(
@@ -40,38 +40,38 @@ class Calls:
         self.options = options
         self.ledger = ledger
         self.backoff_s = backoff_s
-        self._gate = asyncio.Semaphore(options.concurrency)
+        self._slots = asyncio.Semaphore(options.concurrency)
         self._released = asyncio.Condition()
-        self._unanswered, self._since, self._waited_s = 0, 0.0, 0.0
+        self._in_flight, self._since, self._waited_s = 0, 0.0, 0.0
 
     @property
     def waited_s(self) -> float:
-        """Seconds so far in which at least one call was unanswered."""
-        return self._waited_s + (time.perf_counter() - self._since if self._unanswered else 0.0)
+        """Time so far during which at least one call was in progress [s]."""
+        return self._waited_s + (time.perf_counter() - self._since if self._in_flight else 0.0)
 
     @contextmanager
     def _waiting(self) -> Iterator[None]:
-        if not self._unanswered:
+        if not self._in_flight:
             self._since = time.perf_counter()
-        self._unanswered += 1
+        self._in_flight += 1
         self._report()
         try:
             yield
         finally:
             waited = self.waited_s
-            self._unanswered -= 1
-            if not self._unanswered:
+            self._in_flight -= 1
+            if not self._in_flight:
                 self._waited_s = waited
             self._report()
 
     def _report(self) -> None:
         ledger = self.ledger
-        update(calls=ledger.calls, cost_usd=ledger.spent_usd, unanswered=self._unanswered)
+        update(calls=ledger.calls, cost_usd=ledger.spent_usd, unanswered=self._in_flight)
 
     async def make(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Get one reply, not yet validated.
+        """Return one reply, not yet validated.
 
         Raises:
             BudgetError: the call could exceed the cost cap; nothing was sent.
@@ -79,23 +79,23 @@ class Calls:
         """
         if not self.provider.online:
             with self._waiting():
-                reply = await self._guarded(request, role, rejected)
+                reply = await self._call_provider(request, role, rejected)
             self.ledger.add(request.role, reply.model, reply.usage, billed=False)
             return reply
         await asyncio.to_thread(request.draw_pictures)
         with self._waiting():
-            return await self._retried(request, role, rejected)
+            return await self._call_with_retries(request, role, rejected)
 
-    async def _retried(
+    async def _call_with_retries(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        failure = Transient("not asked")
+        failure = Transient("no call was made")
         for attempt in range(self.options.retries + 1):
             if attempt:
                 await asyncio.sleep(self._delay(request, attempt, failure))
             try:
-                async with self._gate:
-                    return await self._booked(request, role, rejected)
+                async with self._slots:
+                    return await self._call_and_record(request, role, rejected)
             except Transient as error:
                 failure = error
         tries = self.options.retries + 1
@@ -105,14 +105,14 @@ class Calls:
             f"or raise mllm.retries or mllm.timeout_s"
         )
 
-    async def _booked(
+    async def _call_and_record(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        most = most_tokens(request, role.max_tokens, rejected)
-        bound = self.ledger.bound(role.model, most)
-        async with self._reserved(request, bound):
+        tokens = token_bound(request, role.max_tokens, rejected)
+        bound_usd = self.ledger.cost_bound(role.model, tokens)
+        async with self._reserved(request, bound_usd):
             try:
-                reply = await self._guarded(request, role, rejected)
+                reply = await self._call_provider(request, role, rejected)
             except Transient as error:
                 self.ledger.add(request.role, role.model, error.usage, failed=True)
                 raise
@@ -120,16 +120,16 @@ class Calls:
                 self.ledger.add(request.role, role.model, Usage(), failed=True)
                 raise
             if not reply.counted:
-                reply = replace(reply, usage=most)
+                reply = replace(reply, usage=tokens)
             self.ledger.add(request.role, role.model, reply.usage)
         if reply.fallback is not None:
-            self.ledger.fell_back(reply.fallback)
+            self.ledger.add_fallback(reply.fallback)
         return reply
 
-    async def _guarded(
+    async def _call_provider(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Call the provider; scrub keys from every error."""
+        """Call the provider; remove keys from every error."""
         try:
             return await self.provider.reply(request, role, rejected)
         except Transient as error:
@@ -142,31 +142,31 @@ class Calls:
             raise self.error(f"{request.name}: {self.provider.name} failed: {reason}") from None
 
     @asynccontextmanager
-    async def _reserved(self, request: Request[Any], bound: float) -> AsyncIterator[None]:
-        """Reserve a call's highest cost while it is under way.
+    async def _reserved(self, request: Request[Any], bound_usd: float) -> AsyncIterator[None]:
+        """Reserve the maximum cost of a call while it is in progress.
 
         Raises:
             BudgetError: the call could exceed the cost cap.
         """
         ledger = self.ledger
         async with self._released:
-            while not ledger.fits(bound):
-                # Calls under way mostly cost less than their reservation: wait before giving up.
-                if not ledger.reserved_usd or not ledger.fits(bound, others=False):
-                    raise ledger.refuse(request, bound)
+            while not ledger.fits(bound_usd):
+                # Most calls cost less than they reserve: wait for others before giving up.
+                if not ledger.reserved_usd or not ledger.fits(bound_usd, others=False):
+                    raise ledger.cap_error(request, bound_usd)
                 await self._released.wait()
-            ledger.hold(bound)
+            ledger.reserve(bound_usd)
         try:
             yield
         finally:
             async with self._released:
-                ledger.release(bound)
+                ledger.release(bound_usd)
                 self._released.notify_all()
 
     def _delay(self, request: Request[Any], attempt: int, failure: Transient) -> float:
         if failure.retry_after is None:
             wait = min(self.backoff_s * 2 ** (attempt - 1), _LONGEST_BACKOFF_S)
-            return wait * random.uniform(0.5, 1.0)  # spread, so that calls do not return as one
+            return wait * random.uniform(0.5, 1.0)  # Jitter, so that calls do not retry in unison.
         longest = max(self.options.timeout_s, 60.0)
         if failure.retry_after > longest:
             raise self.error(
@@ -182,7 +182,7 @@ class Calls:
     async def batch(
         self, requests: Sequence[Request[Any]], roles: Sequence[RoleOptions]
     ) -> list[Reply | None]:
-        """Send requests as one batch; None where it gave no reply or the provider has no batches.
+        """Send requests as one batch; return None for those without a reply or without a batch.
 
         Raises:
             BudgetError: the batch could exceed the cost cap; nothing was sent.
@@ -194,11 +194,11 @@ class Calls:
         for request in requests:
             await asyncio.to_thread(request.draw_pictures)
         calls = list(zip(requests, roles, strict=True))
-        bound = _BATCH_SHARE * sum(
-            self.ledger.bound(role.model, most_tokens(request, role.max_tokens))
+        bound_usd = _BATCH_SHARE * sum(
+            self.ledger.cost_bound(role.model, token_bound(request, role.max_tokens))
             for request, role in calls
         )
-        async with self._reserved(requests[0], bound):
+        async with self._reserved(requests[0], bound_usd):
             try:
                 with self._waiting():
                     replies: list[Reply | None] = await send(calls)
@@ -208,5 +208,5 @@ class Calls:
                 if reply is not None:
                     self.ledger.add(request.role, role.model, reply.usage, share=_BATCH_SHARE)
                     if reply.fallback is not None:
-                        self.ledger.fell_back(reply.fallback)
+                        self.ledger.add_fallback(reply.fallback)
         return replies

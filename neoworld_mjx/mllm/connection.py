@@ -18,9 +18,9 @@ from .requests import Picture, Transient, Usage
 from .secrets import environment_key, expand
 
 _MAX_PICTURE_BYTES = 3_500_000
-"""Servers refuse pictures of over 5 MB in base64."""
+"""Maximum size of a sent picture; servers reject more than 5 MB in base64."""
 _CALL_TIMEOUT_FACTOR = 10
-"""A call as a whole may take so many times the longest silence."""
+"""Maximum duration of a call, as a multiple of the timeout for silence."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Connection:
     """Address, key and headers of a server, from the options and the environment."""
 
     url: str | None
-    """None: the service's own."""
+    """Address of the server; None for the service's own."""
     key: str = field(repr=False)
     key_name: str
     headers: dict[str, str] = field(repr=False)
@@ -37,18 +37,18 @@ class Connection:
 
     @property
     def local(self) -> bool:
-        """Whether the server is another than the service's own."""
+        """True if the server is not the service's own."""
         return self.url is not None
 
     @property
     def call_timeout_s(self) -> float:
-        """The longest that a call may take as a whole, in seconds."""
+        """Maximum duration of a call [s]."""
         return _CALL_TIMEOUT_FACTOR * self.timeout_s
 
     def merged_headers(self, defaults: Mapping[str, str]) -> dict[str, str]:
-        """Return the user's headers over defaults, names compared without case."""
-        given = {name.lower() for name in self.headers}
-        return {n: v for n, v in defaults.items() if n.lower() not in given} | self.headers
+        """Return default headers overridden by the user's; names are case-insensitive."""
+        user_names = {name.lower() for name in self.headers}
+        return {n: v for n, v in defaults.items() if n.lower() not in user_names} | self.headers
 
 
 def configured_connection(options: MLLMOptions, key_name: str, url_name: str) -> Connection:
@@ -65,16 +65,16 @@ def configured_connection(options: MLLMOptions, key_name: str, url_name: str) ->
             f"no key: set {key_name}, or name a local server in mllm.base_url, "
             f"or choose another provider"
         )
-    headers, filled = expand(options.headers)
-    secrets = tuple(text for text in (key, *filled) if text)
+    headers, header_secrets = expand(options.headers)
+    secrets = tuple(text for text in (key, *header_secrets) if text)
     return Connection(url, key or "none", key_name, headers, secrets, options.timeout_s)
 
 
 @lru_cache(maxsize=4)
 def encoded(picture: Picture) -> tuple[str, str]:
-    """Return a picture's media type and base64 text; too large a file is encoded anew as JPEG.
+    """Return a picture's media type and base64 text; re-encode a file that is too large as JPEG.
 
-    The last few are cached, as a photograph is sent with many requests.
+    The last results are cached, because many requests contain the photograph.
     """
     data, media_type = picture.data, picture.media_type
     if len(data) > _MAX_PICTURE_BYTES:
@@ -93,9 +93,9 @@ def encoded(picture: Picture) -> tuple[str, str]:
 def classified(
     error: Exception, connection: Connection, role: Role, options: RoleOptions, usage: Usage
 ) -> Exception:
-    """Turn an exception of a call into Transient if another try may help, else into a ModelError.
+    """Convert an exception of a call to Transient if a retry may help, otherwise to ModelError.
 
-    The SDKs' errors share their shape: `status_code`, `response` and `message`.
+    The errors of both SDKs have the attributes `status_code`, `response` and `message`.
     """
     status = getattr(error, "status_code", None)
     if isinstance(status, int):
@@ -103,7 +103,7 @@ def classified(
     if isinstance(error, TimeoutError | httpx2.TimeoutException) or (
         type(error).__name__ == "APITimeoutError"
     ):
-        return Transient(f"no sign from the server for {connection.timeout_s:g} s", usage=usage)
+        return Transient(f"no data from the server for {connection.timeout_s:g} s", usage=usage)
     if isinstance(error, httpx2.TransportError) or hasattr(error, "request"):
         cause = error.__cause__ or error
         name = type(cause).__name__
@@ -135,7 +135,7 @@ def _classified_status(
             f"{server} does not know the model {options.model!r} or the address "
             f"({status}: {message}); check mllm.{role}.model and mllm.base_url"
         )
-    # 200 is an error event inside a stream that had begun well.
+    # 200: an error event in a stream that started successfully.
     if status in (200, 408, 409, 425, 429) or status >= 500:
         return Transient(f"HTTP {status}: {message}", _retry_after(error), usage)
     return ModelError(f"{server} rejected the request for {options.model!r} ({status}: {message})")

@@ -1,7 +1,7 @@
 """Ledger of calls, tokens and dollars per role and model, and the cost cap that stops a run.
 
-Prices are USD per million tokens, read from YAML: `input`, `output`, and where a server caches
-prompts `cache_read` and `cache_write`. A model without a price has an unknown cost, which is
+Prices are in USD per million tokens and come from YAML: `input`, `output`, and `cache_read` and
+`cache_write` for servers that cache prompts. A model without a price has an unknown cost, which is
 reported as unknown and never counted as zero.
 """
 
@@ -36,7 +36,7 @@ class Price(BaseModel):
     """Default: as `input`."""
 
     def cost(self, usage: Usage) -> float:
-        """Return the price of a call in USD."""
+        """Return the cost of a call [USD]."""
         read = self.input if self.cache_read is None else self.cache_read
         write = self.input if self.cache_write is None else self.cache_write
         micro = (
@@ -52,14 +52,14 @@ def load_prices(path: Path | None = None) -> dict[str, Price]:
     """Read a table of prices; a user's entries replace those of the package.
 
     Raises:
-        ConfigError: the file is missing, no YAML, or an entry is wrong.
+        ConfigError: the file is missing or not YAML, or an entry is invalid.
     """
     prices = _read_prices(_PACKAGE_PRICES)
     return prices if path is None else prices | _read_prices(Path(path))
 
 
 def price_of(model: str, prices: dict[str, Price]) -> Price | None:
-    """Find a model's price: by its full name, else by the name without its trailing date."""
+    """Return a model's price, by its full name or its name without a trailing date."""
     if model in prices:
         return prices[model]
     stem, _, tail = model.rpartition("-")
@@ -73,15 +73,15 @@ def price_of(model: str, prices: dict[str, Price]) -> Price | None:
     return None
 
 
-def most_tokens(
+def token_bound(
     request: Request[Any], max_tokens: int, rejected: Sequence[Rejection] = ()
 ) -> Usage:
-    """Bound the tokens of one call from above, to reserve its cost before it is made."""
+    """Return an upper bound of the tokens of a call, to reserve its cost beforehand."""
     chars = len(request.system) + len(request.prompt) + 2 * len(str(request.json_schema))
-    chars += sum(len(each.text) + len(each.message(request)) for each in rejected)
+    chars += sum(len(r.text) + len(r.message(request)) for r in rejected)
     pixels = sum(width * height for width, height in (p.size for p in request.pictures))
     tokens = int(chars / _CHARS_PER_TOKEN + pixels / _PIXELS_PER_TOKEN) + _SERVER_TOKENS
-    # Everything may be written to the cache, which costs more than plain input.
+    # In the worst case, everything is written to the cache, which costs more than plain input.
     return Usage(cache_write=tokens, output=max_tokens)
 
 
@@ -98,75 +98,75 @@ class Ledger:
     """Calls, tokens and cost of a run, by role and model.
 
     Raises:
-        ConfigError: the table of prices is wrong.
+        ConfigError: the table of prices is invalid.
     """
 
     max_cost_usd: float | None = None
     prices: dict[str, Price] = field(default_factory=load_prices)
     fallbacks: dict[str, int] = field(default_factory=dict)
     _rows: dict[tuple[str, str], _Row] = field(default_factory=dict)
-    _holds: list[float] = field(default_factory=list)
+    _reservations: list[float] = field(default_factory=list)
 
     @property
     def reserved_usd(self) -> float:
-        """The most that the calls now under way can cost, in USD."""
-        return sum(self._holds, 0.0)
+        """Maximum cost of the calls in progress [USD]."""
+        return sum(self._reservations, 0.0)
 
     @property
     def spent_usd(self) -> float:
-        """Cost so far of everything whose price is known, in USD."""
+        """Cost so far of the calls with a known price [USD]."""
         return sum((row.cost_usd or 0.0 for row in self._rows.values()), 0.0)
 
     @property
     def calls(self) -> int:
-        """Calls so far."""
+        """Number of calls so far."""
         return sum(row.calls for row in self._rows.values())
 
     @property
     def unpriced(self) -> list[str]:
-        """Models that were called and have no price."""
+        """Called models without a price."""
         return sorted({m for (_, m), row in self._rows.items() if row.cost_usd is None})
 
-    def bound(self, model: str, most: Usage) -> float:
-        """Return the most that a call of so many tokens costs in USD; zero if nothing is capped.
+    def cost_bound(self, model: str, tokens: Usage) -> float:
+        """Return the maximum cost of a call with these tokens [USD]; zero without a cap.
 
         Raises:
-            BudgetError: a cap is set and the model has no price, so the cap could not hold.
+            BudgetError: a cap is set but cannot be enforced because the model has no price.
         """
         if self.max_cost_usd is None:
             return 0.0
         price = price_of(model, self.prices)
         if price is None:
             raise BudgetError(
-                f"mllm.max_cost_usd is set but {model!r} has no price, so the cap cannot be kept: "
-                f"add its price to a YAML file and name that in mllm.prices "
+                f"mllm.max_cost_usd is set but {model!r} has no price, so the cap cannot be "
+                f"enforced: add its price to a YAML file and name that in mllm.prices "
                 f"(a local model: {{input: 0, output: 0}})"
             )
         # A server without a cache price bills the same tokens as input.
-        plain = Usage(input=most.cache_write, output=most.output)
-        return max(price.cost(most), price.cost(plain))
+        plain = Usage(input=tokens.cache_write, output=tokens.output)
+        return max(price.cost(tokens), price.cost(plain))
 
     def fits(self, bound_usd: float, *, others: bool = True) -> bool:
-        """Tell whether a call keeps the cap, with or without the other calls now under way."""
+        """Return True if a call stays within the cap, with or without other calls in progress."""
         if self.max_cost_usd is None:
             return True
-        held = self.reserved_usd if others else 0.0
-        return self.spent_usd + held + bound_usd <= self.max_cost_usd
+        reserved = self.reserved_usd if others else 0.0
+        return self.spent_usd + reserved + bound_usd <= self.max_cost_usd
 
-    def hold(self, bound_usd: float) -> None:
-        """Reserve the highest cost of a call that is about to be made."""
-        self._holds.append(bound_usd)
+    def reserve(self, bound_usd: float) -> None:
+        """Reserve the maximum cost of a call."""
+        self._reservations.append(bound_usd)
 
     def release(self, bound_usd: float) -> None:
         """Release the reservation of a call."""
-        self._holds.remove(bound_usd)
+        self._reservations.remove(bound_usd)
 
-    def refuse(self, request: Request[Any], bound_usd: float) -> BudgetError:
+    def cap_error(self, request: Request[Any], bound_usd: float) -> BudgetError:
         """Return the error of a call that could exceed the cap."""
         return BudgetError(
             f"{request.name}: cost cap reached: {self.spent_usd:.4f} USD of "
             f"{self.max_cost_usd:g} are spent and this call may cost up to {bound_usd:.4f}; "
-            f"what is answered so far is kept: raise mllm.max_cost_usd and resume the run"
+            f"responses so far are kept: raise mllm.max_cost_usd and resume the run"
         )
 
     def add(
@@ -179,7 +179,7 @@ class Ledger:
         failed: bool = False,
         share: float = 1.0,
     ) -> None:
-        """Book one call; `share` is the part of the list price that is billed."""
+        """Add a call; `share` is the billed fraction of the list price."""
         row = self._rows.setdefault((role, model), _Row())
         row.calls += 1
         row.failed += failed
@@ -190,12 +190,12 @@ class Ledger:
         elif usage != Usage():
             row.cost_usd = None
 
-    def fell_back(self, note: str) -> None:
+    def add_fallback(self, note: str) -> None:
         """Count a feature that the server does not support."""
         self.fallbacks[note] = self.fallbacks.get(note, 0) + 1
 
     def to_json(self) -> dict[str, Any]:
-        """Return the ledger for run.json; `cost_usd` is null where any cost is unknown."""
+        """Return the ledger for run.json; `cost_usd` is null if any cost is unknown."""
         total = sum((row.usage for row in self._rows.values()), Usage())
         return {
             "calls": self.calls,
@@ -219,15 +219,15 @@ class Ledger:
             ],
         }
 
-    def carry(self, earlier: dict[str, Any]) -> None:
-        """Add the ledger of an interrupted run, as `to_json` gave it, so that its cap holds."""
-        for booked in earlier["by_role_and_model"]:
-            row = self._rows.setdefault((booked["role"], booked["model"]), _Row())
-            row.calls += booked["calls"]
-            row.failed += booked["failed_calls"]
-            row.usage = row.usage + Usage(**booked["tokens"])
-            known = row.cost_usd is not None and booked["cost_usd"] is not None
-            row.cost_usd = row.cost_usd + booked["cost_usd"] if known else None
+    def add_earlier(self, earlier: dict[str, Any]) -> None:
+        """Add the ledger of an interrupted run, in the form of `to_json`, to this one."""
+        for entry in earlier["by_role_and_model"]:
+            row = self._rows.setdefault((entry["role"], entry["model"]), _Row())
+            row.calls += entry["calls"]
+            row.failed += entry["failed_calls"]
+            row.usage = row.usage + Usage(**entry["tokens"])
+            known = row.cost_usd is not None and entry["cost_usd"] is not None
+            row.cost_usd = row.cost_usd + entry["cost_usd"] if known else None
         for note, count in earlier["fallbacks"].items():
             self.fallbacks[note] = self.fallbacks.get(note, 0) + count
 
@@ -238,8 +238,8 @@ def _read_prices(path: Path) -> dict[str, Price]:
         return TypeAdapter(dict[str, Price]).validate_python(data or {})
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"])
+        path_in_file = ".".join(str(step) for step in first["loc"])
         raise ConfigError(
-            f"prices {path}: {where}: {first['msg']}; each model needs input and output, "
+            f"prices {path}: {path_in_file}: {first['msg']}; each model needs input and output, "
             f"optionally cache_read and cache_write, in USD per million tokens"
         ) from None

@@ -9,9 +9,9 @@
         error.md        the reason why the last response was rejected
         response.rejected-1.json
 
-Requests wait side by side. A resumed run finds the folder of a request by its key, with its
-response if it has one. Writing response.json in place is fine: while it is incomplete JSON and
-still changes, it counts as unfinished.
+Requests wait concurrently. A resumed run finds the folder of a request, and its response if there
+is one, by the request's key. A program may write response.json in place: incomplete JSON that still
+changes counts as unfinished.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ from .responses import InvalidResponse, is_json, read_response
 
 _POLL_S = 0.2
 _UNCHANGED_S = 3.0
-"""Incomplete JSON counts as finished when it has not changed for so long."""
+"""Time without a change after which incomplete JSON counts as finished [s]."""
 
 
 class _Ticket(BaseModel):
@@ -45,14 +45,14 @@ class _Ticket(BaseModel):
 
 
 class Mailbox:
-    """The provider whose responses are written into folders by a person or another program.
+    """Provider of responses that a person or another program writes into folders.
 
     Args:
         folder: parent of the requests' folders; created if missing.
-        timeout_s: longest wait for one response, in seconds; None waits for ever.
-        poll_s: interval at which the folders are polled, in seconds.
-        unchanged_s: a response that is no JSON is rejected after so long without a change.
-        report: receives the line that names the folder; default: standard error.
+        timeout_s: maximum wait for a response [s]; None for no limit.
+        poll_s: interval at which the folders are polled [s].
+        unchanged_s: time without a change after which invalid JSON is rejected [s].
+        report: function that shows a line with the folder; by default, on standard error.
     """
 
     name = "mailbox"
@@ -86,7 +86,7 @@ class Mailbox:
         """
         del role, rejected
         try:
-            # One after the other, so that folders are numbered in the order of the requests.
+            # One at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 await asyncio.to_thread(request.draw_pictures)
                 folder = self._find(request) or self._put(request)
@@ -121,7 +121,7 @@ class Mailbox:
         return None
 
     def _put(self, request: Request[Any]) -> Path:
-        """Write a request's folder under a hidden name and rename it, so that it appears whole."""
+        """Write a request's folder under a hidden name, then rename the complete folder."""
         self._folder.mkdir(parents=True, exist_ok=True)
         slug = file_name(request.name) or request.role
         partial = self._folder / f".partial-{request.key[:16]}"
@@ -144,20 +144,20 @@ class Mailbox:
     async def _response(self, request: Request[Any], folder: Path) -> str:
         path = folder / "response.json"
         last_stamp: tuple[int, int] | None = None
-        since = 0.0
+        last_change = 0.0
         while True:
             stamp = _stamp(path)
             now = asyncio.get_running_loop().time()
             if stamp != last_stamp:
-                last_stamp, since = stamp, now
+                last_stamp, last_change = stamp, now
             if stamp is not None:
-                most = file_bounds().max_text_mib * MIB
-                text = read_bytes(path, most).decode("utf-8", errors="replace")
-                whole = is_json(text)
+                max_bytes = file_bounds().max_text_mib * MIB
+                text = read_bytes(path, max_bytes).decode("utf-8", errors="replace")
+                complete = is_json(text)
                 try:
                     read_response(text, request.schema)
                 except InvalidResponse as error:
-                    if whole or now - since >= self._unchanged_s:
+                    if complete or now - last_change >= self._unchanged_s:
                         self._reject(folder, str(error))
                         last_stamp = None
                 else:
@@ -167,12 +167,13 @@ class Mailbox:
 
     def _reject(self, folder: Path, reason: str) -> None:
         count = 1 + sum(1 for _ in folder.glob("response.rejected-*.json"))
-        kept = f"response.rejected-{count}.json"
-        (folder / "response.json").rename(folder / kept)
+        rejected_name = f"response.rejected-{count}.json"
+        (folder / "response.json").rename(folder / rejected_name)
         write_atomic(
             folder / "error.md",
             f"# Response {count} was rejected\n\n{reason}\n\n"
-            f"It was moved to {kept}. Write a corrected response.json that fits schema.json.\n",
+            f"It was moved to {rejected_name}. "
+            "Write a corrected response.json that fits schema.json.\n",
         )
 
 

@@ -1,4 +1,4 @@
-"""Servers that speak the chat completions API: OpenAI's own, and every compatible one."""
+"""Provider for servers with the chat completions API: OpenAI's own, and compatible ones."""
 
 import importlib
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ _STOPS: dict[str, Any] = {"length": "length", "content_filter": "refusal"}
 
 
 class OpenAI(ServerProvider):
-    """The provider for the chat completions API.
+    """Provider for the chat completions API.
 
     Args:
         options: models, base_url, headers and time limit.
@@ -46,11 +46,11 @@ class OpenAI(ServerProvider):
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; call again without a feature that the server turns down.
+        """Make one call; repeat it without a feature that the server rejects.
 
         Raises:
-            Transient: another try may help.
-            ModelError: it will not, such as for a role whose model is of another service.
+            Transient: a retry may help.
+            ModelError: a retry cannot help, for example if the model belongs to another service.
         """
         if role.model.startswith("claude") and not self._connection.local:
             raise ModelError(
@@ -93,7 +93,7 @@ class OpenAI(ServerProvider):
         messages.append({"role": "user", "content": [*_pictures(request), prompt]})
         for speaker, text in corrections(request, rejected):
             messages.append({"role": speaker, "content": text})
-        # Compatible servers mostly know the older name alone, and ignore the newer one.
+        # Most compatible servers know only the older name and ignore the newer one.
         names = _TOKEN_LIMITS if self._connection.local else _TOKEN_LIMITS[::-1]
         limit = names[0] if self._supports(names[0], request, role) else names[1]
         params: dict[str, Any] = {
@@ -113,8 +113,8 @@ class OpenAI(ServerProvider):
             params["response_format"] = {"type": "json_schema", "json_schema": body}
         return params
 
-    def _turned_down(self, error: Exception, params: dict[str, Any]) -> str | None:
-        feature = super()._turned_down(error, params)
+    def _rejected_feature(self, error: Exception, params: dict[str, Any]) -> str | None:
+        feature = super()._rejected_feature(error, params)
         if feature is not None or getattr(error, "status_code", None) not in (400, 422):
             return feature
         message = server_message(error).lower()
@@ -126,7 +126,7 @@ class OpenAI(ServerProvider):
 
 
 def _strict(schema: Any) -> Any:
-    """Return a schema as strict mode requires it: every property is required."""
+    """Return a schema for strict mode, in which every property is required."""
     if isinstance(schema, list):
         return [_strict(item) for item in schema]
     if not isinstance(schema, dict):
@@ -147,10 +147,10 @@ def _pictures(request: Request[Any]) -> list[dict[str, Any]]:
     return blocks
 
 
-def _usage(given: Any) -> Usage:
+def _usage(counts: Any) -> Usage:
     """Read token counts; the server's prompt tokens include those of its cache."""
-    details = getattr(given, "prompt_tokens_details", None)
+    details = getattr(counts, "prompt_tokens_details", None)
     read = int(getattr(details, "cached_tokens", None) or 0)
     write = int(getattr(details, "cache_write_tokens", None) or 0)
-    prompt = int(given.prompt_tokens or 0)
-    return Usage(max(prompt - read - write, 0), int(given.completion_tokens or 0), read, write)
+    prompt = int(counts.prompt_tokens or 0)
+    return Usage(max(prompt - read - write, 0), int(counts.completion_tokens or 0), read, write)

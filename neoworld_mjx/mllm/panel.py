@@ -1,11 +1,11 @@
-"""The panel of models: one provider behind routing, limits, retries, validation and records.
+"""Panel of models: a provider with routing, limits, retries, validation and recording.
 
-The panel routes a request to the model of its role, keeps calls under the concurrency limit and the
-cost cap, retries where a server failed, sends an invalid response back with its error a bounded
-number of times, books every call, and records every response.
+The panel routes a request to the model of its role, enforces the concurrency limit and the cost
+cap, retries failed calls, returns an invalid response to the model with its error a limited number
+of times, enters every call in the ledger, and records every response.
 
-A panel runs its own event loop in one thread, so it works in plain code (`ask_sync`, `ask_many`,
-`run`), in any event loop (`ask`), and in several of them one after the other.
+A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
+`ask_many`, `run`) and in any event loop, even in several one after another (`ask`).
 """
 
 import asyncio
@@ -31,21 +31,21 @@ R = TypeVar("R")
 
 
 class Panel:
-    """The models that play reasoner, programmer and critic.
+    """Models for the roles of reasoner, programmer and critic.
 
     Args:
         provider: the source of responses.
         options: models, limits and cap.
-        ledger: books every call; default: a new one, with the options' cap and prices.
-        record: a tape file. Every response is written to it at once, and requests that it answers
-            are not sent, so that an interrupted run loses no response.
+        ledger: ledger of the calls; by default a new one, with the options' cap and prices.
+        record: tape file. The panel writes every response to it immediately and does not send
+            requests whose response it contains, so an interrupted run loses no response.
         photo: sha256 of the photo's file, for the tape's header.
         made: origin of the responses, for the tape's header.
-        backoff_s: first wait after a failed call, in seconds; it doubles from call to call.
+        backoff_s: delay before the first retry of a call [s]; it doubles with every further retry.
 
     Raises:
-        ConfigError: the table of prices is wrong.
-        ModelError: the tape to record on cannot be read or belongs to another photo.
+        ConfigError: the table of prices is invalid.
+        ModelError: the tape `record` cannot be read or belongs to another photo.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Panel:
 
     @property
     def waited_s(self) -> float:
-        """Seconds so far in which at least one request was with the provider, unanswered."""
+        """Time so far during which at least one request waited for the provider [s]."""
         return self._calls.waited_s
 
     @property
@@ -81,48 +81,47 @@ class Panel:
         return self.provider.name
 
     async def ask(self, request: Request[T]) -> Response[T]:
-        """Answer a request; requests may run concurrently, and equal ones are sent once.
+        """Return the response to a request; requests may be concurrent, equal ones are sent once.
 
         Raises:
-            MissingResponseError: a tape does not hold the response.
+            MissingResponseError: a tape does not contain the response.
             BudgetError: the call could exceed the cost cap; nothing was sent.
             ModelError: there is no valid response for any other reason.
         """
         return await asyncio.wrap_future(self._submit(self._shared(request)))
 
     def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Response[T]]":
-        """As `ask`, from any thread, without waiting; cancelling the future cancels no request."""
+        """Return a future of the response, from any thread; cancelling it cancels no request."""
         return self._submit(self._shared(request))
 
     def ask_sync(self, request: Request[T]) -> Response[T]:
-        """As `ask`, for code without an event loop."""
+        """Return the response to a request, in code without an event loop."""
         return self.run(self._shared(request))
 
     def ask_many(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        """Answer many requests concurrently; return the responses in their order.
+        """Send requests concurrently; return the responses in the order of the requests.
 
-        When one fails the call still waits for the others, so that no paid response is lost.
+        If one fails, the call still waits for the others, so that no paid response is lost.
 
         Raises:
-            ModelError: as `ask`; the first failure in the order of the requests.
+            ModelError: the first failure in the order of the requests; see `ask`.
         """
-        return self.run(self._together(requests))
+        return self.run(self._gather(requests))
 
     def batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        """As `ask_many`, at batch prices where the provider has them; this may take up to a day.
+        """Send requests at batch prices if the provider has batches, which may take up to a day.
 
-        Requests that the batch leaves without a valid response are sent one by one.
+        Requests for which the batch gives no valid response are sent individually.
 
         Raises:
-            ModelError: as `ask`.
+            ModelError: the first failure in the order of the requests; see `ask`.
         """
         return self.run(self._batch(requests))
 
     def run(self, work: Coroutine[Any, Any, R]) -> R:
         """Run a coroutine on the panel's event loop and wait for its result.
 
-        Works in plain code and where the caller's thread has an event loop of its own. Not for
-        coroutines that already run on the panel's loop.
+        The caller's thread may have its own event loop. The panel's loop must not be the caller.
         """
         future = self._submit(work)
         try:
@@ -132,13 +131,13 @@ class Panel:
             raise
 
     def close(self) -> None:
-        """Close connections and end the panel's thread; a later request starts a new one."""
+        """Close connections and stop the panel's thread; a later request starts a new one."""
         with self._lock:
             loop, thread = self._loop, self._thread
             self._loop = self._thread = None
         if loop is None or thread is None:
             return
-        asyncio.run_coroutine_threadsafe(self._shut(), loop).result(timeout=5)
+        asyncio.run_coroutine_threadsafe(self._shut_down(), loop).result(timeout=5)
         loop.call_soon_threadsafe(loop.stop)
         thread.join(timeout=5)
         loop.close()
@@ -159,14 +158,14 @@ class Panel:
                 self._thread.start()
             return asyncio.run_coroutine_threadsafe(work, self._loop)
 
-    async def _shut(self) -> None:
+    async def _shut_down(self) -> None:
         for task in self._tasks.values():
             task.cancel()
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self._tasks.clear()
         await self.provider.close()
 
-    async def _together(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
+    async def _gather(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
         results = await asyncio.gather(*map(self._shared, requests), return_exceptions=True)
         responses = []
         for result in results:
@@ -176,14 +175,14 @@ class Panel:
         return responses
 
     async def _shared(self, request: Request[T]) -> Response[T]:
-        """Answer a request; equal requests share one task."""
+        """Return the response to a request; equal requests share one task."""
         identity = (request.key, request.schema)
         task = self._tasks.get(identity)
         if task is None:
             task = asyncio.ensure_future(self._respond(request))
             self._tasks[identity] = task
             task.add_done_callback(lambda done: self._forget_failure(identity, done))
-        # Shielded: one caller that gives up must not take the response from the others.
+        # A cancelled caller must not cancel the request of the others.
         return await asyncio.shield(task)
 
     def _forget_failure(self, identity: tuple[str, type], done: "asyncio.Task[Any]") -> None:
@@ -197,11 +196,11 @@ class Panel:
                 value = read_response(recorded.text, request.schema)
                 return Response(value, recorded.text, Usage(), recorded.model)
             except InvalidResponse:
-                pass  # A schema's validators may have changed behind the same JSON schema.
-        return await self._converse(request)
+                pass  # Validators may have changed although the JSON schema has not.
+        return await self._request_until_valid(request)
 
-    async def _converse(self, request: Request[T]) -> Response[T]:
-        """Send a request, and send invalid responses back with their errors, for bounded rounds."""
+    async def _request_until_valid(self, request: Request[T]) -> Response[T]:
+        """Send a request; send invalid responses back with their errors for a few rounds."""
         role = self._role(request)
         rejected: tuple[Rejection, ...] = ()
         rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
@@ -223,7 +222,7 @@ class Panel:
             f"{request.name}: {model} gave no valid response in {rounds} "
             f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
-        error.texts = tuple(hide(each.text, self.provider.secrets) for each in rejected)
+        error.texts = tuple(hide(r.text, self.provider.secrets) for r in rejected)
         raise error
 
     def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
@@ -259,11 +258,11 @@ class Panel:
             try:
                 value = read_response(reply.text, request.schema)
             except InvalidResponse:
-                continue  # sent by itself below
+                continue  # Sent individually below.
             self._write_record(request, reply)
             response = Response(value, reply.text, reply.usage, reply.model)
             self._tasks[request.key, request.schema] = asyncio.ensure_future(_ready(response))
-        return await self._together(requests)
+        return await self._gather(requests)
 
 
 async def _ready(response: Response[T]) -> Response[T]:

@@ -1,6 +1,6 @@
-"""Providers: the table of all sources of responses, and the choice among them.
+"""Table of all providers of responses, and the choice of one.
 
-A new provider takes its module and one line of `PROVIDERS`.
+A new provider needs a module and an entry in `PROVIDERS`.
 """
 
 import importlib.util
@@ -24,9 +24,9 @@ class ProviderInputs(NamedTuple):
 
     options: MLLMOptions
     photo: str | None = None
-    """The sha256 of the photo's file."""
+    """sha256 of the photo's file."""
     tapes: Sequence[Path] = ()
-    """Folders of tapes, or tapes, in the order of the search."""
+    """Tapes and folders of tapes, in search order."""
     mailbox: Path | None = None
     mailbox_timeout_s: float | None = None
 
@@ -45,19 +45,19 @@ def open_panel(
 ) -> Panel:
     """Open the panel of models for a run.
 
-    `auto` takes a key from the environment, else a tape of this photo. OPENAI_API_KEY counts as a
-    key when the extra `openai` is installed and no role's model is one of Anthropic's.
+    `auto` uses a key from the environment or, without one, a tape of this photo. OPENAI_API_KEY
+    counts only if the extra `openai` is installed and no role uses a model of Anthropic.
 
     Args:
         options: models, limits and cap.
         provider: a name of `PROVIDERS`.
-        photo: sha256 of the photo's file, by which tapes are found.
-        tapes: folders of tapes, or tapes, searched before those that ship with the package.
+        photo: sha256 of the photo's file, which identifies its tape.
+        tapes: tapes and folders of tapes, searched before those of the package.
         mailbox: folder of the mailbox; required for `mailbox`.
-        mailbox_timeout_s: how long a request waits in the mailbox, in seconds; None: for ever.
-        record: tape file to record on and to take earlier responses from.
+        mailbox_timeout_s: maximum time that a request waits in the mailbox [s]; None for no limit.
+        record: tape file that receives responses and provides earlier ones.
         made: origin of the responses, for the recorded tape.
-        ledger: books every call, such as that of the run that is resumed; default: a new one.
+        ledger: ledger of the calls, such as that of a resumed run; by default a new one.
 
     Raises:
         ConfigError: the provider is unknown, or lacks a required argument.
@@ -73,11 +73,11 @@ def open_panel(
 
 
 def bundled_tapes() -> Path:
-    """Return the folder of the tapes that ship with the package."""
+    """Return the folder of the package's tapes."""
     return Path(str(resources.files("neoworld_mjx") / "data" / "tapes"))
 
 
-def _automatic(inputs: ProviderInputs) -> Provider:
+def _auto(inputs: ProviderInputs) -> Provider:
     if environment_key("ANTHROPIC_API_KEY"):
         return _anthropic(inputs)
     openai_key = environment_key("OPENAI_API_KEY") is not None
@@ -86,11 +86,11 @@ def _automatic(inputs: ProviderInputs) -> Provider:
     tape = find_tape(inputs.photo, inputs.tapes)
     if tape is not None:
         return Replay(*tape)
-    raise ModelError(_ways_on(openai_key, inputs.options))
+    raise ModelError(_remedies(openai_key, inputs.options))
 
 
 def _anthropic(inputs: ProviderInputs) -> Provider:
-    # Imported late, as the SDKs take a second to load and tapes do not need them.
+    # Imported on demand: the SDKs take a second to load, and tapes do not need them.
     from .anthropic import Anthropic
 
     return Anthropic(inputs.options)
@@ -105,11 +105,11 @@ def _openai(inputs: ProviderInputs) -> Provider:
 def _replay(inputs: ProviderInputs) -> Provider:
     tape = find_tape(inputs.photo, inputs.tapes)
     if tape is None:
-        searched = ", ".join(str(place) for place in inputs.tapes)
+        searched = ", ".join(map(str, inputs.tapes))
         raise MissingResponseError(
             f"no tape was recorded for this photo (sha256 {(inputs.photo or 'unknown')[:16]}); "
-            f"searched {searched}. Use the very file that the tape was made for, name a tape, or "
-            f"choose another provider: {', '.join(PROVIDERS)}"
+            f"searched {searched}. Use the exact file that a tape was recorded for, name a tape, "
+            f"or choose another provider: {', '.join(PROVIDERS)}"
         )
     return Replay(*tape)
 
@@ -121,7 +121,7 @@ def _mailbox(inputs: ProviderInputs) -> Provider:
 
 
 PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
-    "auto": _automatic,
+    "auto": _auto,
     "anthropic": _anthropic,
     "openai": _openai,
     "replay": _replay,
@@ -130,23 +130,23 @@ PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
 """Function that opens each provider, by name."""
 
 
-def _ways_on(openai_key: bool, options: MLLMOptions) -> str:
+def _remedies(openai_key: bool, options: MLLMOptions) -> str:
     lines = [
-        "no key in the environment and no tape for this photo. Ways to go on:",
+        "no key in the environment and no tape for this photo. Options:",
         "  - set ANTHROPIC_API_KEY",
         "  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name "
         "its models in the config (mllm.reasoner.model, ...)",
         "  - run a local model: --provider anthropic or openai with mllm.base_url in the config",
         "  - answer yourself: --provider mailbox",
-        f"  - give a tape (*{SUFFIX}) that was recorded for this very file: --provider replay",
+        f"  - give a tape (*{SUFFIX}) that was recorded for this exact file: --provider replay",
     ]
     if openai_key:
-        lacking = [] if _has_openai() else ["the extra 'openai' is not installed"]
+        obstacles = [] if _has_openai() else ["the extra 'openai' is not installed"]
         if _claude_models(options):
-            lacking.append("roles still name models of Anthropic")
+            obstacles.append("roles still name models of Anthropic")
         lines[0] = (
-            f"OPENAI_API_KEY is set, but {' and '.join(lacking)}; no other key and no tape for "
-            f"this photo. Ways to go on:"
+            f"OPENAI_API_KEY is set, but {' and '.join(obstacles)}; no other key and no tape for "
+            f"this photo. Options:"
         )
     return "\n".join(lines)
 

@@ -1,11 +1,11 @@
 """Tapes: recorded responses in one JSON file, keyed by the content of their requests.
 
-    {"format": 1, "photo": sha256 of the photo's file, "made": how the responses came about,
+    {"format": 1, "photo": sha256 of the photo's file, "made": origin of the responses,
      "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
 
-Keys cover the decoded pixels of every picture, not its file: a tape outlives another PNG encoder,
-but not a renderer that draws one pixel differently. The order in which requests come plays no
-part, and entries are sorted, so that recording the same responses gives the same bytes.
+Keys cover the decoded pixels of the pictures: a tape remains valid with another PNG encoder, but
+not with a renderer that changes a pixel. The order of the requests does not matter. Entries are
+sorted, so recording the same responses gives the same bytes.
 """
 
 import difflib
@@ -33,11 +33,11 @@ class Entry(BaseModel):
     role: str
     name: str
     model: str = ""
-    """The model that answered."""
+    """Model that gave the response."""
     parts: dict[str, str] = {}
-    """Digests of the request's parts, by which an error names those that differ."""
+    """Digests of the request's parts, from which an error names those that differ."""
     answer: dict[str, Any] | str
-    """The JSON object, or the raw text where it was not plain JSON."""
+    """The JSON object, or the raw text if it is not a JSON object."""
 
     @property
     def text(self) -> str:
@@ -52,7 +52,7 @@ class Tape(BaseModel):
 
     format: int = Field(1, ge=1, le=1)
     photo: str | None = None
-    """The sha256 of the photo's file."""
+    """sha256 of the photo's file."""
     made: str = ""
     """Origin of the responses, for people."""
     answers: dict[str, Entry] = {}
@@ -62,7 +62,7 @@ class Tape(BaseModel):
         """Read a tape.
 
         Raises:
-            ModelError: the file cannot be read or is no tape.
+            ModelError: the file cannot be read or is not a tape.
         """
         return read_model(path, cls, ModelError, "a tape")
 
@@ -90,19 +90,19 @@ class Tape(BaseModel):
             name=request.name,
             model=model,
             parts={part: value[:16] for part, value in request.parts.items()},
-            answer=_plain(text),
+            answer=_object_or_text(text),
         )
 
     def get(self, request: Request[Any]) -> Entry | None:
-        """Return the response to a request; None if the tape lacks it."""
+        """Return the response to a request, or None."""
         return self.answers.get(request.key)
 
     def nearest(self, request: Request[Any]) -> str:
-        """Name the entry that is nearest to a request and the parts that differ."""
+        """Describe the entry nearest to a request, and the parts that differ."""
         names = sorted({entry.name for entry in self.answers.values()})
         close = difflib.get_close_matches(request.name, names, n=1)
         if not close:
-            return f"the tape holds: {', '.join(names) or 'nothing'}"
+            return f"the tape contains: {', '.join(names) or 'nothing'}"
         differing = min(
             (_differing(entry, request) for entry in self.answers.values() if entry.name in close),
             key=len,
@@ -112,29 +112,29 @@ class Tape(BaseModel):
 
 
 class Replay:
-    """The provider that answers from a tape alone."""
+    """Provider of the recorded responses of a tape."""
 
     name = "replay"
     online = False
     secrets: tuple[str, ...] = ()
 
-    def __init__(self, tape: Tape, where: Path | str) -> None:
+    def __init__(self, tape: Tape, path: Path | str) -> None:
         self._tape = tape
-        self._where = where
+        self._path = path
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Look the response up.
+        """Return the recorded response.
 
         Raises:
-            MissingResponseError: the tape does not hold it.
+            MissingResponseError: the tape does not contain it.
         """
         del role, rejected
         entry = self._tape.get(request)
         if entry is None:
             raise MissingResponseError(
-                f"tape {self._where} has no response for {request.name!r} (role {request.role}, "
+                f"tape {self._path} has no response for {request.name!r} (role {request.role}, "
                 f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it again with "
                 f"another provider, or undo the change"
             )
@@ -144,23 +144,23 @@ class Replay:
         """Do nothing, as a tape has no connections."""
 
 
-def find_tape(photo_sha256: str | None, places: Iterable[Path]) -> tuple[Tape, Path] | None:
+def find_tape(photo_sha256: str | None, paths: Iterable[Path]) -> tuple[Tape, Path] | None:
     """Find the tape of a photo.
 
     Args:
         photo_sha256: sha256 of the photo's file.
-        places: folders, searched for files ending in .tape.json, or tapes. A tape that is named
-            itself is returned whatever its photo, as its keys decide anyway.
+        paths: tapes, and folders in which files that end in .tape.json are tapes. A tape given by
+            its own path is returned for any photo, because the keys of its entries decide.
 
     Raises:
-        ModelError: a tape that is named itself cannot be read.
+        ModelError: a tape given by its own path cannot be read.
     """
-    for place in map(Path, places):
-        if not place.is_dir():
-            if place.exists() or place.name.endswith(SUFFIX):
-                return Tape.load(place), place
+    for given_path in map(Path, paths):
+        if not given_path.is_dir():
+            if given_path.exists() or given_path.name.endswith(SUFFIX):
+                return Tape.load(given_path), given_path
             continue
-        for path in sorted(place.glob(f"*{SUFFIX}")):
+        for path in sorted(given_path.glob(f"*{SUFFIX}")):
             try:
                 tape = Tape.load(path)
             except ModelError:
@@ -170,7 +170,7 @@ def find_tape(photo_sha256: str | None, places: Iterable[Path]) -> tuple[Tape, P
     return None
 
 
-def _plain(text: str) -> dict[str, Any] | str:
+def _object_or_text(text: str) -> dict[str, Any] | str:
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):

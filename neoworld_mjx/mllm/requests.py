@@ -1,13 +1,11 @@
-"""Requests to multimodal models, their responses, and the protocols of models and
-providers.
+"""Requests to multimodal models, their responses, and the protocols of models and providers.
 
-A step of the pipeline builds a `Request` and hands it to a `Model`; it gets a `Response` whose
-value is an instance of the request's own pydantic schema, whichever server, tape or person
-answered.
+A step of the pipeline passes a `Request` to a `Model` and receives a `Response`, whose value is an
+instance of the request's pydantic schema, no matter if a server, a tape or a person gave it.
 
-A request is known by its content: `Request.key` covers role, system text, prompt, the pictures'
-labels and decoded pixels, and the JSON schema. It does not cover the name, the model or how a
-picture was compressed, so the same question has the same key on every machine.
+`Request.key` identifies the content of a request: role, system text, prompt, labels and decoded
+pixels of the pictures, and JSON schema. It excludes the name, the model and the compression of the
+pictures, so equal requests have the same key on every machine.
 """
 
 import hashlib
@@ -69,12 +67,12 @@ class Picture:
 
     @property
     def media_type(self) -> str:
-        """The MIME type, image/png or image/jpeg."""
+        """MIME type, image/png or image/jpeg."""
         return next(kind for magic, kind in _MEDIA.items() if self.data.startswith(magic))
 
     @property
     def suffix(self) -> str:
-        """The file suffix that fits the data."""
+        """File suffix of the data."""
         return ".png" if self.media_type == "image/png" else ".jpg"
 
     @cached_property
@@ -93,12 +91,12 @@ class Picture:
 
     @property
     def pixels(self) -> str:
-        """The sha256 of size and decoded RGB bytes; it does not depend on the encoder."""
+        """sha256 of size and decoded RGB bytes, which does not depend on the encoder."""
         return self._decoded[1]
 
 
 class PixelPicture(Picture):
-    """A picture held as pixels; its PNG is encoded when a provider asks for it.
+    """A picture stored as pixels, and encoded as PNG on first use.
 
     Raises:
         ModelError: the array is not uint8 of shape [height, width, 3].
@@ -112,9 +110,9 @@ class PixelPicture(Picture):
                 f"picture {label!r} must be uint8 of shape [height, width, 3], "
                 f"got {rgb.dtype} of shape {list(rgb.shape)}"
             )
-        kept = np.array(rgb)  # Whoever drew it may go on drawing.
-        for name, value in (("label", label), ("_rgb", kept)):
-            object.__setattr__(self, name, value)  # The base is frozen.
+        copy = np.array(rgb)  # The caller may modify the array later.
+        for name, value in (("label", label), ("_rgb", copy)):
+            object.__setattr__(self, name, value)  # The dataclass is frozen.
 
     @cached_property
     def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -135,15 +133,15 @@ def _pixel_digest(width: int, height: int, rgb: bytes) -> str:
 
 @dataclass(frozen=True)
 class Request(Generic[T]):
-    """One question to a model.
+    """One request to a model.
 
-    Put what several requests share first: the system text, and the photo as the first picture. A
-    server that caches prompts then pays for them once.
+    Content that requests share comes first: the system text, and the photo as the first picture. A
+    server with a prompt cache then processes it only once.
     """
 
     role: Role
     name: str
-    """Short and for people, such as "parse" or "program:cup"; not part of the key."""
+    """Short name for people, such as "parse" or "program:cup"; not part of the key."""
     system: str
     prompt: str
     schema: type[T]
@@ -155,9 +153,9 @@ class Request(Generic[T]):
 
     @cached_property
     def json_schema(self) -> dict[str, Any]:
-        """The JSON schema of the response; definitions are named by their models' titles.
+        """JSON schema of the response, whose definitions are named by the titles of their models.
 
-        So a class that states its former name as title may be renamed without changing requests.
+        A renamed class does not change the requests if its title is its former name.
         """
         schema = self.schema.model_json_schema()
         definitions = schema.get("$defs", {})
@@ -172,13 +170,13 @@ class Request(Generic[T]):
         return json.loads(text)
 
     def draw_pictures(self) -> None:
-        """Draw the pictures that are drawn on demand: seconds of work, so not on an event loop."""
+        """Encode the pictures that are not encoded yet; it may block an event loop for seconds."""
         for picture in self.pictures:
             _ = picture.data
 
     @cached_property
     def parts(self) -> dict[str, str]:
-        """A digest of each part of the content, by which a tape tells what differs."""
+        """Digest of each part of the content, to report the parts in which requests differ."""
         pictures = [[picture.label, picture.pixels] for picture in self.pictures]
         return {
             "role": self.role,
@@ -190,13 +188,13 @@ class Request(Generic[T]):
 
     @cached_property
     def key(self) -> str:
-        """The sha256 over role, system, prompt, pictures with labels, and JSON schema."""
+        """sha256 of role, system, prompt, pictures with labels, and JSON schema."""
         return digest(json.dumps(self.parts, sort_keys=True))
 
 
 @dataclass(frozen=True)
 class Usage:
-    """Tokens of one call by the server's count; `input` excludes tokens read from the cache."""
+    """Tokens of one call, as counted by the server; `input` excludes tokens read from the cache."""
 
     input: int = 0
     output: int = 0
@@ -218,34 +216,34 @@ class Response(Generic[T]):
 
     value: T
     text: str
-    """The model's whole text, from which the JSON was taken."""
+    """Complete text of the model, which contains the JSON of the value."""
     usage: Usage
-    """Sum over all calls for this response, rejected responses included."""
+    """Sum over all calls for this response, including rejected responses."""
     model: str
 
 
 @runtime_checkable
 class Model(Protocol):
-    """Anything that answers requests; `Panel` is the implementation of the package."""
+    """Protocol of a model that responds to requests; `Panel` implements it."""
 
     async def ask(self, request: Request[T]) -> Response[T]:
-        """Answer a request.
+        """Return the response to a request.
 
         Raises:
-            ModelError: there is no valid response; the message says why and what to do.
+            ModelError: there is no valid response; the message states the reason and a remedy.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """A response that did not validate, and the reason, to be sent back."""
+    """An invalid response, and the reason, which are returned to the model."""
 
     text: str
     reason: str
 
     def message(self, request: Request[Any]) -> str:
-        """Return the text to send back; it repeats the schema, which the response did not fit."""
+        """Return the message to the model; it repeats the schema that the response violates."""
         return (
             f"That response cannot be used: {self.reason}\n\n"
             f"Respond again, complete and corrected. {response_rule(request)}"
@@ -265,21 +263,21 @@ class Reply:
     fallback: str | None = None
     """Features that the server does not support, such as structured output."""
     counted: bool = True
-    """Whether the server counted tokens at all."""
+    """True if the server counted tokens."""
 
     def __post_init__(self) -> None:
-        # Halves of characters can neither be sent back nor written into a file.
-        whole = self.text.encode("utf-8", "replace").decode()
-        object.__setattr__(self, "text", whole)
+        # Unpaired surrogates can neither be sent nor written to a file.
+        valid_text = self.text.encode("utf-8", "replace").decode()
+        object.__setattr__(self, "text", valid_text)
 
 
 class Transient(Exception):
-    """A failed call that is worth another try; `Calls` catches it.
+    """Failure of a call that a retry may resolve; `Calls` catches it.
 
     Args:
         message: the reason of the failure.
-        retry_after: seconds that the server asks to wait; None if it does not.
-        usage: tokens the server had counted before the call failed.
+        retry_after: delay that the server requests [s]; None if it requests none.
+        usage: tokens that the server counted before the call failed.
     """
 
     def __init__(
@@ -296,14 +294,14 @@ class Provider(Protocol):
 
     name: str
     online: bool
-    """Whether calls cost money and may fail, so that they are limited, retried and corrected."""
+    """True if calls cost money and may fail; the panel limits, retries and corrects them."""
     secrets: tuple[str, ...]
-    """Texts that must never be shown."""
+    """Texts that must never appear in output."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; raise Transient if another try may help, else ModelError."""
+        """Make one call; raise Transient if a retry may help, otherwise ModelError."""
         ...
 
     async def close(self) -> None:

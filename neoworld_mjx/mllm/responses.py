@@ -1,4 +1,4 @@
-"""Validated responses from a model's text: find the JSON, validate it, report the errors."""
+"""Extraction and validation of the JSON object in a model's text."""
 
 import json
 import re
@@ -15,32 +15,32 @@ _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
 _OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
 MAX_CHARS, MAX_OBJECTS = 1_000_000, 20
-"""Longest response, and most JSON objects in it among which the response is looked for."""
+"""Maximum length of a text, and maximum number of JSON objects in it that are validated."""
 
 
 class InvalidResponse(Exception):
-    """A text holds no JSON object, or one that does not fit the schema; the message says why."""
+    """Error of a text without a JSON object that fits the schema; the message states the reason."""
 
 
 def read_response(text: str, schema: type[T]) -> T:
     """Validate the JSON object in a model's text.
 
-    The text may be bare JSON, JSON in a fenced block, or JSON with prose around it. Of several
-    objects the first that validates counts, bare text first, then fences, then the largest.
+    The text may be bare JSON, JSON in a fenced block, or JSON within prose. Of several objects, the
+    first valid one counts: the bare text, then fenced blocks, then others by decreasing size.
 
     Raises:
-        InvalidResponse: nothing validates; the message is about the most likely object.
+        InvalidResponse: no object is valid; the message is about the most likely one.
     """
     if len(text) > MAX_CHARS:
         raise InvalidResponse(
             f"the response has {len(text)} characters, at most {MAX_CHARS} are read"
         )
-    whole = _whole(text)
-    inside, broken = ([], "") if whole else _embedded(text)
-    reason = broken
-    for value in (*whole, *inside):
+    candidates, reason = _whole_objects(text), ""
+    if not candidates:
+        candidates, reason = _embedded_objects(text)
+    for value in candidates:
         try:
-            # Through JSON again, as only then lists may become tuples and strings enums.
+            # Only validation from JSON converts lists to tuples and strings to enums.
             return schema.model_validate_json(json.dumps(value))
         except ValidationError as error:
             reason = reason or _shorten(validation_message(error, schema))
@@ -48,7 +48,7 @@ def read_response(text: str, schema: type[T]) -> T:
 
 
 def is_json(text: str) -> bool:
-    """Return whether a text as a whole is one JSON value, and so complete."""
+    """Return True if a text is exactly one JSON value, and therefore complete."""
     try:
         _loads(text)
     except (ValueError, RecursionError):
@@ -56,8 +56,8 @@ def is_json(text: str) -> bool:
     return True
 
 
-def _whole(text: str) -> list[dict[str, Any]]:
-    """Return the objects that are the whole text or a whole fenced block of it."""
+def _whole_objects(text: str) -> list[dict[str, Any]]:
+    """Return the objects that make up the whole text or a whole fenced block."""
     objects = []
     fenced = (match[1] for match in islice(_FENCE.finditer(text), MAX_OBJECTS))
     for part in (text, *fenced):
@@ -70,37 +70,37 @@ def _whole(text: str) -> list[dict[str, Any]]:
     return objects
 
 
-def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
-    """Return the objects inside a text, the largest first, and the error that ended the search.
+def _embedded_objects(text: str) -> tuple[list[dict[str, Any]], str]:
+    """Return the objects within a text, largest first, and the error that ended the search.
 
-    A broken object ends the search: an object inside it could pass for the response.
+    A malformed object ends the search, as an object within it could be mistaken for the response.
     """
-    decoder = json.JSONDecoder(parse_constant=_refuse)
+    decoder = json.JSONDecoder(parse_constant=_reject_constant)
     objects: list[tuple[int, dict[str, Any]]] = []
-    broken = ""
+    error_message = ""
     for match in _OPENING.finditer(text):
         if objects and match.start() < objects[-1][0]:
             continue
         try:
             value, end = decoder.raw_decode(text, match.start())
         except RecursionError:
-            broken = "the JSON is nested too deeply"
+            error_message = "the JSON is nested too deeply"
             break
         except ValueError as error:
-            broken = f"the JSON object in it is broken ({error})"
+            error_message = f"the JSON object in it is broken ({error})"
             break
         objects.append((end, value))
         if len(objects) > MAX_OBJECTS:
             return [], f"it holds over {MAX_OBJECTS} JSON objects; give one"
     largest_first = sorted(objects, key=lambda item: -len(json.dumps(item[1])))
-    return [value for _, value in largest_first], broken
+    return [value for _, value in largest_first], error_message
 
 
 def _loads(text: str) -> Any:
-    return json.loads(text, parse_constant=_refuse)
+    return json.loads(text, parse_constant=_reject_constant)
 
 
-def _refuse(constant: str) -> Any:
+def _reject_constant(constant: str) -> Any:
     raise ValueError(f"{constant} is not JSON")
 
 

@@ -1,11 +1,10 @@
-"""The loop of Steps 1 to 3: ask a model, check its response, have it criticised, ask for a
-revision.
+"""Loop of Steps 1 to 3: request a response, check it, criticise it, request a revision.
 
-A caller supplies the steps as functions over its own type of attempt, a response with the results
-of its checks and its critique: `criticise` adds a critic's verdict, `accept` decides whether the
-attempt needs no revision, `next_attempt` asks for a revision and checks it. The first attempt is
-the caller's, since without it there is no result; every later request may fail, which ends the
-rounds and is recorded.
+The caller supplies the steps as functions of its own attempt type, which contains a response, the
+results of its checks and its critique: `criticise` adds a critic's verdict, `accept` decides if the
+attempt needs no revision, `next_attempt` requests a revision and checks it. The caller also makes
+the first attempt, without which there is no result. The failure of a later request ends the rounds
+and is recorded.
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -19,7 +18,7 @@ from .requests import Model, Request
 A = TypeVar("A")
 T = TypeVar("T", bound=BaseModel)
 Fallback = tuple[str, str]
-"""A stage that a result had to do without, and the reason."""
+"""A skipped stage, and the reason."""
 
 
 async def revise(
@@ -34,25 +33,25 @@ async def revise(
     """Revise an attempt until it is accepted or the rounds are used up.
 
     Args:
-        first: the attempt to begin with, with the results of its checks.
-        rounds: most revisions; with 0 the first attempt is returned without a critique.
-        accept: whether an attempt needs no further revision.
-        next_attempt: takes all attempts so far and returns a revision of the last one, with the
+        first: the first attempt, with the results of its checks.
+        rounds: maximum number of revisions; with 0, the first attempt is returned uncriticised.
+        accept: returns True if an attempt needs no revision.
+        next_attempt: receives all attempts so far and returns a revision of the last one, with the
             results of its checks; None ends the rounds.
         criticise: returns an attempt with its critique; None for loops whose checks suffice.
-        criticise_last: whether an attempt that no round is left to revise is criticised too, such
-            as to compare it with the others.
+        criticise_last: True to also criticise an attempt after which no round remains, for example
+            to compare it with the others.
 
     Returns:
         The attempts in order, with their critiques. The caller chooses the best of them.
     """
     attempts: list[A] = []
     attempt: A | None = first
-    for left in range(rounds, -1, -1):
-        if criticise is not None and rounds and (left or criticise_last):
+    for remaining in range(rounds, -1, -1):
+        if criticise is not None and rounds and (remaining or criticise_last):
             attempt = await criticise(attempt)
         attempts.append(attempt)
-        if not left or accept(attempt):
+        if not remaining or accept(attempt):
             break
         attempt = await next_attempt(attempts)
         if attempt is None:
@@ -63,13 +62,13 @@ async def revise(
 async def ask_or_record(
     models: Model, request: Request[T], stage: str, fallbacks: list[Fallback]
 ) -> T | None:
-    """Return a model's response; None if the model fails, which is added to the fallbacks.
+    """Return a model's response; if the model fails, add a fallback and return None.
 
     Args:
-        models: answers the request.
-        request: one that the result can do without.
-        stage: names in the fallback the stage that is skipped.
-        fallbacks: receives the stage and the reason of a failure.
+        models: the models.
+        request: an optional request.
+        stage: name of the stage that a failure skips.
+        fallbacks: list to which a failure adds the stage and the reason.
 
     Raises:
         BudgetError: the cost cap is reached.

@@ -1,4 +1,4 @@
-"""Keys: read from the environment alone, and removed from every text that is shown."""
+"""Keys of model servers: read only from the environment, and removed from all output."""
 
 import os
 import re
@@ -6,7 +6,9 @@ from collections.abc import Iterable
 
 from ..errors import ConfigError
 
-_SHAPES = re.compile(r"(?i)\bbearer\s+[^\s'\",;]+|\bsk-[A-Za-z0-9_-]{8,}|(?<=://)[^/@\s]+(?=@)")
+_KEY_PATTERNS = re.compile(
+    r"(?i)\bbearer\s+[^\s'\",;]+|\bsk-[A-Za-z0-9_-]{8,}|(?<=://)[^/@\s]+(?=@)"
+)
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 _PLACEHOLDER = "[key]"
 
@@ -17,7 +19,7 @@ def environment_key(name: str) -> str | None:
 
 
 def hide(text: str, secrets: Iterable[str]) -> str:
-    """Replace given secrets by a placeholder."""
+    """Replace the given secrets by a placeholder."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= 4:
             text = text.replace(secret, _PLACEHOLDER)
@@ -25,12 +27,12 @@ def hide(text: str, secrets: Iterable[str]) -> str:
 
 
 def scrub(text: str, secrets: Iterable[str]) -> str:
-    """Replace given secrets, and all text that looks like a key, by a placeholder."""
-    return _SHAPES.sub(_PLACEHOLDER, hide(text, secrets))
+    """Replace the given secrets, and all text that looks like a key, by a placeholder."""
+    return _KEY_PATTERNS.sub(_PLACEHOLDER, hide(text, secrets))
 
 
 def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Fill ${NAME} in header values from the environment.
+    """Replace ${NAME} in header values by environment variables.
 
     Returns:
         The headers to send, and the values of the variables, which are secrets.
@@ -38,7 +40,7 @@ def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     Raises:
         ConfigError: a variable is not set.
     """
-    filled: list[str] = []
+    secrets: list[str] = []
 
     def fill(match: re.Match[str]) -> str:
         value = environment_key(match[1])
@@ -46,8 +48,8 @@ def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
             raise ConfigError(
                 f"mllm.headers needs the environment variable {match[1]}, which is not set"
             )
-        filled.append(value)
+        secrets.append(value)
         return value
 
     sent = {name: _VARIABLE.sub(fill, value) for name, value in headers.items()}
-    return sent, tuple(filled)
+    return sent, tuple(secrets)

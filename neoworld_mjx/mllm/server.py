@@ -1,4 +1,4 @@
-"""The common part of all providers that call a server: features, streams, errors, replies."""
+"""Base class of the providers that call a server: features, streams, errors, replies."""
 
 import asyncio
 from abc import ABC, abstractmethod
@@ -12,8 +12,10 @@ from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
 from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
-_IN_WORDS = "structured output is not supported by the server or for this schema: asked in words"
-_UNCOUNTED = "the server gave no token counts: booked at their upper bound"
+_IN_WORDS = (
+    "structured output is not supported by the server or for this schema: described in words"
+)
+_UNCOUNTED = "the server gave no token counts: counted at their upper bound"
 
 
 @dataclass
@@ -27,15 +29,15 @@ class Received:
     stop: Literal["end", "length", "refusal"] | None = None
     """None until the response is complete."""
     refusal: str = ""
-    """The server's words about a refusal."""
+    """Message of the server about a refusal."""
 
 
 class ServerProvider(ABC):
     """A provider that calls a server's API and streams the responses.
 
-    The time limit watches for silence and not for length. Optional features that the server turns
-    down (a JSON schema for the response, token counts in the stream, ...) are left out from then
-    on.
+    The timeout limits silence between events, rather than the length of a response. Once a server
+    rejects an optional feature (a JSON schema for the response, token counts in the stream, ...),
+    later calls omit it.
 
     Args:
         options: models, base_url, headers and time limit.
@@ -49,9 +51,9 @@ class ServerProvider(ABC):
     key_name: ClassVar[str]
     url_name: ClassVar[str]
     schema_feature: ClassVar[str]
-    """The parameter that carries the JSON schema of the response."""
+    """Parameter that contains the JSON schema of the response."""
     features: ClassVar[Mapping[str, Sequence[str]]]
-    """Optional parameters, and words by which a server's error refers to each."""
+    """Optional parameters, and the words that refer to each in a server's error."""
     online = True
 
     def __init__(self, options: MLLMOptions) -> None:
@@ -59,11 +61,11 @@ class ServerProvider(ABC):
         self.secrets = self._connection.secrets
         self._client: Any = None
         self._unsupported: set[tuple[str, str, str]] = set()
-        """Features that the server turned down, as (model, feature, digest of the schema or "")."""
+        """Rejected features, as (model, feature, digest of the schema or "")."""
 
     @abstractmethod
     def _new_client(self) -> Any:
-        """Return the SDK's client; it must not retry, so that every call is booked."""
+        """Return the SDK's client; it must not retry, so that the ledger counts every call."""
 
     @abstractmethod
     def _params(
@@ -78,11 +80,11 @@ class ServerProvider(ABC):
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; call again without a feature that the server turns down.
+        """Make one call; repeat it without a feature that the server rejects.
 
         Raises:
-            Transient: another try may help.
-            ModelError: it will not; the message says what to do.
+            Transient: a retry may help.
+            ModelError: a retry cannot help; the message states a remedy.
         """
         while True:
             params = self._params(request, role, rejected)
@@ -91,12 +93,12 @@ class ServerProvider(ABC):
                 async with asyncio.timeout(self._connection.call_timeout_s):
                     await self._receive(params, received)
             except Exception as error:
-                feature = self._turned_down(error, params)
-                known = (role.model, feature or "", self._scope(feature, request))
-                if feature is None or known in self._unsupported:
+                feature = self._rejected_feature(error, params)
+                rejected_feature = (role.model, feature or "", self._scope(feature, request))
+                if feature is None or rejected_feature in self._unsupported:
                     usage = received.usage or Usage()
                     raise classified(error, self._connection, request.role, role, usage) from None
-                self._unsupported.add(known)
+                self._unsupported.add(rejected_feature)
                 continue
             if received.stop is None:
                 raise Transient("the response broke off before its end", usage=received.usage)
@@ -128,10 +130,10 @@ class ServerProvider(ABC):
         return (role.model, feature, self._scope(feature, request)) not in self._unsupported
 
     def _scope(self, feature: str | None, request: Request[Any]) -> str:
-        # A server may turn down one schema and take another.
+        # A server may reject one schema and accept another.
         return request.parts["schema"] if feature == self.schema_feature else ""
 
-    def _turned_down(self, error: Exception, params: dict[str, Any]) -> str | None:
+    def _rejected_feature(self, error: Exception, params: dict[str, Any]) -> str | None:
         """Return the optional feature of a call that a server's rejection refers to."""
         if getattr(error, "status_code", None) not in (400, 422):
             return None
@@ -142,23 +144,23 @@ class ServerProvider(ABC):
         return None
 
     def _schema(self, request: Request[Any], role: RoleOptions) -> dict[str, Any] | None:
-        """Return the schema that the server is to enforce; None where it cannot."""
+        """Return the schema for the server to enforce; None if it cannot."""
         if not self._supports(self.schema_feature, request, role):
             return None
         try:
             return anthropic.transform_schema(request.json_schema)
         except ValueError:
-            return None  # such as a field of any type, which structured output cannot express
+            return None  # Structured output cannot express it, such as a field of any type.
 
     def _prompt(self, request: Request[Any], schema: dict[str, Any] | None) -> str:
-        # A local server may accept a schema and not enforce it.
+        # A local server may accept a schema without enforcing it.
         if schema is not None and not self._connection.local:
             return request.prompt
         return f"{request.prompt}\n\n{response_rule(request)}"
 
 
 def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tuple[str, str]]:
-    """Return the turns (role, text) that follow a prompt whose responses were rejected."""
+    """Return the messages (role, text) after a prompt whose responses were rejected."""
     turns = []
     for rejection in rejected:
         turns.append(("assistant", rejection.text.strip() or "(nothing)"))

@@ -128,7 +128,7 @@ def recorded_costs(run: RunFolder, models: Panel | None) -> Iterator[None]:
         return
     if run.data["mllm"]:
         try:
-            models.ledger.carry(run.data["mllm"])
+            models.ledger.add_earlier(run.data["mllm"])
         except (AttributeError, LookupError, TypeError, ValueError):
             raise RunError(
                 f"{run.path / 'run.json'}: the costs under mllm are damaged: repair them, or start "

@@ -124,5 +124,5 @@ class ModelScores:
 def file_name(scene: str, point: str, seed: int) -> str:
     """Return the file name of a run's scores; it contains no path from the scene's name."""
     short = hashlib.sha256(f"{scene}\n{point}".encode()).hexdigest()[:8]
-    words = re.sub(r"[^a-z0-9]+", "_", f"{Path(scene).name} {point}".lower()).strip("_")
-    return f"{words[:60]}_{short}_{seed}.jsonl"
+    slug = re.sub(r"[^a-z0-9]+", "_", f"{Path(scene).name} {point}".lower()).strip("_")
+    return f"{slug[:60]}_{short}_{seed}.jsonl"

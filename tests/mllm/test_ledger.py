@@ -4,7 +4,7 @@ import pytest
 
 from neoworld_mjx.errors import BudgetError, ConfigError
 from neoworld_mjx.mllm import Ledger, Price, Usage, load_prices
-from neoworld_mjx.mllm.ledger import most_tokens, price_of
+from neoworld_mjx.mllm.ledger import price_of, token_bound
 
 PRICES = {"m": Price(input=1, output=10, cache_read=0.1, cache_write=2)}
 
@@ -77,17 +77,17 @@ def test_unknown_price_is_unknown_cost():
     assert books["tokens"]["input"] == 1_000_005
 
 
-def test_carry_continues_the_books(make):
+def test_an_earlier_ledger_adds_to_a_new_one(make):
     first = Ledger(2.0, PRICES)
     first.add("critic", "m", Usage(1_000_000), failed=True)
-    first.fell_back("asked in words")
+    first.add_fallback("asked in words")
     second = Ledger(2.0, PRICES)
-    second.carry(first.to_json())
+    second.add_earlier(first.to_json())
     assert second.to_json() == first.to_json()
-    bound = second.bound("m", most_tokens(make.request(), 100_000))
+    bound = second.cost_bound("m", token_bound(make.request(), 100_000))
     assert bound > 1
     assert not second.fits(bound)
-    assert isinstance(second.refuse(make.request(), bound), BudgetError)
+    assert isinstance(second.cap_error(make.request(), bound), BudgetError)
 
 
 def test_the_bound_exceeds_the_cost_of_any_call(make):
@@ -95,13 +95,13 @@ def test_the_bound_exceeds_the_cost_of_any_call(make):
     requests = make.request(prompt="word " * 1000)
     # English text has about four letters a token; pictures a token for 750 pixels.
     real = Usage(len(requests.prompt) // 4 + 30 * 20 // 750 + 400, 256)
-    assert ledger.bound("m", most_tokens(requests, 256)) > PRICES["m"].cost(real)
-    assert most_tokens(requests, 256).output == 256
+    assert ledger.cost_bound("m", token_bound(requests, 256)) > PRICES["m"].cost(real)
+    assert token_bound(requests, 256).output == 256
 
 
 def test_pending_calls_count_towards_the_cap():
     ledger = Ledger(1.0, PRICES)
-    ledger.hold(0.6)
+    ledger.reserve(0.6)
     assert not ledger.fits(0.5)
     assert ledger.fits(0.5, others=False)
     ledger.release(0.6)

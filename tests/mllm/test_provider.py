@@ -74,7 +74,7 @@ def test_auto_without_key_and_tape_lists_the_options(bundled):
 def test_given_tapes_come_before_bundled_ones(bundled, tmp_path):
     Tape(photo=PHOTO, made="mine").save(tmp_path / "mine" / "a.tape.json")
     panel = open_panel(MLLMOptions(), "replay", photo=PHOTO, tapes=[tmp_path / "mine"])
-    assert str(tmp_path / "mine") in str(panel.provider._where)
+    assert str(tmp_path / "mine") in str(panel.provider._path)
 
 
 def test_explicit_providers_report_missing_inputs(bundled):

@@ -60,7 +60,7 @@ def test_responses_that_are_no_json_are_kept_as_text(make, tmp_path):
         (lambda make: {"schema": make.Shade}, "differs in: schema\\."),
         (lambda make: {"system": "s", "role": "critic"}, "differs in: role, system\\."),
         (lambda make: {"prompt": "other", "name": "parsing"}, "nearest entry is 'parse'"),
-        (lambda make: {"prompt": "other", "name": "zzz"}, "the tape holds: parse"),
+        (lambda make: {"prompt": "other", "name": "zzz"}, "the tape contains: parse"),
     ],
 )
 def test_a_missing_response_names_the_request_and_the_nearest_entry(make, changes, what):

@@ -16,7 +16,7 @@ import pytest
 from neoworld_mjx.config import MLLMOptions, RoleOptions, load_config
 from neoworld_mjx.errors import BudgetError, ModelError, NeoWorldError
 from neoworld_mjx.mllm import Panel, open_panel
-from neoworld_mjx.mllm.ledger import most_tokens
+from neoworld_mjx.mllm.ledger import token_bound
 from neoworld_mjx.mllm.requests import Rejection
 from tests.support.model_server import (
     GOOD,
@@ -111,7 +111,7 @@ class TestBothProviders:
             (resets, r"the connection failed"),
             (cuts_off, r"the connection failed|broke off"),
             (ends_early, r"broke off|garbled"),
-            (hangs, r"no sign from the server for 0\.1 s"),
+            (hangs, r"no data from the server for 0\.1 s"),
         ],
     )
     def test_retries_are_bounded(self, connect, make, dialect, script, words):
@@ -215,7 +215,7 @@ class TestBothProviders:
         assert panel.ledger.spent_usd == pytest.approx(1.6)
 
         _, higher = connect(dialect, server=server, max_cost_usd=10.0, **options)
-        higher.ledger.carry(panel.ledger.to_json())
+        higher.ledger.add_earlier(panel.ledger.to_json())
         assert len(higher.ask_many(requests)) == len(server.bodies) == 6
         assert higher.ledger.spent_usd == pytest.approx(2.4)
 
@@ -275,8 +275,8 @@ def test_one_panel_serves_several_event_loops(connect, make):
 
 def test_corrections_count_towards_the_reservation(make):
     request = make.request()
-    corrected = most_tokens(request, 256, [Rejection("x" * 5000, "wrong")])
-    assert corrected.cache_write > most_tokens(request, 256).cache_write + 5000 / 4
+    corrected = token_bound(request, 256, [Rejection("x" * 5000, "wrong")])
+    assert corrected.cache_write > token_bound(request, 256).cache_write + 5000 / 4
 
 
 def test_system_text_and_photo_are_cached(connect, make):
@@ -295,7 +295,7 @@ def test_tokens_before_a_broken_stream_are_booked(connect, make):
     assert panel.ledger.to_json()["tokens"]["input"] == 200
 
 
-def test_missing_token_counts_are_booked_at_their_bound(connect, make):
+def test_missing_token_counts_count_at_their_bound(connect, make):
     events = stream_of("openai", "m", GOOD).split("\n\n")
     uncounted = "\n\n".join(event for event in events if '"usage"' not in event)
     script = sends(uncounted, kind="text/event-stream")
@@ -303,7 +303,7 @@ def test_missing_token_counts_are_booked_at_their_bound(connect, make):
     panel.ask_sync(make.request())
     books = panel.ledger.to_json()
     assert books["tokens"]["output"] == 700
-    assert "booked at their upper bound" in next(iter(books["fallbacks"]))
+    assert "counted at their upper bound" in next(iter(books["fallbacks"]))
 
 
 @pytest.mark.parametrize("parameter", ["max_tokens", "stream_options"])
