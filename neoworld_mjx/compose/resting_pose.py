@@ -2,7 +2,7 @@
 
 Parsed tilts are approximate: the stem of a mushroom tipped by exactly 90 degrees would float, as
 its cap is thicker. The search does not change tilts, so composition descends from the parsed tilt
-to a local minimum of the height of the centre of mass.
+to a local minimum of the height of the center of mass.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 MAX_TILT_RAD = np.radians(30.0)
 """Largest change of the tilt; beyond it the object has another support, or the parse is wrong."""
 LEVEL_M = 1e-7
-"""Smallest drop of the centre of mass on tilting an unstable object; zero for a ball."""
+"""Smallest drop of the center of mass on tilting an unstable object; zero for a ball."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
@@ -53,34 +53,43 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
 
 
 def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
-    """Return whether tilting an upright object lifts its centre of mass, so that it stays upright.
+    """Return whether tilting an upright object lifts its center of mass, so that it stays upright.
 
     The test is sufficient only: an object on a foot narrower than the tilt may also be stable, see
     `resting_tilt`.
     """
     lowest, down = _lowest_points(spec, state), np.array([0.0, 0.0, -1.0])
-    least = float((lowest(down) @ down).max()) - LEVEL_M
+    lowest_height = float((lowest(down) @ down).max()) - LEVEL_M
     sides = _around(down, _FIRST_STEP_RAD)
     sides += [(a + b) / np.linalg.norm(a + b) for a in sides[:2] for b in sides[2:]]
-    return all(float((lowest(side) @ side).max()) >= least for side in sides)
+    return all(float((lowest(side) @ side).max()) >= lowest_height for side in sides)
 
 
 def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArray], NDArray]:
     """Return a function of a unit vector: each piece's furthest point along it, relative to the
-    centre of mass [n, 3] m.
+    center of mass [n, 3] m.
     """
     links = link_poses(spec, state)
     placed = [
-        (piece, links[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
+        (piece, links[part.name].then(frame))
+        for part in spec.parts
+        for _, piece, frame in pieces(part)
     ]
     bodies = [(inertial(spec, part), links[part.name]) for part in spec.parts]
     masses = [inertia.mass for inertia, _ in bodies]
-    centre = np.average([at.apply(inertia.pos) for inertia, at in bodies], axis=0, weights=masses)
+    center = np.average(
+        [frame.apply(inertia.pos) for inertia, frame in bodies], axis=0, weights=masses
+    )
 
     def lowest(down: NDArray) -> NDArray:
         return (
-            np.array([at.apply(_furthest(s, rotate(conjugate(at.quat), down))) for s, at in placed])
-            - centre
+            np.array(
+                [
+                    frame.apply(_furthest(s, rotate(conjugate(frame.quat), down)))
+                    for s, frame in placed
+                ]
+            )
+            - center
         )
 
     return lowest

@@ -85,7 +85,7 @@ def settle(
     poses = world_poses(scene)
     frame = support_frame(base, poses[base.name], obj.parent_link)
     start = frame.inverse().then(poses[obj.name])
-    best, least = None, np.inf
+    best, least_cost = None, np.inf
     container = body_name(base, obj.parent_link or base.spec.root)
     parsed_quat = poses[obj.name].quat
     drops = [
@@ -107,8 +107,8 @@ def settle(
         # The tilt term penalizes an end that got stuck on the rim.
         cost = height + size / 2 * float(angle_between(obj.base_tilt, resting.base_tilt))
         cost += SHIFT_COST * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
-        if cost < least:
-            best, least = resting, cost
+        if cost < least_cost:
+            best, least_cost = resting, cost
     return best
 
 

@@ -98,10 +98,10 @@ def _clearing_shift(
 
 
 def _step_out(
-    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, walls: NDArray, least: float
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, walls: NDArray, limit: float
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the horizontal displacement [m] out of the nearest wall, if nearer than `least`."""
-    nearest, shift, ends = least, None, np.zeros(6)
+    """Return the horizontal displacement [m] out of the nearest wall, if nearer than `limit`."""
+    nearest, shift, ends = limit, None, np.zeros(6)
     for a in geoms:
         gaps = np.linalg.norm(data.geom_xpos[walls] - data.geom_xpos[a], axis=1)
         gaps = gaps - model.geom_rbound[walls] - model.geom_rbound[a]

@@ -43,8 +43,10 @@ def map_runs(
     for first in range(0, len(rows), tile):
         tile_rows = list(rows[first : first + tile])
         stacked_rows = _stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
-        out = jax.device_get(_mapped(fn)(scene, stacked_rows))
-        results += [jax.tree.map(lambda x, k=k: x[k], out) for k in range(len(tile_rows))]
+        stacked_results = jax.device_get(_mapped(fn)(scene, stacked_rows))
+        results += [
+            jax.tree.map(lambda x, k=k: x[k], stacked_results) for k in range(len(tile_rows))
+        ]
     return results
 
 

@@ -35,7 +35,7 @@ from .batching import map_runs, pad_rollout, put, roll_out, settle_candidates, t
 from .feasibility import InitialFeasibility, assess_initial, failing
 from .objective import Placement, Scores, evaluate, place
 from .pruning import RolloutPlan
-from .rewards import Term
+from .rewards import Term, TermValue
 from .rounds import Round
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, population_at, prunes
@@ -71,17 +71,17 @@ class Evaluation(NamedTuple):
                 False for all.
         """
         began = time.perf_counter()
-        resting = rests or [False] * len(layouts)
+        settled_flags = rests or [False] * len(layouts)
         known: dict[int, Placed] = {}
-        for rest in set(resting):
-            members = [k for k in range(len(layouts)) if resting[k] == rest]
+        for is_settled in set(settled_flags):
+            members = [k for k in range(len(layouts)) if settled_flags[k] == is_settled]
             if computes_on_cpu():
-                place_chunks = approximated_in_chunks if rest else placed_in_chunks
+                place_chunks = approximated_in_chunks if is_settled else placed_in_chunks
                 newly_placed = [place_chunks(self.arrays, layouts[k], number) for k in members]
             else:
                 rows = [(layouts[k],) for k in members]
                 newly_placed = map_runs(
-                    _approximated if rest else placed, self.arrays, rows, self.tile
+                    _approximated if is_settled else placed, self.arrays, rows, self.tile
                 )
             known |= zip(members, newly_placed, strict=True)
         placements = self._placements(
@@ -277,11 +277,11 @@ def _put_rows(rows: np.ndarray, whole: np.ndarray, new: np.ndarray) -> np.ndarra
     return put(whole, new[: len(rows)], rows)
 
 
-def _without_others(placement: Placement, kept: np.ndarray) -> Placement:
-    """Exclude all candidates except `kept`: set bounds to -inf and poses to NaN."""
+def _without_others(placement: Placement, rows: np.ndarray) -> Placement:
+    """Exclude all candidates except `rows`: set bounds to -inf and poses to NaN."""
 
     def keep(x: AnyArray, fill: float) -> np.ndarray:
-        return put(np.full_like(x, fill), np.asarray(x)[kept], kept)
+        return put(np.full_like(x, fill), np.asarray(x)[rows], rows)
 
     poses = jax.tree.map(lambda x: keep(x, np.nan), placement.poses)
     return eqx.tree_at(
@@ -296,5 +296,8 @@ def _approximated(scene: SceneArrays, layouts: Layout) -> Placed:
 def with_semantic(placement: Placement, values: np.ndarray) -> Placement:
     """Replace the geometric semantic scores by a model's scores."""
     s_sem = jnp.asarray(values, jnp.float32)
-    term = lambda p: p.values["s_sem"]
+
+    def term(p: Placement) -> TermValue:
+        return p.values["s_sem"]
+
     return eqx.tree_at(lambda p: (term(p).value, term(p).charged), placement, (s_sem, s_sem))

@@ -72,10 +72,10 @@ class RolloutPlan:
     def placed_at_rest(self, placement: Placement) -> None:
         """Store the placement in which the `waiting` candidates have settled."""
         self._placement, self._upper = placement, np.asarray(placement.bound)
-        new, self._waiting = np.split(self._waiting, [self.rests])
+        settled, self._waiting = np.split(self._waiting, [self.rests])
         self._first = len(self._order)
-        new = new[np.argsort(-self._upper[new], kind="stable")]
-        self._order = np.concatenate([self._order, new])
+        settled = settled[np.argsort(-self._upper[settled], kind="stable")]
+        self._order = np.concatenate([self._order, settled])
 
     def next(self) -> np.ndarray | slice | None:
         """Return the candidates to roll out next; None if no remaining one can become an elite.

@@ -30,7 +30,7 @@ from .search_run import SearchResult, SearchRun
 
 COMPOSED = "compose/scene.json"
 """Path of the composed scene in a run folder."""
-FEW = 256
+MAX_CPU_POPULATION = 256
 """Largest population for which the 16 cores of a host were as fast as its GPU."""
 
 
@@ -147,7 +147,7 @@ def _open_engine(name: str, o: RefineOptions) -> Engine:
 
 def _suits_cores(o: RefineOptions) -> bool:
     """Return whether populations are too small to benefit from an accelerator."""
-    return max(o.cem.population, o.cem.first) <= FEW
+    return max(o.cem.population, o.cem.first) <= MAX_CPU_POPULATION
 
 
 def _unmoved_names(model: SceneModel, result: SearchResult) -> tuple[str, ...]:

@@ -44,8 +44,8 @@ def surrogate_scores(
     # Shrinkage of the mean, equivalent to one more candidate with difference zero.
     mean = difference.sum() / (count + 1)
     known, targets = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
-    centre = known.mean(axis=0)
-    predicted = _regressed(known - centre, difference - mean, targets - centre)
+    center = known.mean(axis=0)
+    predicted = _regressed(known - center, difference - mean, targets - center)
     return np.clip(geometric + mean + predicted, 0.0, 1.0)
 
 

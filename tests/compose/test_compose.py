@@ -41,7 +41,7 @@ CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
 
 
-def node(name, spec, position, parent="table", yaw=0.0, size=None, **more):
+def node(name, spec, position, parent="table", yaw=0.0, size=None, **fields):
     low, high = bounds(spec)
     return TreeNode(
         name=name,
@@ -49,7 +49,7 @@ def node(name, spec, position, parent="table", yaw=0.0, size=None, **more):
         parent=parent,
         box2d=PIXELS,
         box3d=Box3D(position=position, size=tuple(size or (high - low).tolist()), yaw=yaw),
-        **more,
+        **fields,
     )
 
 
@@ -367,11 +367,11 @@ def test_a_lying_object_is_tilted_to_its_resting_pose():
 def test_leaning_and_standing_objects_keep_their_tilt():
     back = tuple(from_axis_angle((0.0, -1.0, 0.0), 0.2).tolist())
     thing = mushroom()
-    for more in (
+    for fields in (
         {"relation": "leaning", "base_tilt": back},
         {"fixed_base": True, "base_tilt": back},
     ):
-        result = composed([node("mushroom", thing, (1.0, 0, 0), **more)], {"mushroom": thing})
+        result = composed([node("mushroom", thing, (1.0, 0, 0), **fields)], {"mushroom": thing})
         assert result.scene.objects[1].base_tilt == pytest.approx(back)
         assert result.notes == ()
     result = composed([node("mushroom", thing, (1.0, 0, 0))], {"mushroom": thing})

@@ -45,8 +45,8 @@ def chest(**hinge) -> ObjectSpec:
     )
 
 
-def placed(spec: ObjectSpec, **more) -> SceneObject:
-    return SceneObject(name="chest", spec=spec, parent="table", z=0.02, **more)
+def placed(spec: ObjectSpec, **fields) -> SceneObject:
+    return SceneObject(name="chest", spec=spec, parent="table", z=0.02, **fields)
 
 
 def lid_turn(obj: SceneObject) -> float:
