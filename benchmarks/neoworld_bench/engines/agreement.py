@@ -1,7 +1,8 @@
 """Agreement of engines with MuJoCo on the same layouts.
 
-(a) a candidate's model equals a recompiled scaled one, (b) `native` equals `mj_step` on it bit by
-bit, (c) motion equals that of the recompiled model as long as chaos allows, (d) verdicts are equal.
+Four checks: (a) a candidate's model equals the recompiled scaled model; (b) `native` equals
+`mj_step` on it bit by bit; (c) its motion equals that of the recompiled model until chaos separates
+them; (d) verdicts are equal.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,7 +35,7 @@ BIT_STEPS, FALL_STEPS, FALL = 100, 100, 2.0
 
 
 class ModelRow(Row):
-    """Checks (a) to (c) of one scene."""
+    """Results of checks (a) to (c) of one scene."""
 
     scene: str
     layouts: int
@@ -58,7 +59,7 @@ class ModelRow(Row):
 
 
 class VerdictRow(Row):
-    """Check (d) of one scene and engine."""
+    """Result of check (d) of one scene and engine."""
 
     scene: str
     engine: str
@@ -83,16 +84,16 @@ def agreement(
     layouts: int = 64,
     seed: int = 0,
 ) -> Iterator[ModelRow | VerdictRow]:
-    """Compare engines with MuJoCo on recompiled scenes, one row as soon as it is known.
+    """Compare engines with MuJoCo on recompiled scenes; yield rows as they complete.
 
     Args:
         scenes: names in `AGREEMENT`; none selects all six.
-        engines: of which verdicts are compared.
+        engines: engines whose verdicts are compared.
         layouts: candidates of each scene.
         seed: of the layouts.
 
     Raises:
-        EngineError: there is no such scene.
+        EngineError: a scene is unknown.
     """
     for name in scenes or AGREEMENT:
         if name not in AGREEMENT:
@@ -215,7 +216,8 @@ def _differences(
     again: mujoco.MjModel,
     fresh: mujoco.MjData,
 ) -> _Differences:
-    """Compare a candidate's model with the recompiled one, and its native end with mj_step."""
+    """Compare a candidate's model with the recompiled one, and its native final state with
+    mj_step."""
     data = mujoco.MjData(model)
     data.qpos[:] = start
     mujoco.mj_step(model, data)
@@ -238,7 +240,7 @@ def _differences(
 def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> float:
     """Return the largest difference between both models in a fall without contact.
 
-    Every object is raised to a height of its own, so that none touches another.
+    Every object is raised to a different height, so that no two touch.
 
     Raises:
         EngineError: objects touched.

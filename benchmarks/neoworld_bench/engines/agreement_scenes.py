@@ -1,4 +1,4 @@
-"""Six scenes on which engines must agree, each with one kind of difficulty."""
+"""Six scenes on which engines must agree, each with a different difficulty."""
 
 import math
 from collections.abc import Callable
@@ -207,6 +207,5 @@ AGREEMENT: dict[str, tuple[Callable[[], SceneSpec], Noise]] = {
     "leaning": (leaning, Noise(xy=0.04, yaw=0.05, scales=_SCALES)),
     "mixed": (mixed, Noise(xy=0.22, scales=_SCALES)),
 }
-"""The scenes on which engines are compared, each with the noise that fails 30 to 70 % of
-layouts.
+"""Scenes on which engines are compared, each with noise that fails 30 to 70 % of layouts.
 """

@@ -13,10 +13,10 @@ from neoworld_mjx.physics.model import SceneModel
 def bare_scan(
     scene: SceneModel, layouts: Layout, steps: int, chunk: int = mjx_engine.MJX_CHUNK
 ) -> Callable[[], Any]:
-    """Prepare candidates as engine mjx does; return a call that steps them to the end.
+    """Prepare candidates as engine mjx does; return a function that steps them to the end.
 
-    Placing candidates and writing their model fields is done here, once, and costs the call
-    nothing; it returns coordinates [pop, 1, nq], in chunks.
+    Candidates are placed and their model fields are written here, once. The function returns
+    coordinates [pop, 1, nq], in chunks.
 
     Args:
         scene: the compiled scene.

@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 
-# Search structures (bounding-volume trees, hull graphs) break ties by rounding, which changes how
-# fast a result is found but not which. Meshes are compared in the body frame: MuJoCo turns each to
-# its principal axes, and a symmetric one has several.
+# Search structures (bounding-volume trees, hull graphs) break ties by rounding, which affects speed
+# but not results. Meshes are compared in the body frame: MuJoCo rotates each to its principal axes,
+# which are not unique for a symmetric mesh.
 _SKIP = ("names", "paths", "bvh_", "oct_", "mesh_", "key_qpos")
 SINGLE = ("mesh_vertices", "dof_length")
-"""Fields that MuJoCo stores in single precision, or derives from such."""
+"""Fields that MuJoCo stores in single precision or derives from single-precision values."""
 
 
 def meshes_in_bodies(model: mujoco.MjModel) -> dict[str, np.ndarray]:
@@ -16,11 +16,11 @@ def meshes_in_bodies(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     vertices = {}
     for g in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         mesh = model.geom_dataid[g]
-        at, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[g])
         vertices[model.geom(g).name] = (
-            model.mesh_vert[at : at + n] @ rotation.reshape(3, 3).T + model.geom_pos[g]
+            model.mesh_vert[first : first + n] @ rotation.reshape(3, 3).T + model.geom_pos[g]
         )
     return vertices
 
@@ -28,13 +28,13 @@ def meshes_in_bodies(model: mujoco.MjModel) -> dict[str, np.ndarray]:
 def field_errors(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> dict[str, float]:
     """Return the largest difference of each field, relative to the field's largest value.
 
-    Integer fields count 0 or inf. "mesh_vertices" is the largest distance of a vertex from the
-    nearest vertex of the other mesh, over its extent.
+    Errors of integer fields are 0 or inf. "mesh_vertices" is the largest distance of a vertex from
+    the nearest vertex of the other mesh, over its extent.
     """
     errors = {"mesh_vertices": 0.0}
-    ours_at, theirs_at = meshes_in_bodies(ours), meshes_in_bodies(theirs)
-    for name, b in theirs_at.items():
-        gap = np.linalg.norm(ours_at[name][:, None] - b[None], axis=-1)
+    our_meshes, their_meshes = meshes_in_bodies(ours), meshes_in_bodies(theirs)
+    for name, b in their_meshes.items():
+        gap = np.linalg.norm(our_meshes[name][:, None] - b[None], axis=-1)
         worst = max(gap.min(axis=0).max(), gap.min(axis=1).max()) / np.ptp(b, axis=0).max()
         errors["mesh_vertices"] = max(errors["mesh_vertices"], float(worst))
     plain = theirs.geom_type != mujoco.mjtGeom.mjGEOM_MESH

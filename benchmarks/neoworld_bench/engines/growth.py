@@ -24,7 +24,7 @@ class Growth(NamedTuple):
     label: str
     objects: list[int]
     cost_ms: list[float]
-    """Time of a candidate [ms]."""
+    """Time per candidate [ms]."""
     exponent: float
     """b of cost = a objects^b, by least squares in the logarithms; nan for a single point."""
 
@@ -32,11 +32,11 @@ class Growth(NamedTuple):
 def growth(rows: Iterable[PhysicsRow], *, core: bool = False) -> list[Growth]:
     """Fit a power law to the cost of a candidate, for every engine with and without early stop.
 
-    Of several populations each engine's lowest cost counts.
+    The lowest cost over all populations counts.
 
     Args:
         rows: of `physics`.
-        core: count processor time in place of time; only `native` and the naive loop have it.
+        core: use processor time instead of wall time; only `native` and the naive loop have it.
     """
     best: dict[str, dict[int, float]] = {}
     for row in rows:

@@ -1,6 +1,6 @@
 """Times of the implementations of the penetration term, and their errors against the reference.
 
-One row for each implementation; one that cannot run on this device says why.
+One row for each implementation; the row of one that cannot run on this device has the reason.
 """
 
 import functools
@@ -27,33 +27,33 @@ from .table_scenes import Noise, crowded, noisy_layouts
 
 REPEATS = 7
 CALLS = 10
-"""Calls in a row that one time is taken of, so that a device is not left waiting for the host."""
+"""Consecutive calls per measured time, so that the device does not wait for the host."""
 TOLERANCE = 1e-5
-"""Largest difference from the reference [m] that a row may have and still give its time."""
+"""Difference from the reference [m] above which a row has no time."""
 
 Depth = Callable[..., Float[Array, "pop object object"]]
 
 
 class KernelRow(Row):
-    """One implementation at one size; None where it cannot run."""
+    """Result of one implementation at one size; None where it cannot run."""
 
     implementation: str
     objects: int
-    """The table among them."""
+    """Number of objects, including the table."""
     population: int
     samples: int
     pieces: int
-    """Convex pieces of all objects."""
+    """Number of convex pieces of all objects."""
     compile_s: float | None = None
-    """First call less a steady one."""
+    """Time of the first call minus that of a steady one."""
     ms: float | None = None
-    """Median of a population."""
+    """Median time for a population."""
     gradient_ms: float | None = None
-    """Median of the summed depth with its gradient by positions."""
+    """Median time of the summed depth with its gradient with respect to positions."""
     distances_per_s: float | None = None
-    """Signed distances of one sample and one piece; culled ones count as done."""
+    """Rate of signed distances of one sample and one piece; culled pairs count."""
     over_reference: float | None = None
-    """Time of the reference over this one's."""
+    """Speedup over the reference."""
     max_error_m: float | None = None
     status: str = "ok"
 
@@ -69,10 +69,10 @@ def implementations() -> dict[str, Depth]:
 
 
 def dispatch(rows: Sequence[KernelRow]) -> dict[str, Any]:
-    """Return the entry of `penetration_measured.json` that these rows call for.
+    """Return the entry of `penetration_measured.json` for these rows.
 
-    The kernel is taken from the smallest amount of work (candidates times objects times samples
-    times pieces) on from which it was faster in every row, over all objects that were measured.
+    The kernel is used from the smallest work size (candidates x objects x samples x pieces) from
+    which on it is faster in every row.
 
     Raises:
         EngineError: no row timed both implementations.
@@ -129,7 +129,7 @@ def kernels(
         populations: numbers of candidates.
         samples: surface samples of each object.
         seed: of scenes and layouts.
-        budget: time that the calls of a row may take [s]; a call that is running is not ended.
+        budget: time limit of the calls of a row [s]; a running call is not interrupted.
     """
     for count in objects:
         scene = compile_scene(crowded(count, seed=seed), samples=samples)

@@ -36,12 +36,12 @@ from .table_scenes import single
 
 KINDS = ("box", "sphere", "capsule", "cylinder", "ellipsoid", "polytope")
 DEEP = 0.005
-"""Depth [m] from which on overlaps should not be missed."""
+"""Depth [m] above which sampling should not miss overlaps."""
 OVERLAP = 0.03
 """Largest overlap [m] along the direction in which two colliders are pushed together."""
 
 FAR = np.float32(1e3)
-"""Distance [m] at which pieces are placed that must touch nothing."""
+"""Distance [m] to which pieces are moved that must not touch."""
 
 
 class Pairs(NamedTuple):
@@ -116,7 +116,7 @@ def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed
         seed: seed of colliders and poses.
     """
     rng = np.random.default_rng(seed)
-    # Two sets, one for each side: MuJoCo's geoms are in one place at a time.
+    # Two sets, as each MuJoCo geom has a single pose.
     objects = tuple(
         SceneObject(
             name=f"{kind}_{k}", spec=single(kind, (_shape(kind, rng), (0, 0, 0))), z=float(k)
@@ -129,7 +129,7 @@ def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed
     rot = Rotation.from_quat(rng.normal(size=(2 * count, 4))).as_matrix().reshape(count, 2, 3, 3)
     along = rng.normal(size=(count, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # Extent of each towards the other.
+    # Extent of each toward the other.
     towards = np.einsum("nkij,ni->nkj", rot, along) * [[[1.0], [-1.0]]]
     reach = np.max(np.einsum("nksj,nkj->nks", points[pick], towards), axis=-1).sum(axis=1)
     gap = reach - rng.uniform(0, OVERLAP, count)
@@ -180,7 +180,7 @@ def _sampled(
             empty = (np.zeros((len(pick), *np.shape(x)), np.float32) for x in arrays)
             groups.append((np.zeros((len(pick), 0), np.int32), *empty))
             continue
-        # Every pair has a piece of each kind on both sides; those of other kinds are far away.
+        # Both sides of every pair have a piece of each kind; pieces of other kinds are far away.
         row = np.searchsorted(owner, pick).clip(max=len(owner) - 1)
         at, *others = (x[row] for x in arrays)
         side = np.tile(np.array([0, 1], np.int32), (len(pick), 1))

@@ -1,7 +1,7 @@
 """Generated tables with any number of objects, and noisy layouts of them.
 
-Gaps and noise are chosen such that a large share of the layouts fails, as early stopping and
-verdicts are trivial otherwise.
+Gaps and noise are chosen so that a large share of the layouts fails; otherwise early stopping and
+verdicts would be trivial.
 """
 
 import math
@@ -29,7 +29,7 @@ from neoworld_mjx.spec import (
 )
 
 COUNTS = (3, 6, 10, 20, 40)
-"""Object counts that cost growth is measured over; the table is not counted."""
+"""Numbers of objects, without the table, over which cost growth is measured."""
 
 WOOD = Material(name="wood", density=600, friction=0.5)
 CERAMIC = Material(name="ceramic", density=2300, friction=0.4)
@@ -46,30 +46,30 @@ _EDGES = {"box": (0.075, 0.075, 0.075), "upper": (0.05, 0.05, 0.05), "inside": (
 """Mean edges of the boxes [m]."""
 
 _GAPS = ((3, -0.02), (6, -0.011), (10, 0.01), (20, 0.017), (40, 0.025))
-"""Clearance between neighbours [m] by number of objects: more pairs need more room to fail
-alike.
+"""Clearance between neighbours [m] by number of objects: more objects need more
+clearance for the same share of failures.
 """
 
 
 class Noise(NamedTuple):
-    """Spread of layouts; the default is that of a rough parse, and fails 40 to 80 % of
-    `crowded`.
+    """Spread of layouts; the default is that of a rough parse, with which 40 to 80 % of the layouts
+    of `crowded` fail.
     """
 
     xy: float = 0.14
-    """Standard deviation, of an object's horizontal diagonal."""
+    """Standard deviation of the position as a share of the object's horizontal diagonal."""
     yaw: float = math.radians(15.0)
     """Standard deviation [rad]."""
     log_scale: float = 0.1
     """Standard deviation of the logarithm of the scale."""
     scales: tuple[float, float] | None = None
-    """Smallest and largest scale, drawn evenly in the logarithm, in place of a Gaussian."""
+    """Smallest and largest scale, drawn log-uniformly, instead of a Gaussian."""
 
 
 def noisy_layouts(
     scene: SceneModel, pop: int, *, seed: int = 0, noise: Noise | None = None
 ) -> Layout:
-    """Draw layouts around the composed scene; NumPy leaves in single precision.
+    """Draw layouts around the composed scene, as NumPy arrays in single precision.
 
     Args:
         scene: the compiled scene; environment supports stay where they are.
@@ -79,7 +79,7 @@ def noisy_layouts(
     """
     n = noise or Noise()
     free = np.asarray(scene.optimised, float)
-    # A generator a candidate, so that a longer population begins with the shorter one.
+    # One generator per candidate, so that a larger population begins with a smaller one.
     draws = [np.random.default_rng((seed, k)) for k in range(pop)]
     normal = np.stack([rng.normal(size=(4, len(free))) for rng in draws])
     xy = normal[:, :2].transpose(0, 2, 1) * (n.xy * np.asarray(scene.diagonal))[:, None]
@@ -95,7 +95,7 @@ def crowded(objects: int, *, seed: int = 0, gap: float | None = None) -> SceneSp
     """Return a table with boxes, cylinders, prisms, balls, rods and open containers.
 
     Args:
-        objects: how many, without the table.
+        objects: number of objects, without the table.
         seed: of sizes and headings.
         gap: clearance between neighbours [m]; by default such that 40 to 80 % of noisy layouts
             fail.
@@ -131,7 +131,7 @@ def _log_table(rows: tuple[tuple[int, float], ...]) -> tuple[list[float], list[f
 
 
 def _rows(radii: list[float], gap: float) -> tuple[list[tuple[float, float]], tuple[float, float]]:
-    """Place discs in rows with a gap between them; return centers and the table's edges [m]."""
+    """Place discs in rows with a gap; return their centers and the table's edges [m]."""
     width = math.ceil(math.sqrt(len(radii)))
     spots: list[tuple[float, float]] = []
     y = 0.0
@@ -192,7 +192,7 @@ def single(
 
 
 def table(x: float = 0.8, y: float = 0.8) -> SceneObject:
-    """Return a table with its top in the plane z = 0 and edges of these lengths [m]."""
+    """Return a table with the given edges [m] and its top in the plane z = 0."""
     spec = single("table", (Box(size=(x, y, TOP)), (0, 0, 0)))
     return SceneObject(name="table", spec=spec, environment=True, z=-TOP)
 
@@ -210,7 +210,7 @@ def _height(item: SceneObject) -> float:
 
 
 def block(name: str, x: float, y: float, z: float, **more: Any) -> ObjectSpec:
-    """Return a wooden box with edges of these lengths [m]."""
+    """Return a wooden box with the given edges [m]."""
     return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **more)
 
 

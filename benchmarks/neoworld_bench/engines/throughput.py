@@ -1,7 +1,7 @@
 """Candidates per second of each engine, compared with the naive loop and a bare MJX scan.
 
-Every row runs in its own process, so that its peak memory is measured and it can be stopped when it
-exceeds its budget. A row whose verdicts disagree with the naive loop has no rates.
+Every row runs in a separate process, which gives its peak memory and can be stopped at its time
+limit. A row whose verdicts disagree with the naive loop has no rates.
 """
 
 import json
@@ -30,17 +30,17 @@ from .table_scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
 
 NAIVE_CANDIDATES = 128
-"""Candidates that the naive loop is timed on, and that verdicts are compared with."""
+"""Number of candidates on which the naive loop is timed and verdicts are compared."""
 REPEATS = 5
-"""Maximum number of rollouts that a steady rate is the median of."""
+"""Maximum number of rollouts over which the steady rate is the median."""
 SANE_AGREEMENT, SANE_FAILED = 0.9, 0.01
-"""Bounds of verdict agreement and share of failed candidates beyond which a row has no rate."""
+"""Least agreement of verdicts and largest share of failed candidates of a row with a rate."""
 _START_S = 30.0
-"""Time granted to a row's process to start and to compile the scene [s]."""
+"""Time limit for a row's process to start and compile the scene [s]."""
 
 
 class Task(BaseModel):
-    """The conditions of one row."""
+    """Conditions of one row."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,42 +54,42 @@ class Task(BaseModel):
 
 
 class PhysicsRow(Row):
-    """A row of the table; None if a column does not apply or was not reached."""
+    """Row of the table; None if a column does not apply or was not reached."""
 
     engine: str
     objects: int
     population: int
     steps: int
-    """Time steps of a candidate that runs to its end."""
+    """Time steps of a full rollout."""
     early_stop: bool
     candidates_per_s: float | None = None
     naive_candidates_per_s: float | None = None
     bare_scan_candidates_per_s: float | None = None
     """Rate of `jax.vmap` over `mjx.step` alone, with the same batched fields; engine mjx only."""
     core_ms: float | None = None
-    """Processor time of a candidate [ms], all threads together; engine native only. Other
-    processes do not affect it."""
+    """Processor time per candidate over all threads [ms]; engine native only. Other processes do
+    not affect it."""
     naive_core_ms: float | None = None
     compile_s: float | None = None
-    """First rollout less a steady one: tracing, compiling, filling caches."""
+    """Time of the first rollout minus that of a steady one: tracing, compilation, cold caches."""
     first_s: float | None = None
     steady_s: float | None = None
     """Median of `repeats` rollouts."""
     repeats: int = 0
     steps_per_s: float | None = None
-    """Simulated steps, those of stopped candidates left out."""
+    """Rate of simulated steps, without those of stopped candidates."""
     mean_steps: float | None = None
     single_thread_steps_per_s: float | None = None
     """Rate of `mj_step` in the naive loop."""
     peak_mib: float | None = None
-    """Largest resident memory of the row's process, imports included."""
+    """Peak resident memory of the row's process, imports included."""
     device_peak_mib: float | None = None
     others_cores: float | None = None
-    """Mean number of cores that other processes kept busy while this row was timed."""
+    """Mean number of cores used by other processes while this row was timed."""
     verdict_agreement: float | None = None
     """Agreement with the naive loop over `compared` layouts, including those near a bound."""
     verdict_agreement_clear: float | None = None
-    """The same without the layouts that move 0.5 to 2 times a bound."""
+    """The same without borderline layouts, which move 0.5 to 2 times a bound."""
     compared: int = 0
     stable_share: float | None = None
     failed_share: float | None = None
@@ -98,7 +98,7 @@ class PhysicsRow(Row):
 
 
 class Measured(BaseModel):
-    """Measurements of one row, as its process returns them."""
+    """Measurements of one row from its process."""
 
     model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
 
@@ -128,17 +128,17 @@ def physics(
     seed: int = 0,
     apart: bool = True,
 ) -> Iterator[PhysicsRow]:
-    """Measure engines, one row as soon as it is known.
+    """Measure engines; yield rows as they complete.
 
     Args:
         objects: numbers of objects on the table.
         populations: numbers of candidates.
         engines: names of engines.
-        early_stop: whether candidates may stop early.
+        early_stop: values of early stopping to measure.
         duration: simulated time [s].
-        budget: time that a row may take, and that the naive loop may take for a scene [s].
+        budget: time limit of a row, and of the naive loop for a scene [s].
         seed: of scenes and layouts.
-        apart: measure in processes of their own; otherwise here, without an end to a long row.
+        apart: True to measure in separate processes; otherwise in this one, without a time limit.
     """
     for count in objects:
         scene = compile_scene(crowded(count, seed=seed))
@@ -214,7 +214,7 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
 
 
 def _in_a_process(task: Task) -> Measured | str:
-    """Measure in a new process; return the reason when it is ended or fails."""
+    """Measure in a new process; return the reason if it is stopped or fails."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "row.json"
         command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
@@ -290,7 +290,7 @@ def measure(task: Task) -> Measured | str:
 def _time_bare(
     scene: SceneModel, layouts: Layout, rollout: Rollout, task: Task, left: float
 ) -> list[float]:
-    """Time the bare scan as often as there is time for; not at all when a rollout took too long."""
+    """Time the bare scan as often as time allows; not at all if a rollout took too long."""
     ends = time.perf_counter() + left
     steps = round(task.duration_s / scene.static.mjm.opt.timestep)
     once = bare_scan(scene, layouts, steps)
@@ -304,7 +304,7 @@ def _time_bare(
 
 
 def main() -> None:
-    """Measure the task given as JSON and write the result to the file given."""
+    """Measure a task given as JSON, and write the result to a file."""
     task = Task.model_validate_json(sys.argv[1])
     result = measure(task)
     text = json.dumps(result) if isinstance(result, str) else result.model_dump_json()

@@ -19,12 +19,12 @@ _BOUNDS = RewardOptions()
 DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
 """Bounds of stability [m], [rad]."""
 NEAR = (0.5, 2.0)
-"""Multiples of a bound between which a layout is borderline and counted separately: a perturbation
-of 1e-13 can change its verdict."""
+"""Multiples of a bound between which a layout is borderline and counted separately, as a
+perturbation of 1e-13 can change its verdict."""
 
 
 def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
-    """Return each candidate's largest motion in units of the bounds; inf where it failed."""
+    """Return each candidate's largest motion in units of the bounds; inf if it failed."""
     far, turned = (np.asarray(x) for x in drifts(scene, rollout))
     each = np.maximum(far / DISTANCE, turned / ANGLE)
     most = np.where(np.asarray(scene.movable), each, 0.0).max(axis=1)
@@ -37,9 +37,9 @@ class Loop(NamedTuple):
     motion: Float[np.ndarray, " some"]
     """Largest motion in units of the bounds."""
     compile_s: Float[np.ndarray, " some"]
-    """Time that each candidate took to compile."""
+    """Compilation time of each candidate."""
     step_s: Float[np.ndarray, " some"]
-    """Time that each took to simulate."""
+    """Simulation time of each candidate."""
     cpu_s: float
     """Processor time of compiling and simulating all of them."""
     steps: int
@@ -67,15 +67,15 @@ def naive_loop(
 ) -> Loop:
     """Compile and step the model of each candidate in turn, on one thread.
 
-    Only the time in which MuJoCo compiles and steps counts.
+    Times cover MuJoCo's compilation and steps only.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        poses: where they stand, in double precision.
+        poses: their poses in double precision.
         duration: simulated time [s].
-        record_every: time between the poses that a verdict is made of [s].
-        budget: seconds after which no further candidate is begun.
+        record_every: time between the poses on which verdicts are based [s].
+        budget: time after which no further candidate starts [s].
     """
     timestep = scene.static.mjm.opt.timestep
     records, every = record_steps(timestep, duration, record_every)
@@ -98,7 +98,7 @@ def naive_loop(
 
 
 def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile a description and put it into its start state."""
+    """Compile a description, and return the model with its initial state."""
     model = spec.compile()
     # As in compile_scene: a diverged state must not be reset.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -121,7 +121,7 @@ def _walk(
 
 
 def _farthest(model: mujoco.MjModel, path: np.ndarray) -> float:
-    """Return the largest motion along a path in units of the bounds; inf where it is not finite."""
+    """Return the largest motion along a path in units of the bounds; inf if it is not finite."""
     free = model.jnt_qposadr[model.jnt_type == FREE]
     if not np.isfinite(path).all():
         return float("inf")
@@ -139,7 +139,7 @@ class Compared(NamedTuple):
     stable: Bool[np.ndarray, " pop"]
     """True if each layout is stable by the reference."""
     near: Bool[np.ndarray, " pop"]
-    """Within `NEAR` of a bound by the reference."""
+    """True if the reference is within `NEAR` of a bound."""
     same: Bool[np.ndarray, " pop"]
 
     def share(self, *, near: bool) -> float | None:

@@ -1,8 +1,8 @@
 """CLIP, DINOv2 and LPIPS from the files in which they are published or exported.
 
 CLIP and DINOv2 come as a folder: an image tower in ONNX (`onnx/vision_model.onnx`,
-`onnx/model.onnx`, or the same without `onnx/`) and `preprocessor_config.json`, which says how a
-picture is shrunk, cut to its middle and normalised. LPIPS is one file that takes two pictures.
+`onnx/model.onnx`, or the same without `onnx/`) and `preprocessor_config.json`, which specifies
+resizing, center crop and normalisation. LPIPS is one file with two image inputs.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ TOWERS = {
     "dino": (("model.onnx",), ("pooler_output", "last_hidden_state")),
     "uni3d": (("image.onnx",), ("image_embeds",)),
 }
-"""Names of the file and of its output, by the kind of model; the first that is there is taken."""
+"""File and output names by the kind of model; the first that exists is used."""
 
 
 def _shorter_side(value: Any) -> Any:
@@ -53,11 +53,11 @@ class Preprocessing(BaseModel):
     model_config = ConfigDict(extra="ignore")
 
     size: Annotated[_Side, BeforeValidator(_shorter_side)]
-    """Length that the shorter side is resized to [px]."""
+    """Shorter side after resizing [px]."""
     crop_size: Annotated[_Side, BeforeValidator(_square)]
-    """Side of the square that is cut from the middle [px]."""
+    """Side of the center crop [px]."""
     resample: Annotated[int, Field(ge=0, le=5)] = 3
-    """Filter of the resizing, by Pillow's number: 3 is bicubic."""
+    """Resampling filter by Pillow's number: 3 is bicubic."""
     rescale_factor: float = 1 / 255
     image_mean: _Triple
     image_std: Annotated[_Triple, Field(description="Standard deviation of each channel.")]
@@ -67,10 +67,10 @@ class Preprocessing(BaseModel):
     do_normalize: bool = True
 
     def tensor(self, rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "1 3 side side"]:
-        """Return a picture as the model takes it."""
+        """Return an image as the model's input."""
         height, width = rgb.shape[:2]
         short = min(width, height)
-        # As the published processors do: the longer side is rounded down.
+        # The longer side is rounded down, as in the published processors.
         resized = (int(self.size * width / short), int(self.size * height / short))
         image = Image.fromarray(rgb).resize(resized, Image.Resampling(self.resample))
         side = self.crop_size
@@ -81,7 +81,7 @@ class Preprocessing(BaseModel):
 
 
 class ImageEncoder:
-    """An image tower with its preprocessing.
+    """Image tower with its preprocessing.
 
     Args:
         path: the published folder, or its ONNX file.
@@ -93,7 +93,9 @@ class ImageEncoder:
 
     def __init__(self, path: Path, kind: str) -> None:
         files, outputs = TOWERS[kind]
-        file = _found(path, [Path(sub) / name for name in files for sub in ("onnx", ".")], kind)
+        file = _model_file(
+            path, [Path(sub) / name for name in files for sub in ("onnx", ".")], kind
+        )
         places = [file.parent, file.parent.parent]
         config = next((p / CONFIG for p in places if (p / CONFIG).is_file()), None)
         if config is None:
@@ -115,10 +117,10 @@ class ImageEncoder:
             )
 
     def embed(self, rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " d"]:
-        """Return a picture's features, of length 1; of tokens, the first (CLS).
+        """Return an image's features, normalised; for tokens, those of the first (CLS).
 
         Raises:
-            ConfigError: the model gives what is not finite, or no vector.
+            ConfigError: the model's output is not finite or no vector.
         """
         assert self._output is not None
         values = self.model.run({"pixel_values": self.preprocessing.tensor(rgb)}, self._output)
@@ -147,7 +149,7 @@ class ImageEncoder:
 
 
 class LpipsModel:
-    """LPIPS, exported to ONNX with two inputs [1, 3, h, w] in [-1, 1] and one number as output.
+    """LPIPS in ONNX, with two inputs [1, 3, h, w] in [-1, 1] and one number as output.
 
     Args:
         path: the file.
@@ -157,18 +159,18 @@ class LpipsModel:
     """
 
     def __init__(self, path: Path) -> None:
-        self.model = OnnxModel(_found(path, [Path("lpips.onnx")], "lpips"), "lpips")
+        self.model = OnnxModel(_model_file(path, [Path("lpips.onnx")], "lpips"), "lpips")
         advice = "expected is LPIPS with two pictures [1, 3, any, any] as inputs"
         names = [port.name for port in self.model.inputs]
         if len(names) != 2:
-            names = ["a picture", "another"]  # Which no file has: the error tells its inputs.
+            names = ["a picture", "another"]  # No file has these: the error lists its inputs.
         self.model.check_inputs(dict.fromkeys(names, (1, 3, None, None)), advice)
 
     def distance(self, a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "h w 3"]) -> float:
-        """Return the distance of two pictures of one size, 0 for equal ones.
+        """Return the distance of two images of equal size, 0 for equal images.
 
         Raises:
-            ConfigError: the model gives no number, or was exported for another size.
+            ConfigError: the output is no number, or the model was exported for another size.
         """
         height, width = a.shape[:2]
         size = {port.name: (1, 3, height, width) for port in self.model.inputs}
@@ -186,11 +188,11 @@ class LpipsModel:
         return float(values.reshape(()))
 
 
-def _found(path: Path, names: list[Path], role: str) -> Path:
+def _model_file(path: Path, names: list[Path], role: str) -> Path:
     """Return a model's file: the path itself, or the first of the names in the folder.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: no such file exists.
     """
     if path.is_file():
         return path

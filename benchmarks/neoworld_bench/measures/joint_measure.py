@@ -1,10 +1,10 @@
 """Agreement of an object's joints with the ground truth: matched, missed and extra joints, and
 errors.
 
-Joints are matched by the parts that they move and their motion, never by name. Both objects are in
-the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their
-own diagonal, so that size does not matter. A missed joint is in no mean of axis, pivot or limits;
-every mean has its n, and the counts are given as well.
+Joints are matched by the parts that they move and by their motion, not by name. Both objects are in
+the canonical frame (origin at the center of the box's bottom, front along +x) and divided by their
+own diagonal, so that size has no effect. Means of axis, pivot and limits exclude missed joints;
+every mean has its n.
 """
 
 import math
@@ -20,19 +20,19 @@ from neoworld_mjx.spec import ObjectSpec, Spec
 from .object_truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
 from .parse_measure import Mean
 
-GROWN = 0.02
-"""Share of the diagonal by which boxes are grown on each side before they are compared, so that
-thin fronts that stand a little apart still meet."""
-LEAST_AGREEMENT = 0.5
+MARGIN = 0.02
+"""Margin of the compared boxes on each side as a share of the diagonal, so that
+thin fronts with a small gap still overlap."""
+MIN_AGREEMENT = 0.5
 """Least overlap (geometric mean of the two better directions) of the boxes of matching parts."""
 PARALLEL_DEG = 5.0
-"""Axes at a smaller angle have the distance of parallel lines."""
+"""Angle below which axes count as parallel."""
 CORRECT_AXIS_DEG, CORRECT_PIVOT = 10.0, 0.1
-"""A joint within these, of the true type, counts as correct."""
+"""Bounds within which a joint of the true type counts as correct."""
 
 
 class JointPair(Spec):
-    """A ground-truth joint and the predicted one that was matched with it."""
+    """Ground-truth joint and the predicted joint matched with it."""
 
     true: str
     predicted: str
@@ -45,14 +45,14 @@ class JointPair(Spec):
     axis_deg: float | None
     """Angle of the two lines, 0 to 90; None for ball joints."""
     pivot: float | None
-    """Distance of the two lines over the diagonal; None unless both turn."""
+    """Distance of the two lines over the diagonal; None unless both rotate."""
     limits: float | None
-    """Intersection over union of the ranges, as one direction of motion; None where one turns and
-    the other slides, or the ground truth gives no range."""
+    """Intersection over union of the ranges, as one direction of motion; None if one rotates and
+    the other slides, or if the ground truth has no range."""
 
     @property
     def correct(self) -> bool:
-        """True if type, axis and pivot are right."""
+        """True if type, axis and pivot are correct."""
         return (
             self.true_type == self.predicted_type
             and (self.axis_deg is None or self.axis_deg <= CORRECT_AXIS_DEG)
@@ -76,13 +76,13 @@ class JointMeasure(Spec):
     miss: float | None
     """1 - hits / total; None without ground-truth joints, as all shares of them."""
     type_error: float | None
-    """Share of all ground-truth joints that were missed or got another type (the paper's)."""
+    """Share of all ground-truth joints that were missed or have another type (as in the paper)."""
     type_error_hits: float | None
-    """Share of the hits that got another type."""
+    """Share of the hits with another type."""
     axis_deg: Mean
-    """Over hits whose both joints have an axis."""
+    """Over hits where both joints have an axis."""
     pivot: Mean
-    """Over hits whose both joints turn about an axis."""
+    """Over hits where both joints rotate about an axis."""
     limits: Mean
     """Over hits whose ranges can be compared."""
     pairs: tuple[JointPair, ...]
@@ -91,19 +91,19 @@ class JointMeasure(Spec):
 def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> JointMeasure:
     """Compare an object's joints with the ground-truth ones (paper Section 4, articulation).
 
-    Two joints may be one if the boxes of what they carry, grown by 2 % of the diagonal, meet in all
-    three directions and agree in the better two (the depth behind a front is not seen in a
-    picture). Among those the Hungarian assignment with the largest sum of overlap and likeness of
-    motion wins. Motion is alike by the cosine between the two fields of velocity over the true
-    joint's box, so it knows of type, axis and pivot at once.
+    Two joints can match if the boxes of the parts that they move, with a margin of 2 % of the
+    diagonal, overlap in all three directions and agree in the better two (an image does not show
+    the depth behind a front). The Hungarian method maximises the sum of overlap and motion
+    similarity: the cosine between the two velocity fields over the true joint's box, which
+    depends on type, axis and pivot.
 
     Args:
-        predicted: the reconstructed object, or its joints in the form of a truth.
-        truth: the real ones.
+        predicted: the reconstructed object, or its joints as an `ObjectTruth`.
+        truth: the ground truth.
     """
     own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
     ours, theirs = _normalised(own), _normalised(truth)
-    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, LEAST_AGREEMENT))
+    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, MIN_AGREEMENT))
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
     missed = tuple(joint.name for joint in theirs if joint.name not in matched)
     extra = tuple(joint.name for joint in ours if joint.name not in used)
@@ -111,18 +111,17 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
 
 
 def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
-    """Return the reconstructed joint that is compared with each ground truth, by name, however
-    poorly they agree.
+    """Return the name of the reconstructed joint assigned to each ground-truth joint.
 
-    The assignment is that of `joint_measure` without its least overlap. Ground-truth joints are
-    left out only where there are fewer made ones.
+    The assignment is that of `joint_measure` without its minimum overlap. Ground-truth joints are
+    left out only if fewer joints were reconstructed.
     """
     ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
     return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
 
 
 def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
-    """Take several objects' joints together: every joint counts once, not every object."""
+    """Pool the joints of several objects, with equal weights of joints."""
     return _summed(
         name,
         tuple(pair for measure in measures for pair in measure.pairs),
@@ -132,13 +131,13 @@ def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
 
 
 def agree(a: TrueJoint, b: TrueJoint) -> float:
-    """Return the geometric mean of the two better overlaps of the carried boxes, 0 if apart."""
+    """Return the geometric mean of the two better overlaps of the moved boxes, 0 if disjoint."""
     best = sorted(overlaps(a, b))
     return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
 
 
 def alike(estimate: TrueJoint, true: TrueJoint) -> float:
-    """Return the cosine, without sign, of the velocities of the true box's corners, 0 to 1."""
+    """Return the absolute cosine of the velocities of the true box's corners, 0 to 1."""
     if "ball" in (estimate.type, true.type):
         return float(estimate.type == true.type)
     corners = np.array(list(product(*zip(*true.moving_box, strict=True))))
@@ -157,8 +156,7 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
     """Return the distance of the lines p + s a and q + t b.
 
     Lines within 5 degrees of each other count as parallel: their distance is that of the second
-    line's point nearest to `near` from the first line. The exact one would be that of some far
-    crossing.
+    line's point nearest to `near` from the first line, as their closest points may be far away.
     """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     if line_angle_deg(a, b) < PARALLEL_DEG:
@@ -171,7 +169,7 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
 def _assigned(
     ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
 ) -> list[tuple[int, int]]:
-    """Return the pairs (index of theirs, of ours) with the largest sum of overlap and motion."""
+    """Return the pairs (index of theirs, of ours) that maximise overlap and motion similarity."""
     worth = np.zeros((len(theirs), len(ours)))
     allowed = np.zeros(worth.shape, bool)
     for i, true in enumerate(theirs):
@@ -187,10 +185,10 @@ def _assigned(
 
 
 def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
-    """Return joints in the canonical frame, lengths over the diagonal."""
+    """Return joints in the canonical frame, with lengths relative to the diagonal."""
     size = diagonal(truth)
 
-    def small(v: Sequence[float]) -> tuple[float, float, float]:
+    def relative(v: Sequence[float]) -> tuple[float, float, float]:
         x, y, z = v
         return x / size, y / size, z / size
 
@@ -200,18 +198,18 @@ def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
         if limits is not None and joint.type == "prismatic":
             limits = (limits[0] / size, limits[1] / size)
         update = {
-            "pivot": small(joint.pivot),
+            "pivot": relative(joint.pivot),
             "limits": limits,
-            "moving_box": (small(joint.moving_box[0]), small(joint.moving_box[1])),
+            "moving_box": (relative(joint.moving_box[0]), relative(joint.moving_box[1])),
         }
         joints.append(joint.model_copy(update=update))
     return joints
 
 
 def overlaps(a: TrueJoint, b: TrueJoint) -> list[float]:
-    """Return the intersection over union of the grown boxes in each direction."""
-    low, high = np.array(a.moving_box[0]) - GROWN, np.array(a.moving_box[1]) + GROWN
-    low2, high2 = np.array(b.moving_box[0]) - GROWN, np.array(b.moving_box[1]) + GROWN
+    """Return the intersection over union of the enlarged boxes in each direction."""
+    low, high = np.array(a.moving_box[0]) - MARGIN, np.array(a.moving_box[1]) + MARGIN
+    low2, high2 = np.array(b.moving_box[0]) - MARGIN, np.array(b.moving_box[1]) + MARGIN
     common = np.maximum(np.minimum(high, high2) - np.maximum(low, low2), 0.0)
     return (common / (np.maximum(high, high2) - np.minimum(low, low2))).tolist()
 

@@ -1,14 +1,14 @@
-"""Ground truth of a real or published object: its joints and its surface, read from a file.
+"""Ground truth of an object: its joints and its surface, read from a file.
 
     {"name": "cabinet", "front": "+x", "box": [[x, y, z], [x, y, z]],
      "joints": [{"name": "hinge", "type": "revolute", "axis": [0, 0, 1], "pivot": [0.2, 0.3, 0],
                  "limits": [0, 1.6], "parent": "body", "child": "door",
                  "moving_box": [[0.2, -0.3, 0], [0.22, 0.3, 0.7]]}]}
 
-Metres and radians, in one frame with +z up, at rest (all joints at 0). `front` is the direction in
-that frame in which the object's front faces. `moving_box` is the box (low, high) of all that the
-joint carries; a joint that carries nothing visible is left out of the file by whoever writes it.
-Samples of the surface may lie beside it, as an .npz with `points` [n, 3] in the same frame.
+Units are metres and radians, in one frame with +z up, at rest (all joints at 0). `front` is the
+direction in which the object's front faces. `moving_box` is the box (low, high) of all parts that
+the joint moves; files omit joints that move nothing visible. Samples of the surface may be in an
+.npz file of the same name, as `points` [n, 3] in the same frame.
 """
 
 from pathlib import Path
@@ -28,20 +28,20 @@ Box = tuple[Vec3, Vec3]
 Motion = Literal["revolute", "continuous", "prismatic", "ball"]
 
 _TURNS = {"+x": 0, "-y": 1, "-x": 2, "+y": 3}
-"""Quarter turns about +z that bring a front to +x."""
+"""Quarter turns about +z that rotate a front to +x."""
 
 
 class TrueJoint(Spec):
-    """A joint that moves something."""
+    """Movable joint."""
 
     name: str
     type: Motion
     axis: Vec3 = (0.0, 0.0, 1.0)
-    """Direction, of any length but zero; a ball joint ignores it."""
+    """Nonzero direction; ignored for ball joints."""
     pivot: Vec3 = (0.0, 0.0, 0.0)
-    """A point of the axis [m]; a prismatic joint ignores it."""
+    """Point on the axis [m]; ignored for prismatic joints."""
     limits: tuple[Number, Number] | None = None
-    """Range [rad or m] from rest; None where there is none or it is not known."""
+    """Range from rest [rad or m]; None if unlimited or unknown."""
     parent: str = ""
     child: str = ""
     moving_box: Box
@@ -63,7 +63,7 @@ class ObjectTruth(Spec):
     box: Box
     """Low and high corner [m] of the whole object at rest."""
     joints: tuple[TrueJoint, ...] = ()
-    source: str = Field(default="", description="Where it comes from, and its licence.")
+    source: str = Field(default="", description="Source and licence.")
 
     @model_validator(mode="after")
     def _valid(self) -> "ObjectTruth":
@@ -77,16 +77,16 @@ def read_truth(path: Path) -> ObjectTruth:
     """Read a truth file.
 
     Raises:
-        SpecError: it cannot be read, or is no truth of this form.
+        SpecError: the file cannot be read or is invalid.
     """
     return truth_from(read_json(path, SpecError), str(path))
 
 
 def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
-    """Check a truth that is given as a mapping.
+    """Validate a ground truth given as a mapping.
 
     Raises:
-        SpecError: it is no truth of this form; names each field that is wrong.
+        SpecError: it is invalid; the message names each invalid field.
     """
     try:
         return ObjectTruth.model_validate(data)
@@ -98,7 +98,7 @@ def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
 
 
 def truth_of(spec: ObjectSpec) -> ObjectTruth:
-    """Describe a reconstructed object as if it were the ground truth; fixed joints are left out."""
+    """Convert a reconstructed object to an `ObjectTruth`, without fixed joints."""
     low, high = bounds(spec)
     joints = []
     for joint in spec.joints:
@@ -114,30 +114,30 @@ def truth_of(spec: ObjectSpec) -> ObjectTruth:
                 limits=(joint.lower, joint.upper) if limited else None,
                 parent=joint.parent,
                 child=joint.child,
-                moving_box=carried_box(spec, joint.child),
+                moving_box=moving_box_of(spec, joint.child),
             )
         )
     box: Box = (_vec3(low), _vec3(high))
     return ObjectTruth(name=spec.name, box=box, joints=tuple(joints))
 
 
-def carried_box(spec: ObjectSpec, child: str) -> Box:
-    """Return the box (low, high) [m] at rest of a part and all parts that hang on it."""
-    carried = {child}
+def moving_box_of(spec: ObjectSpec, child: str) -> Box:
+    """Return the box (low, high) [m] at rest of a part and its descendants."""
+    moving = {child}
     for part, joint in spec.ordered:
-        if joint is not None and joint.parent in carried:
-            carried.add(part.name)
+        if joint is not None and joint.parent in moving:
+            moving.add(part.name)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for name in carried:
+    for name in moving:
         for role in ("collision", "visual"):
-            for _, piece, at in pieces(spec.part(name), role):
-                lowest, highest = box_around(piece, at)
+            for _, piece, pose in pieces(spec.part(name), role):
+                lowest, highest = box_around(piece, pose)
                 low, high = np.minimum(low, lowest), np.maximum(high, highest)
     return _vec3(low), _vec3(high)
 
 
 def canonical(truth: ObjectTruth) -> ObjectTruth:
-    """Turn the front to +x and put the origin under the box's centre, at its bottom [m]."""
+    """Rotate the front to +x and move the origin to the center of the box's bottom [m]."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
@@ -155,7 +155,7 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
 
 
 def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
-    """Move points [n, 3] m of a truth's frame as `canonical` moves the ground truth."""
+    """Transform points [n, 3] m of a ground truth's frame as `canonical` does."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
@@ -168,12 +168,12 @@ def diagonal(truth: ObjectTruth) -> float:
 
 
 def quarter_turns(front: Front) -> int:
-    """Return how many quarter turns about +z bring a front to +x."""
+    """Return the number of quarter turns about +z that rotate a front to +x."""
     return _TURNS[front]
 
 
 def quarter_turn(count: int) -> NDArray:
-    """Return the matrix [3, 3] of so many quarter turns about +z."""
+    """Return the rotation matrix [3, 3] of a number of quarter turns about +z."""
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

@@ -1,6 +1,4 @@
-"""The ground truth about an object that somebody published as MJCF: its joints, and samples of what
-it shows.
-"""
+"""Ground truth of a published MJCF object: its joints, and samples of its visible surface."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SHOWN_GROUPS = (0, 1, 2)
-"""Groups of geoms that MuJoCo's viewer shows at first; colliders are mostly kept in group 3."""
+"""Geom groups that MuJoCo's viewer shows by default; colliders are usually in group 3."""
 _TYPES = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
     mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
@@ -34,16 +32,16 @@ def truth_of_mjcf(
     samples: int = SAMPLES,
     seed: int = 0,
 ) -> tuple[ObjectTruth, NDArray]:
-    """Read joints and surface of a model, as it stands with all joints at their reference.
+    """Read the joints and surface of a model with all joints at their reference.
 
-    Joints that carry nothing shown are left out, as are free joints. A hinge without limits is
-    continuous. Planes are no part of the object.
+    Joints that move nothing visible are left out, as are free joints. A hinge without limits is
+    continuous. Planes are not part of the object.
 
     Args:
-        path: the MJCF file, with its meshes where it says.
-        front: the direction in the model's world in which the object's front faces, which
-            MJCF cannot say.
-        groups: groups of the geoms that are taken to be visible.
+        path: the MJCF file; meshes are read from the paths in it.
+        front: direction in the model's world in which the object's front faces; MJCF does not
+            store it.
+        groups: geom groups that count as visible.
         samples: number of samples of the surface.
         seed: seed of the samples.
 
@@ -51,7 +49,7 @@ def truth_of_mjcf(
         The ground truth, and samples [samples, 3] m in the same frame.
 
     Raises:
-        SpecError: the file cannot be read, or shows nothing.
+        SpecError: the file cannot be read, or nothing in it is visible.
     """
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -65,14 +63,14 @@ def truth_of_mjcf(
         if int(model.geom_group[geom]) in groups and (mesh := _mesh(model, data, geom)) is not None
     }
     if not shown:
-        raise SpecError(f"{path}: no geom of the groups {groups} is there to be seen")
+        raise SpecError(f"{path}: no geom of the groups {groups} is visible")
     corners = np.vstack([mesh.bounds for mesh in shown.values()])
     joints = []
     for joint in range(model.njnt):
         kind = _TYPES.get(mujoco.mjtJoint(model.jnt_type[joint]))
         body = int(model.jnt_bodyid[joint])
-        carried = [m.bounds for geom, m in shown.items() if _hangs(model, geom, body)]
-        if kind is None or not carried:
+        moved = [m.bounds for geom, m in shown.items() if _descends(model, geom, body)]
+        if kind is None or not moved:
             continue
         limits = None
         if model.jnt_limited[joint] and kind != "ball":
@@ -80,7 +78,7 @@ def truth_of_mjcf(
             limits = [float(v) - rest for v in model.jnt_range[joint]]
         if kind == "revolute" and limits is None:
             kind = "continuous"
-        box = np.vstack(carried)
+        box = np.vstack(moved)
         joints.append(
             {
                 "name": model.joint(joint).name or f"joint_{joint}",
@@ -102,16 +100,16 @@ def truth_of_mjcf(
     return truth_from(description, str(path)), sampled(list(shown.values()), samples, seed)
 
 
-def _hangs(model: mujoco.MjModel, geom: int, body: int) -> bool:
-    """Return True if a geom belongs to a body or to one below it."""
-    at = int(model.geom_bodyid[geom])
-    while at not in (body, 0):
-        at = int(model.body_parentid[at])
-    return at == body
+def _descends(model: mujoco.MjModel, geom: int, body: int) -> bool:
+    """Return True if a geom belongs to a body or one of its descendants."""
+    ancestor = int(model.geom_bodyid[geom])
+    while ancestor not in (body, 0):
+        ancestor = int(model.body_parentid[ancestor])
+    return ancestor == body
 
 
 def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> "trimesh.Trimesh | None":
-    """Return a geom's surface in the world as a trimesh, None for planes and height fields."""
+    """Return a geom's surface in the world frame; None for planes and height fields."""
     import trimesh
 
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]

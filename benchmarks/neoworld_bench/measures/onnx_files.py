@@ -1,4 +1,4 @@
-"""Models in ONNX files that the user gives, run on the CPU by onnxruntime (extra `metrics`)."""
+"""ONNX models from the user's files, run on the CPU by onnxruntime (extra `metrics`)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
 class TensorPort(NamedTuple):
-    """An input of a model."""
+    """Input of a model."""
 
     name: str
     shape: tuple[int | None, ...]
@@ -23,14 +23,14 @@ class TensorPort(NamedTuple):
 
 
 class OnnxModel:
-    """A model that is run for one sample at a time.
+    """Model that processes one sample at a time.
 
     Args:
-        path: the file; weights outside it lie beside it, as the format has it.
-        role: names the model in messages, such as "clip".
+        path: the file; external weights are in the same folder.
+        role: name of the model in messages, such as "clip".
 
     Raises:
-        ConfigError: onnxruntime is not installed, or the file cannot be read or is no model.
+        ConfigError: onnxruntime is not installed, or the file cannot be read or is not a model.
     """
 
     def __init__(self, path: Path, role: str) -> None:
@@ -46,12 +46,14 @@ class OnnxModel:
         except OSError as error:
             raise ConfigError(f"{role}: cannot read {path}: {error.strerror}") from None
         options = onnxruntime.SessionOptions()
-        options.log_severity_level = 4  # Errors are raised; warnings are of no use to the caller.
+        options.log_severity_level = (
+            4  # Errors only: they are raised, and warnings do not concern the caller.
+        )
         try:
             self._session = onnxruntime.InferenceSession(
                 str(path), options, providers=["CPUExecutionProvider"]
             )
-        except Exception as error:  # Its classes have no common base but this.
+        except Exception as error:  # onnxruntime's exceptions have no common base class.
             raise ConfigError(f"{role}: {path} is no ONNX model: {_first_line(error)}") from None
         self.inputs = tuple(self._port(each) for each in self._session.get_inputs())
         self.outputs = tuple(each.name for each in self._session.get_outputs())
@@ -61,10 +63,10 @@ class OnnxModel:
 
         Args:
             expected: shapes by name, None for any size.
-            advice: the file that is expected.
+            advice: description of the expected file.
 
         Raises:
-            ConfigError: there are other inputs, or one has another shape.
+            ConfigError: the inputs have other names or shapes.
         """
         names = [port.name for port in self.inputs]
         if set(names) != {*expected}:
@@ -83,7 +85,7 @@ class OnnxModel:
         """Return an output as float64.
 
         Raises:
-            ConfigError: the model cannot be run on these values, or gives what is not finite.
+            ConfigError: the model fails on these values, or its output is not finite.
         """
         feed = {port.name: values[port.name].astype(port.dtype) for port in self.inputs}
         try:
@@ -102,21 +104,21 @@ class OnnxModel:
         return numbers
 
     def described(self) -> dict[str, str]:
-        """Return the file's name and digest, by which figures can be told apart."""
+        """Return the file's name and digest, which identify the model of a figure."""
         return {"file": str(self.path), "sha256": self.sha256[:16]}
 
-    def _port(self, given: Any) -> TensorPort:
-        if given.type not in _TYPES:
+    def _port(self, port: Any) -> TensorPort:
+        if port.type not in _TYPES:
             raise ConfigError(
-                f"{self.role}: {self.path} takes {given.name} as {given.type}; expected float32 or "
+                f"{self.role}: {self.path} takes {port.name} as {port.type}; expected float32 or "
                 "float16"
             )
-        shape = tuple(side if isinstance(side, int) else None for side in given.shape)
-        return TensorPort(given.name, shape, _TYPES[given.type])
+        shape = tuple(side if isinstance(side, int) else None for side in port.shape)
+        return TensorPort(port.name, shape, _TYPES[port.type])
 
 
 def unit(vector: NDArray, model: OnnxModel) -> NDArray:
-    """Return a vector [d] of length 1.
+    """Normalise a vector [d].
 
     Raises:
         ConfigError: the vector is zero.

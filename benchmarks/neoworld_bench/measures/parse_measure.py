@@ -31,11 +31,11 @@ class Mean(Spec):
 
 
 class ParseMeasure(Spec):
-    """Comparison of a parse with the ground truth; objects are nodes that are no environment
-    there."""
+    """Comparison of a parse with the ground truth; objects are nodes that are not environment in
+    the ground truth."""
 
     matched: dict[str, str]
-    """True node to parsed node, all nodes."""
+    """Parsed node by true node."""
     missed: tuple[str, ...]
     """True objects that no parsed node matches."""
     extra: tuple[str, ...]
@@ -45,8 +45,8 @@ class ParseMeasure(Spec):
     iou_3d: Mean
     """Over matched objects, in the world as parsed; boxes upright and turned by their yaw."""
     iou_3d_scaled: Mean
-    """The same after scaling the parse about its camera by one factor, both cameras in one place; a
-    picture says nothing about that factor."""
+    """The same after scaling the parse about its camera, with both cameras in one place; an image
+    does not determine that factor."""
     scale: float | None
     """Median of true over parsed depth."""
     position_m: Mean
@@ -54,11 +54,11 @@ class ParseMeasure(Spec):
     size_log: Mean
     """Mean absolute log ratio of edges, that is, of the sorted horizontal two and the height."""
     yaw_deg: Mean
-    """Over matched objects whose true footprint is not about square."""
+    """Over matched objects whose true footprint is not nearly square."""
     edge_precision: float | None
     edge_recall: float | None
     edge_f1: float | None
-    """F1 of support edges (parent to child), without those of the world."""
+    """F1 of support edges (parent to child), without those from the world."""
     edges_true: int
     edges_parsed: int
     relations: Mean
@@ -74,20 +74,21 @@ class ParseMeasure(Spec):
     size_ratio_log: Mean
     """Mean absolute error of the log ratio of sizes over pairs of matched objects."""
     occluded: Mean
-    """Share of matched objects whose flag is right."""
+    """Share of matched objects with the correct flag."""
     environment: Mean
-    """Share of matched nodes whose flag is right."""
+    """Share of matched nodes with the correct flag."""
     parts: Mean
-    """Over matched objects with true movable parts: share of parts found, by type of motion."""
+    """Share of true movable parts with a parsed part of the same joint type, over matched objects
+    with such parts."""
     pitch_deg: float
-    """Parsed less true, as all of the camera."""
+    """Parsed minus true value, as for all camera angles and its height."""
     roll_deg: float
     fovy_deg: float
     height_m: float
 
 
 def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
-    """Hold a parse against the ground truth, both of the same picture."""
+    """Compare a parse with the ground truth of the same image."""
     pairs = match(parsed, truth)
     back = {guess: true for true, guess in pairs.items()}
     objects = [
@@ -122,7 +123,7 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
         ),
         size_log=_mean(_size_error(guess, true) for guess, true in objects),
         yaw_deg=_mean(
-            _turn(guess.box3d.yaw, true.box3d.yaw)
+            _angle_deg(guess.box3d.yaw, true.box3d.yaw)
             for guess, true in objects
             if max(true.box3d.size[:2]) > ROUND * min(true.box3d.size[:2])
         ),
@@ -132,7 +133,7 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
         edges_true=edges_true,
         edges_parsed=edges_parsed,
         relations=_mean(float(guess.relation == true.relation) for guess, true in edges),
-        tree_distance=len(missed_nodes) + len(extra_nodes) + _elsewhere(parsed, truth, pairs),
+        tree_distance=len(missed_nodes) + len(extra_nodes) + _wrong_parents(parsed, truth, pairs),
         nodes_true=len(truth.nodes),
         nodes_parsed=len(parsed.nodes),
         depth_order=_order([(_depth(parsed, a), _depth(truth, b)) for a, b in objects]),
@@ -147,7 +148,9 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
             for true, guess in pairs.items()
         ),
         parts=_mean(
-            _parts_found(guess, true) for guess, true in objects if len(true.articulation) > 0
+            _matched_parts_share(guess, true)
+            for guess, true in objects
+            if len(true.articulation) > 0
         ),
         pitch_deg=math.degrees(camera.pitch - true_camera.pitch),
         roll_deg=math.degrees(camera.roll - true_camera.roll),
@@ -159,9 +162,9 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
 def match(parsed: SceneTree, truth: SceneTree) -> dict[str, str]:
     """Match nodes by their boxes, true name to parsed name.
 
-    The assignment with the largest sum of 2D IoU plus half the 3D IoU wins (Hungarian method); only
-    pairs whose 2D boxes overlap by `MATCH_IOU` or more count. Where tables fill the picture, equal
-    environment flags decide between otherwise equal pairs.
+    The Hungarian method maximises the sum of 2D IoU plus half the 3D IoU over pairs with a 2D IoU
+    of at least `MATCH_IOU`. Equal environment flags decide between otherwise equal pairs, such as
+    tables that fill the image.
     """
     worth = np.zeros((len(truth.nodes), len(parsed.nodes)))
     for i, true in enumerate(truth.nodes):
@@ -192,11 +195,11 @@ def _edges(
     return edges
 
 
-def _elsewhere(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> int:
-    """Count matched nodes that hang elsewhere in the tree."""
+def _wrong_parents(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> int:
+    """Count matched nodes with different parents."""
     count = 0
-    for true_name, mine_name in pairs.items():
-        true, guess = truth.node(true_name).parent, parsed.node(mine_name).parent
+    for true_name, parsed_name in pairs.items():
+        true, guess = truth.node(true_name).parent, parsed.node(parsed_name).parent
         expected = None if true is None else pairs.get(true, "")
         count += guess != expected
     return count
@@ -208,12 +211,10 @@ def _mean(values: Iterable[float]) -> Mean:
 
 
 def _order(values: Sequence[tuple[float, float]]) -> Mean:
-    """Return the share of pairs whose (parsed, true) values have one order; true ties are left
-    out.
-    """
+    """Return the share of pairs in the same parsed and true order, without true ties."""
     return _mean(
-        float((guess - mine2) * (true - true2) > 0)
-        for (guess, true), (mine2, true2) in combinations(values, 2)
+        float((guess - guess2) * (true - true2) > 0)
+        for (guess, true), (guess2, true2) in combinations(values, 2)
         if abs(true - true2) > TIE * max(abs(true), abs(true2))
     )
 
@@ -239,11 +240,11 @@ def _size_error(guess: TreeNode, true: TreeNode) -> float:
     return float(np.abs(edges(upright(guess)) - edges(upright(true))).mean())
 
 
-def _turn(a: float, b: float) -> float:
+def _angle_deg(a: float, b: float) -> float:
     return abs(math.degrees(math.remainder(a - b, 2 * math.pi)))
 
 
-def _parts_found(guess: TreeNode, true: TreeNode) -> float:
+def _matched_parts_share(guess: TreeNode, true: TreeNode) -> float:
     remaining = [state.type for state in guess.articulation]
     matched = 0
     for state in true.articulation:
@@ -266,6 +267,6 @@ def _scale(
 
 def _scaled(box: Box3D, parsed: SceneTree, truth: SceneTree, factor: float | None) -> Box3D:
     s = 1.0 if factor is None or factor <= 0 else factor
-    at = (np.array(box.position) - parsed.camera.position()) * s + truth.camera.position()
+    position = (np.array(box.position) - parsed.camera.position()) * s + truth.camera.position()
     size = tuple((s * np.array(box.size)).tolist())
-    return Box3D(position=tuple(at.tolist()), size=size, yaw=box.yaw)
+    return Box3D(position=tuple(position.tolist()), size=size, yaw=box.yaw)

@@ -1,6 +1,6 @@
-"""Similarity of a rendered picture and the photograph: SSIM, LPIPS, CLIP, DINOv2, Uni3D.
+"""Similarity of a rendered image and the photograph: SSIM, LPIPS, CLIP, DINOv2, Uni3D.
 
-Models load from paths that the user gives. A measure without its model is None, and `why` says so.
+Models load from the user's paths. A measure without its model is None, with the reason in `why`.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ PICTURE_MEASURES = ("ssim", "lpips", "clip", "dino", "uni3d")
 
 
 class PictureMeasure(Spec):
-    """Similarity of two pictures; all but LPIPS are 1 for equal ones."""
+    """Similarity of two images; all measures but LPIPS are 1 for equal images."""
 
     ssim: float | None = None
     """Structural similarity, at most 1."""
     lpips: float | None = None
-    """LPIPS distance, 0 for equal pictures."""
+    """LPIPS distance, 0 for equal images."""
     clip: float | None = None
-    """Cosine of CLIP's picture features."""
+    """Cosine of CLIP's image features."""
     dino: float | None = None
     """Cosine of DINOv2's features (CLS)."""
     uni3d: float | None = None
@@ -38,7 +38,7 @@ class PictureMeasure(Spec):
 
 @dataclass(frozen=True)
 class PictureModels:
-    """The models that there are."""
+    """Loaded models; None if not given."""
 
     lpips: LpipsModel | None = None
     clip: ImageEncoder | None = None
@@ -56,7 +56,7 @@ class PictureModels:
         """Load the models whose paths are given.
 
         Raises:
-            ConfigError: onnxruntime or a file is missing, or a file is no such model.
+            ConfigError: onnxruntime or a file is missing, or a file is not such a model.
         """
         return PictureModels(
             lpips=None if lpips is None else LpipsModel(lpips),
@@ -66,7 +66,7 @@ class PictureModels:
         )
 
     def described(self) -> dict[str, dict[str, str] | None]:
-        """Return file and digest of each model, by which figures can be told apart."""
+        """Return the file and digest of each model."""
         models: dict[str, OnnxModel | None] = {
             "lpips": self.lpips and self.lpips.model,
             "clip": self.clip and self.clip.model,
@@ -82,17 +82,17 @@ def picture_measure(
     models: PictureModels,
     cloud: Cloud | None = None,
 ) -> PictureMeasure:
-    """Compare a rendered picture with the photograph.
+    """Compare a rendered image with the photograph.
 
     Args:
-        photo: the photograph or a part of it.
-        rendered: the same view of what was made, in the same size.
-        models: those that there are.
-        cloud: points of the object that the pictures show, for Uni3D; None for whole scenes.
+        photo: the photograph or a crop of it.
+        rendered: rendered image of the same view and size.
+        models: loaded models.
+        cloud: points of the object in the images, for Uni3D; None for whole scenes.
 
     Raises:
-        PhotoError: the pictures differ in size or are too small.
-        ConfigError: a model cannot be run on them, or gives what is not finite.
+        PhotoError: the images differ in size or are too small.
+        ConfigError: a model fails on them, or its output is not finite.
     """
     clip, dino, lpips, uni3d = models.clip, models.dino, models.lpips, models.uni3d
     values = {
@@ -104,5 +104,5 @@ def picture_measure(
     }
     why = {name: f"no --{name} PATH" for name, value in values.items() if value is None}
     if cloud is None:
-        why["uni3d"] = "taken of objects, not of scenes"
+        why["uni3d"] = "measured of objects, not of scenes"
     return PictureMeasure(**values, why=why)

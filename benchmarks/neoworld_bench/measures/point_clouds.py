@@ -1,8 +1,8 @@
-"""Uni3D: similarity of an object's coloured points and a picture.
+"""Uni3D: similarity of an object's colored points and an image.
 
-The point encoder and the picture's tower come in one folder as `points.onnx`, `image.onnx` and
-`preprocessor_config.json`. Points are put into groups here, as Uni3D's own code does before its
-encoder: centres by farthest points, and the nearest points of each.
+The point encoder and the image tower are in one folder, as `points.onnx`, `image.onnx` and
+`preprocessor_config.json`. Points are grouped here, as in Uni3D's own code before its encoder:
+centers by farthest point sampling, and the nearest points of each.
 """
 
 from collections.abc import Mapping
@@ -20,21 +20,21 @@ from .onnx_files import OnnxModel, unit
 from .surface_measure import SAMPLES, samples_of_each
 
 GROUPS, GROUP_SIZE = 512, 64
-"""Numbers of groups and of points of a group in the published evaluation, where the file leaves
+"""Number of groups, and of points per group, in the published evaluation; used if the file leaves
 them open."""
 
 Cloud = Float[np.ndarray, "n 6"]
-"""Points [m] with +z up, and their colours in [0, 1]."""
+"""Points [m] with +z up, and their colors in [0, 1]."""
 
 
 class Uni3DModel:
     """Uni3D in two ONNX files.
 
     Args:
-        folder: holds points.onnx, image.onnx and preprocessor_config.json.
+        folder: contains points.onnx, image.onnx and preprocessor_config.json.
 
     Raises:
-        ConfigError: one is missing or has other inputs.
+        ConfigError: a file is missing or has other inputs.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -54,11 +54,10 @@ class Uni3DModel:
         self.image = ImageEncoder(folder, "uni3d")
 
     def similarity(self, cloud: Cloud, rgb: UInt8[np.ndarray, "h w 3"]) -> float:
-        """Return the cosine of an object's points and a picture.
+        """Return the cosine of the features of an object's points and an image.
 
         Raises:
-            ConfigError: a model gives what is not finite, or the two give vectors of different
-                length.
+            ConfigError: an output is not finite, or the vectors differ in length.
         """
         a, b = self.embed(cloud), self.image.embed(rgb)
         if a.shape != b.shape:
@@ -69,7 +68,7 @@ class Uni3DModel:
         return float(a @ b)
 
     def embed(self, cloud: Cloud) -> Float[np.ndarray, " d"]:
-        """Return the features of points, of length 1."""
+        """Return the normalised features of points."""
         center, features = grouped(cloud, self._groups, self._group_size)
         feed = {"center": center[None], "features": features[None]}
         return unit(self.points.run(feed, self.points.outputs[0]).reshape(-1), self.points)
@@ -82,40 +81,40 @@ def coloured_points(
     count: int = SAMPLES,
     seed: int = 0,
 ) -> Cloud:
-    """Sample the visible shapes of an object evenly by area, each in its material's colour.
+    """Sample the visible shapes of an object uniformly by area, in their materials' colors.
 
-    Of an object that has none, as MJCF may leave them out, the colliders are taken. Patterns and
-    prints of materials are left out.
+    Objects without visible shapes, as MJCF allows, are sampled on their colliders. Patterns and
+    prints of materials are ignored.
 
     Args:
         spec: the object.
-        joint_state: joint values [rad or m]; joints not named stand at 0.
+        joint_state: joint values [rad or m]; other joints are at 0.
         count: number of points.
         seed: of the points.
     """
     import trimesh
 
-    moved = link_poses(spec, dict(joint_state or {}))
+    poses = link_poses(spec, dict(joint_state or {}))
     geoms = [(part, geom) for part in spec.parts for geom in part.geoms]
-    shown = [(part, geom) for part, geom in geoms if geom.role != "collision"] or geoms
-    meshes, colours = [], []
-    for part, geom in shown:
+    visible = [(part, geom) for part, geom in geoms if geom.role != "collision"] or geoms
+    meshes, colors = [], []
+    for part, geom in visible:
         vertices, faces = geom.shape.surface()
-        vertices = moved[part.name].then(geom.pose()).apply(vertices)
+        vertices = poses[part.name].then(geom.pose()).apply(vertices)
         meshes.append(trimesh.Trimesh(vertices, faces, process=False))
-        colours.append(spec.material(geom.material).rgba[:3])
+        colors.append(spec.material(geom.material).rgba[:3])
     points = samples_of_each(meshes, count, seed)
-    rgb = np.repeat(np.array(colours), [len(each) for each in points], axis=0)
+    rgb = np.repeat(np.array(colors), [len(each) for each in points], axis=0)
     return np.column_stack([np.vstack(points), rgb])
 
 
 def grouped(
     cloud: Cloud, groups: int, group_size: int
 ) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g m 6"]]:
-    """Return the groups of points that Uni3D's encoder takes.
+    """Return the groups of points for Uni3D's encoder.
 
-    Points are centred, divided by the largest distance from the centre, and y and z exchanged, as
-    in its evaluation.
+    Points are centered, divided by the largest distance from the center, and y and z are swapped,
+    as in its evaluation.
 
     Args:
         cloud: at least `groups` and `group_size` points.
@@ -123,7 +122,7 @@ def grouped(
         group_size: number of points of each.
 
     Returns:
-        Centres [g, 3], and the points of each group from its centre, with their colours.
+        Centers [g, 3], and the points of each group relative to its center, with their colors.
     """
     xyz = cloud[:, [0, 2, 1]] - cloud[:, [0, 2, 1]].mean(axis=0)
     xyz = xyz / max(float(np.linalg.norm(xyz, axis=1).max()), 1e-6)
@@ -135,7 +134,7 @@ def grouped(
 
 
 def farthest_points(xyz: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " count"]:
-    """Return the indices of points, each the farthest from those before it; the first is 0."""
+    """Return indices by farthest point sampling, starting at 0."""
     chosen = np.zeros(count, int)
     distance = np.full(len(xyz), np.inf)
     for k in range(1, count):

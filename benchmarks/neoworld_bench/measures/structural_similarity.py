@@ -1,4 +1,4 @@
-"""SSIM: structural similarity of two pictures (Wang et al. 2004)."""
+"""SSIM: structural similarity of two images (Wang et al. 2004)."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -9,17 +9,17 @@ from neoworld_mjx.errors import PhotoError
 SIGMA, RADIUS = 1.5, 5
 """Standard deviation and radius of the Gaussian window [px]: 11 x 11 pixels."""
 K1, K2 = 0.01, 0.03
-"""Constants of the paper's equation 13, over the range of 255."""
+"""Constants of the paper's equation 13, relative to the range of 255."""
 LEAST_PX = 2 * RADIUS + 1
 
 
 def ssim(a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "_ _ 3"]) -> float:
-    """Return the mean SSIM over pixels and colour channels, 1 for equal pictures.
+    """Return the mean SSIM over pixels and colour channels, 1 for equal images.
 
-    Only windows that lie wholly within the picture count.
+    Only windows entirely within the image count.
 
     Raises:
-        PhotoError: the pictures differ in size, or a side is under 11 pixels.
+        PhotoError: the images differ in size, or a side is under 11 pixels.
     """
     if a.shape != b.shape or min(a.shape[:2]) < LEAST_PX:
         raise PhotoError(

@@ -1,8 +1,8 @@
 """Distance of an object's surface from the ground truth: Chamfer distance and F-score of samples.
 
-Both surfaces are sampled evenly by area; lengths are divided by a diagonal, so thresholds are
-shares of the object's size. Samples are of all faces, the insides of drawers and cupboards
-included.
+Both surfaces are sampled uniformly by area. Lengths are divided by a diagonal, so that thresholds
+are relative to the object's size. Samples cover all faces, including the insides of drawers and
+cupboards.
 """
 
 from collections.abc import Sequence
@@ -22,31 +22,30 @@ if TYPE_CHECKING:
 THRESHOLDS = (0.01, 0.05)
 SAMPLES = 10_000
 ICP_STEPS = 30
-STOPS_AT = 1e-5
+MIN_IMPROVEMENT = 1e-5
 """Relative decrease of the Chamfer distance below which the fit stops."""
 
 
 class Closeness(Spec):
-    """Distances of two sets of samples, over the diagonal."""
+    """Distances of two sets of samples, relative to the diagonal."""
 
     chamfer_x10: float
     """Ten times the mean of the two mean distances to the nearest sample of the other, not
     squared.
     """
     f_01: float
-    """Per cent: harmonic mean of the shares of samples within 0.01 of the other set, both ways."""
+    """F-score at 0.01 [%]: harmonic mean of the shares of samples within 0.01 of the other set."""
     f_05: float
-    """The same within 0.05."""
+    """F-score at 0.05 [%]."""
 
 
 class GeometryMeasure(Spec):
     """Comparison of an object's surface with the ground truth."""
 
     unaligned: Closeness
-    """Both in the canonical frame, in metres, over the true diagonal: size and front count."""
+    """Both in the canonical frame, relative to the true diagonal; wrong size and front count."""
     aligned: Closeness
-    """After the best fit of the predicted samples to the ground-truth ones, over the true
-    diagonal."""
+    """After the best fit of the predicted samples, relative to the true diagonal."""
     turn_deg: float
     """Rotation of the fit about the vertical."""
     scale: float
@@ -61,15 +60,15 @@ def geometry_measure(
 ) -> GeometryMeasure:
     """Compare an object's surface with samples of the ground truth (paper Section 4, geometry).
 
-    The fit starts from each of the four quarter turns about the vertical, with both boxes' centres
-    in one place and both diagonals equal; from there nearest samples pull the made ones by a turn
-    about the vertical, a shift and one factor of size (least squares, some 30 steps). The start
-    that ends with the least Chamfer distance counts. Nothing is mirrored or tilted.
+    The fit starts from each of the four quarter turns about the vertical, with coinciding box
+    centers and equal diagonals. Up to 30 least-squares steps to the nearest samples fit a rotation
+    about the vertical, a translation and a scale. The lowest final Chamfer distance counts. Nothing
+    is mirrored or tilted.
 
     Args:
         predicted: the reconstructed object, or samples of it [n, 3] m in its canonical frame.
-        truth: samples [n, 3] m of the real one in its canonical frame (`truth.canonical_points`).
-        samples: how many to take of the reconstructed object.
+        truth: samples [n, 3] m of the ground truth in its canonical frame (`canonical_points`).
+        samples: number of samples of the reconstructed object.
         seed: of the samples.
     """
     own = (
@@ -97,7 +96,7 @@ def geometry_measure(
 
 
 def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
-    """Compare samples [n, 3] and [m, 3]; `tree` is one of `b`, if there is one already."""
+    """Compare samples [n, 3] and [m, 3]; `tree` is an existing tree of `b`."""
     forth = (tree or KDTree(b)).query(a)[0]
     back = KDTree(a).query(b)[0]
 
@@ -114,9 +113,9 @@ def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
 
 
 def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDArray:
-    """Sample the visible shapes of an object at rest, evenly by area.
+    """Sample the visible shapes of an object at rest uniformly by area.
 
-    Where shapes of an object sink into each other, what lies within is sampled as well.
+    Where shapes penetrate each other, their inner faces are sampled as well.
 
     Returns:
         [count, 3] m, in the object's frame; the same for the same seed.
@@ -134,12 +133,12 @@ def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDA
 
 
 def sampled(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> NDArray:
-    """Sample points [count, 3] of several meshes, evenly by area; the same for the same seed."""
+    """Sample points [count, 3] of several meshes uniformly by area; deterministic in the seed."""
     return np.vstack(samples_of_each(meshes, count, seed))
 
 
 def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> list[NDArray]:
-    """Return the same points as `sampled`, [n, 3] of each mesh."""
+    """Return the points of `sampled` by mesh, [n, 3] each."""
     import trimesh
 
     areas = np.array([mesh.area for mesh in meshes])
@@ -151,9 +150,8 @@ def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) 
 
 
 def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:
-    """Fit samples to the ground-truth ones; return them over the diagonal, the turn [rad] and the
-    factor.
-    """
+    """Fit samples to the ground truth; return them relative to the diagonal, the rotation [rad] and
+    the scale."""
     goal = true / size
     factor = size / float(np.linalg.norm(np.ptp(own, axis=0)))
     points = (own - _middle(own)) * (factor / size) + _middle(goal)
@@ -163,12 +161,12 @@ def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDA
         forth, near = tree.query(points)
         back, nearest = KDTree(points).query(goal)
         cost = float(forth.mean() + back.mean())
-        if last - cost < STOPS_AT * cost:
+        if last - cost < MIN_IMPROVEMENT * cost:
             break
         last = cost
         kept = points, turn, scale
-        # Pairs of both directions, so that neither set may hide in a corner of the other; each
-        # direction weighs the same.
+        # Pairs of both directions with equal weights, so that neither set can shrink into the
+        # other.
         source = np.vstack([points, points[nearest]])
         target = np.vstack([goal[near], goal])
         weight = (

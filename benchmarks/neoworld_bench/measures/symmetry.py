@@ -9,7 +9,7 @@ from neoworld_mjx.spec import SceneObject
 
 
 def symmetry(item: SceneObject) -> float:
-    """Return the smallest turn about the vertical that maps an object onto itself [rad].
+    """Return the smallest rotation about the vertical that maps an object onto itself [rad].
 
     0 for round objects, such as a ball or a standing can, whose heading is undefined.
     """

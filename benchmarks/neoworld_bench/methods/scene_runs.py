@@ -207,7 +207,7 @@ def _row(
     compared = result.scene.model_copy(update={"objects": tuple(with_true_boxes)})
     part_depths = [o.part_depth_m for o in objects if o.part_depth_m is not None]
     return SceneRow(
-        **job.columns(method, errors),
+        **(job.columns(method, errors) | layout_errors(result.scene, truth)),
         scene=job.subject,
         room=declared.room,
         tabletop=declared.tabletop,
@@ -227,7 +227,6 @@ def _row(
         max_depth_m=m.max_depth_m,
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
-        **layout_errors(result.scene, truth),
         box_iou=float(np.mean(list(visible_box_iou(compared).values()))),
         seconds_to_valid=result.seconds_to_result if verdict.valid else None,
         seconds=result.seconds,

@@ -131,8 +131,8 @@ def _mesh(item: LinkShape) -> trimesh.Trimesh:
     """Return the surface of a shape in the file's frame at rest."""
     shape = item.shape
     vertices, faces = shape.surface() if isinstance(shape, BaseShape) else shape
-    turn, shift = item.at[:3, :3], item.at[:3, 3]
-    return trimesh.Trimesh(np.asarray(vertices) @ turn.T + shift, faces, process=False)
+    rotation, offset = item.frame[:3, :3], item.frame[:3, 3]
+    return trimesh.Trimesh(np.asarray(vertices) @ rotation.T + offset, faces, process=False)
 
 
 def _box(meshes: list[trimesh.Trimesh]) -> list[list[float]]:
