@@ -214,11 +214,12 @@ def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
 def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
     """Return the lines of rows in aligned columns."""
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
     from rich.text import Text
 
     used = [name for name in columns if any(name in row for row in rows)] or list(rows[0])
-    table = Table(*map(Text, used), box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    header = (Column(Text(name)) for name in used)
+    table = Table(*header, box=None, padding=(0, 2, 0, 0), pad_edge=False)
     for row in rows:
         table.add_row(*(Text(_plain(row[name]) if name in row else "") for name in used))
     console = Console(width=10_000, color_system=None)

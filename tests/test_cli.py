@@ -328,6 +328,9 @@ def test_listings_are_short(neoworld, tmp_path):
     assert len(said.splitlines()) <= 6
     said = neoworld("examples").stdout.splitlines()
     assert [line.split(":")[0] for line in said] == [*bundled_examples(), "next"]
+    table = neoworld("examples", "-v").stdout.splitlines()
+    assert table[0] == "examples:" and table[1].split()[:2] == ["name", "objects"]
+    assert [line.split()[0] for line in table[2:]] == list(bundled_examples())
 
 
 def test_an_installation_is_reported_in_one_line():
