@@ -98,8 +98,8 @@ class ExportCommand(ConfiguredCommand):
 
             built = build_patched(self.target, self.load_config().program).built
             if built.spec is None or not built.ok:
-                words = "; ".join(str(signal.message) for signal in built.signals)
-                raise SpecError(f"{self.target} does not build: {words}")
+                errors = "; ".join(str(signal.message) for signal in built.signals)
+                raise SpecError(f"{self.target} does not build: {errors}")
             return built.spec, []
         from ..export.importing_scene import import_file
 

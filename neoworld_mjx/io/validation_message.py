@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 from ..errors import choices
 
 _SECRET = ("headers", "base_url")
-"""Options whose invalid values are not shown because they may hold keys."""
+"""Options whose invalid values are not displayed because they may hold keys."""
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
@@ -21,9 +21,9 @@ def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
         elif any(name in item["loc"] for name in _SECRET):
             lines.append(f"{key}: {item['msg']}")
         else:
-            shown = repr(item["input"])
-            shown = shown if len(shown) <= 80 else shown[:77] + "..."
-            lines.append(f"{key}: {item['msg']}, got {shown}")
+            value = repr(item["input"])
+            value = value if len(value) <= 80 else value[:77] + "..."
+            lines.append(f"{key}: {item['msg']}, got {value}")
     return "; ".join(lines)
 
 

@@ -77,7 +77,7 @@ CRITIQUES: dict[str, type[Critique]] = {
 _JUDGE = """The real object: {label}. {description}
 Moving parts seen in the photo: {moving}.
 {posed}
-{made}
+{measures}
 Judge it.
 """
 _GEOMETRY = """The box measured in the photo is {measured} m.
@@ -120,7 +120,7 @@ def critic_request(
         description=node.description,
         moving=moving_parts(node),
         posed=tilt_in_words(node, _LEANS),
-        made=measures,
+        measures=measures,
     )
     system = package_text(__package__, f"{critic}_critic")
     name = f"judge-{critic}:{node.name}"

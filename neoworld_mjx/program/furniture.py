@@ -65,7 +65,7 @@ class Furniture(ObjectJoints):
         (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
         if hinge not in _HINGES:
             raise ValueError(
-                f"{context}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
+                f"{context}: hinge is one of {', '.join(_HINGES)}, got {validate.formatted(hinge)}"
             )
         edge = validate.number(gap, f"{context}: gap", 1.0)
         size = (
@@ -190,5 +190,5 @@ def _span(value: Any, argument: str) -> tuple[float, float]:
     """Validate (low, high) [m], and return low and the distance between them."""
     low, high = validate.pair(value, argument)
     if high <= low:
-        raise ValueError(f"{argument} must be (low, high), got {validate.shown(value)}")
+        raise ValueError(f"{argument} must be (low, high), got {validate.formatted(value)}")
     return low, high - low

@@ -173,7 +173,7 @@ class ObjectJoints:
             if joint is None:
                 raise ValueError(
                     f"{argument} must be a part or a joint of this object, or a list of them, "
-                    f"whose joint is made before; got {validate.shown(value)}"
+                    f"whose joint is made before; got {validate.formatted(value)}"
                 )
             if joint._fields["type"] not in ("revolute", "prismatic") or "mimic" in joint._fields:
                 raise ValueError(
@@ -186,7 +186,7 @@ class ObjectJoints:
         if not isinstance(part, Part):
             raise TypeError(
                 f"{argument} must be a part made by {self.name}.part(...), "
-                f"got {validate.shown(part)}"
+                f"got {validate.formatted(part)}"
             )
         if part._owner is not self:
             raise ValueError(f"{argument} {part.name!r} belongs to another object")

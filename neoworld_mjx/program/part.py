@@ -69,12 +69,12 @@ class Part:
         context = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
             raise TypeError(
-                f"{context}: needs a shape such as box(...), got {validate.shown(shape)}"
+                f"{context}: needs a shape such as box(...), got {validate.formatted(shape)}"
             )
         label = self._geom_name(name, context)
         pose = placed(shape, at, rpy, by, context)
         if role not in ("both", "visual", "collision"):
-            valid = choices(validate.shown(role), ("both", "visual", "collision"))
+            valid = choices(validate.formatted(role), ("both", "visual", "collision"))
             raise ValueError(f"{context}: role: {valid}")
         spec = validate.build_spec(
             S.GeomSpec,

@@ -57,7 +57,7 @@ def mirror(
         at: position of the plane on that axis. A point on the plane has no image.
     """
     if across not in ("x", "y", "z"):
-        raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.shown(across)}")
+        raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.formatted(across)}")
     k, plane = "xyz".index(across), validate.number(at, "mirror at", validate.MAX_COORDINATE_M)
     originals = validate.sequence(points, "mirror points", 1, MAX_COUNT)
     if not isinstance(originals[0], list | tuple):

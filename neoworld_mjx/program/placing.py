@@ -110,7 +110,9 @@ def anchor_of(bounds: Bounds, where: Any, argument: str) -> NDArray:
     Along a direction that is not named, the point lies in the center.
     """
     if not isinstance(where, str):
-        raise TypeError(f"{argument} must be a string such as 'top', got {validate.shown(where)}")
+        raise TypeError(
+            f"{argument} must be a string such as 'top', got {validate.formatted(where)}"
+        )
     low, high = bounds
     point = (low + high) / 2
     for axis, sign in _named(validate.text(where, argument).split("."), argument).items():
@@ -127,12 +129,12 @@ def _named(words: list[str], argument: str) -> dict[int, int]:
         if word not in _SIDES:
             raise ValueError(
                 f"{argument} takes {', '.join(_SIDES)} or centre, joined by dots as in "
-                f"'left.bottom', or 'left.hinge'; got {validate.shown('.'.join(words))}"
+                f"'left.bottom', or 'left.hinge'; got {validate.formatted('.'.join(words))}"
             )
         axis, sign = _SIDES[word]
         if axis in signs:
             raise ValueError(
-                f"{argument} {validate.shown('.'.join(words))} names one direction twice"
+                f"{argument} {validate.formatted('.'.join(words))} names one direction twice"
             )
         signs[axis] = sign
     return signs
@@ -168,7 +170,7 @@ def hinge_of(
         raise ValueError(
             f"{argument} names one edge of a flat part, such as 'left.hinge'; this part is "
             f"thinnest from {('back to front', 'right to left', 'bottom to top')[thin]}, "
-            f"got {validate.shown(where)}"
+            f"got {validate.formatted(where)}"
         )
     middle = (low + high) / 2
     outward = 1
@@ -190,7 +192,7 @@ def direction(value: Any, argument: str) -> tuple[float, float, float]:
     if value not in _DIRECTIONS:
         raise ValueError(
             f"{argument} must be (x, y, z) or one of {', '.join(_DIRECTIONS)}, "
-            f"got {validate.shown(value)}"
+            f"got {validate.formatted(value)}"
         )
     axis, sign = _DIRECTIONS[value]
     x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()

@@ -70,7 +70,7 @@ def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> S
     for face in faces:
         if face not in _FACES:
             raise ValueError(
-                f"hollow_box open takes faces {', '.join(_FACES)}, got {validate.shown(face)}"
+                f"hollow_box open takes faces {', '.join(_FACES)}, got {validate.formatted(face)}"
             )
     return _shape(
         S.HollowBox,
@@ -161,7 +161,7 @@ def sweep(
         for i, point in enumerate(validate.sequence(path, "sweep path", 2, MAX_POINTS))
     )
     if not isinstance(closed, bool):
-        raise TypeError(f"sweep closed must be True or False, got {validate.shown(closed)}")
+        raise TypeError(f"sweep closed must be True or False, got {validate.formatted(closed)}")
     if (radius is None) == (width is None or thickness is None):
         raise ValueError("sweep needs radius=, or both width= and thickness=")
     if radius is not None:
@@ -301,7 +301,7 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
     for shape in shapes:
         if not isinstance(shape, Shape):
             raise TypeError(
-                f"{operation} takes shapes such as box(...), got {validate.shown(shape)}"
+                f"{operation} takes shapes such as box(...), got {validate.formatted(shape)}"
             )
     operands = tuple(
         S.Operand(

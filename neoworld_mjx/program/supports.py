@@ -120,14 +120,14 @@ def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
     Joints and veins keep their contrast if the photo's color differs from the parsed one.
     """
     if node.surface is None:
-        words = f"{node.label} {node.description}".lower()
-        like = next((name for word, name in _MATERIALS.items() if word in words), "wood")
+        description = f"{node.label} {node.description}".lower()
+        like = next((name for word, name in _MATERIALS.items() if word in description), "wood")
         look = "" if rgb is None else f", rgb={_triple(rgb)}"
-        return like, look + (', pattern="veins"' if "vein" in words else "")
+        return like, look + (', pattern="veins"' if "vein" in description else "")
     surface, pattern = node.surface, node.surface.pattern
-    look, shown = "", rgb or surface.rgb
-    if shown is not None:
-        look = f", rgb={_triple(shown)}"
+    look, color = "", rgb or surface.rgb
+    if color is not None:
+        look = f", rgb={_triple(color)}"
         clear = MATERIALS[surface.material].rgba[3]
         look += f", alpha={clear!r}" if clear < 1 else ""
     look += f', pattern="{pattern.kind}"'

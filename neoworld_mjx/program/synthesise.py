@@ -172,8 +172,8 @@ class _Synthesis:
             next_attempt=self.revised,
             criticise=self.criticised,
         )
-        own = [attempt for attempt in self.attempts if attempt.file == stage.file]
-        return max(own, key=lambda attempt: attempt.rank)
+        candidates = [attempt for attempt in self.attempts if attempt.file == stage.file]
+        return max(candidates, key=lambda attempt: attempt.rank)
 
     async def debugged(
         self, stage: str, response: ProgramResponse, before: ProgramAttempt | None

@@ -36,22 +36,24 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
     reports every import of the SDK. Numbers in place of a tuple give two findings; only the one
     that names the tuple is returned.
     """
-    broken = [each for each in findings if each["code"] == "invalid-syntax"]
-    tuples = {_line(each) for each in findings if _TUPLE.search(each["message"])}
-    shown = [
-        each
-        for each in broken or findings
-        if not (each["code"] == "too-many-positional-arguments" and _line(each) in tuples)
+    broken = [finding for finding in findings if finding["code"] == "invalid-syntax"]
+    tuples = {_line(finding) for finding in findings if _TUPLE.search(finding["message"])}
+    relevant = [
+        finding
+        for finding in broken or findings
+        if not (finding["code"] == "too-many-positional-arguments" and _line(finding) in tuples)
     ]
     return [
         error_signal(
             "syntax" if broken else "type",
-            each["message"][:400],
-            line=_line(each),
-            column=each["location"]["column"],
-            hint=_syntax_hint(each["message"]) if broken else _hint(each["code"], each["message"]),
+            finding["message"][:400],
+            line=_line(finding),
+            column=finding["location"]["column"],
+            hint=_syntax_hint(finding["message"])
+            if broken
+            else _hint(finding["code"], finding["message"]),
         )
-        for each in shown[:MAX_TYPE_SIGNALS]
+        for finding in relevant[:MAX_TYPE_SIGNALS]
     ]
 
 

@@ -24,7 +24,7 @@ MAX_ROTATION_RAD = 4 * math.pi
 _S = TypeVar("_S", bound=BaseModel)
 
 
-def shown(value: Any, depth: int = 2) -> str:
+def formatted(value: Any, depth: int = 2) -> str:
     """Format a value for a message; long strings, containers and integers are shortened.
 
     Containers are written out to `depth` levels only: a program may nest a list in
@@ -39,7 +39,7 @@ def shown(value: Any, depth: int = 2) -> str:
     if isinstance(value, bool | int | float) or value is None:
         return repr(value)
     if isinstance(value, list | tuple):
-        inside = ", ".join(shown(item, depth - 1) for item in value)
+        inside = ", ".join(formatted(item, depth - 1) for item in value)
         return f"[{inside}]" if isinstance(value, list) else f"({inside})"
     return type(value).__name__
 
@@ -47,11 +47,11 @@ def shown(value: Any, depth: int = 2) -> str:
 def number(value: Any, argument: str, limit: float = 1e6) -> float:
     """Return a finite number of magnitude up to `limit`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{argument} must be a number, got {shown(value)}")
+        raise TypeError(f"{argument} must be a number, got {formatted(value)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{argument} must be finite, got {value!r}")
     if abs(value) > limit:
-        raise ValueError(f"{argument} must lie within +-{limit:g}, got {shown(value)}")
+        raise ValueError(f"{argument} must lie within +-{limit:g}, got {formatted(value)}")
     return float(value)
 
 
@@ -66,12 +66,12 @@ def length(value: Any, argument: str) -> float:
     return metres
 
 
-def sequence(value: Any, argument: str, least: int, most: int) -> Sequence[Any]:
-    """Return a list or tuple with `least` to `most` entries."""
+def sequence(value: Any, argument: str, minimum: int, maximum: int) -> Sequence[Any]:
+    """Return a list or tuple with `minimum` to `maximum` entries."""
     if not isinstance(value, list | tuple):
-        raise TypeError(f"{argument} must be a list or tuple, got {shown(value)}")
-    if not least <= len(value) <= most:
-        span = str(least) if least == most else f"{least} to {most}"
+        raise TypeError(f"{argument} must be a list or tuple, got {formatted(value)}")
+    if not minimum <= len(value) <= maximum:
+        span = str(minimum) if minimum == maximum else f"{minimum} to {maximum}"
         raise ValueError(f"{argument} must have {span} entries, got {len(value)}")
     return value
 
@@ -114,29 +114,33 @@ def warn_of_degrees(angle: float, argument: str) -> None:
         warn("degrees", turned, hint)
 
 
-def points(value: Any, argument: str, least: int, most: int) -> tuple[tuple[float, float], ...]:
-    """Return `least` to `most` points (a, b) [m]."""
-    items = sequence(value, argument, least, most)
+def points(
+    value: Any, argument: str, minimum: int, maximum: int
+) -> tuple[tuple[float, float], ...]:
+    """Return `minimum` to `maximum` points (a, b) [m]."""
+    items = sequence(value, argument, minimum, maximum)
     return tuple(pair(item, f"{argument}[{i}]") for i, item in enumerate(items))
 
 
-def integer(value: Any, argument: str, least: int, most: int) -> int:
-    """Return an integer from `least` to `most`."""
+def integer(value: Any, argument: str, minimum: int, maximum: int) -> int:
+    """Return an integer from `minimum` to `maximum`."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{argument} must be an integer, got {shown(value)}")
-    if not least <= value <= most:
-        raise ValueError(f"{argument} must lie between {least} and {most}, got {shown(value)}")
+        raise TypeError(f"{argument} must be an integer, got {formatted(value)}")
+    if not minimum <= value <= maximum:
+        raise ValueError(
+            f"{argument} must lie between {minimum} and {maximum}, got {formatted(value)}"
+        )
     return value
 
 
 def name(value: Any, argument: str) -> str:
     """Return an identifier of at most 48 letters, digits and underscores."""
     if not isinstance(value, str):
-        raise TypeError(f"{argument} must be a string, got {shown(value)}")
+        raise TypeError(f"{argument} must be a string, got {formatted(value)}")
     if not is_name(value):
         raise ValueError(
             f"{argument} must start with a letter and hold only letters, digits and _ "
-            f"(at most 48), got {shown(value)}"
+            f"(at most 48), got {formatted(value)}"
         )
     return value
 
@@ -147,12 +151,12 @@ def unused(value: str, kind: str, names: Sequence[str]) -> None:
         raise ValueError(f"{kind} {value!r} exists already")
 
 
-def text(value: Any, argument: str, most: int = 200) -> str:
-    """Return one printable line of at most `most` characters."""
+def text(value: Any, argument: str, maximum: int = 200) -> str:
+    """Return one printable line of at most `maximum` characters."""
     if not isinstance(value, str):
-        raise TypeError(f"{argument} must be a string, got {shown(value)}")
-    if len(value) > most or not value.isprintable():
-        raise ValueError(f"{argument} must be one line of at most {most} characters")
+        raise TypeError(f"{argument} must be a string, got {formatted(value)}")
+    if len(value) > maximum or not value.isprintable():
+        raise ValueError(f"{argument} must be one line of at most {maximum} characters")
     return value
 
 
@@ -160,7 +164,9 @@ def colour(value: Any, argument: str) -> tuple[float, float, float]:
     """Return red, green and blue from 0 to 1."""
     r, g, b = vector(value, argument)
     if not all(0 <= v <= 1 for v in (r, g, b)):
-        raise ValueError(f"{argument} must be red, green, blue between 0 and 1, got {shown(value)}")
+        raise ValueError(
+            f"{argument} must be red, green, blue between 0 and 1, got {formatted(value)}"
+        )
     return r, g, b
 
 

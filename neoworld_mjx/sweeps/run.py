@@ -241,7 +241,7 @@ class _Runner:
 
     def _save(self, *, finished: bool) -> SweepResult:
         """Return the result so far, and write it into the folder."""
-        about = self.about | {"finished": finished}
+        about: dict[str, Any] = {**self.about, "finished": finished}
         for name in ("seconds", "compilations", "compile_s"):
             about[name] = sum(group.get(name, 0) for group in about["groups"])
         if self.scores is not None:

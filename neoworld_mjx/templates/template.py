@@ -103,8 +103,8 @@ class Template:
                 )
             value = self.parameters[name].checked(value)
             k = self.lines[name]
-            shown = f'"{value}"' if isinstance(value, str) else repr(value)
-            text[k] = f"{name} = {shown}  {text[k][text[k].index('#') :]}"
+            literal = f'"{value}"' if isinstance(value, str) else repr(value)
+            text[k] = f"{name} = {literal}  {text[k][text[k].index('#') :]}"
         return "".join(text)
 
     def draw(self, seed: int) -> dict[str, Value]:

@@ -242,5 +242,5 @@ def _named_by(joint: BlenderJoint) -> set[str]:
 
 def _material_in(name: str) -> str | None:
     """Return the named material that a name contains: "oak" for "dark_oak"."""
-    words = f"_{name.lower()}_"
-    return max((m for m in MATERIALS if f"_{m}_" in words), key=len, default=None)
+    padded = f"_{name.lower()}_"
+    return max((m for m in MATERIALS if f"_{m}_" in padded), key=len, default=None)

@@ -63,7 +63,7 @@ def run_confined(
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
         (folder / "program.py").write_text(text, encoding="utf-8")
-        paths = [folder / each for each in ("program.py", "printed", "errors", "scene.json")]
+        paths = [folder / file for file in ("program.py", "printed", "errors", "scene.json")]
         cpu_s = round(timeout_s) + _CPU_START_S
         with (
             paths[0].open("rb") as program,
