@@ -137,12 +137,9 @@ def open_objective(
         if names.count(name) > 1 or name in RESERVED:
             raise ConfigError(f"reward term {name}: the name is taken; give the term another one")
     if origin is not None:
-        all_terms = [
-            dataclasses.replace(t, fn=Prior(t.fn.sigma, origin, share))
-            if isinstance(t.fn, Prior)
-            else t
-            for t in all_terms
-        ]
+        for k, term in enumerate(all_terms):
+            if isinstance(term.fn, Prior):
+                all_terms[k] = dataclasses.replace(term, fn=Prior(term.fn.sigma, origin, share))
     return Objective(
         terms=tuple(all_terms),
         max_depth=scalar(options.max_depth_m),
@@ -235,19 +232,11 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
     """Return a rollout without motion or penetration, with all objects visible as parsed."""
     still = unmoved(scene, scene.place(layouts))
-
-    def over_time(x: AnyArray) -> Array:
-        return jnp.repeat(x, records, axis=1)
-
+    motion = (still.pos, still.quat, still.joint_shift)
     still = eqx.tree_at(
         lambda s: (s.time, s.pos, s.quat, s.joint_shift),
         still,
-        (
-            0.1 * jnp.arange(1, records + 1),
-            over_time(still.pos),
-            over_time(still.quat),
-            over_time(still.joint_shift),
-        ),
+        (0.1 * jnp.arange(1, records + 1), *(jnp.repeat(x, records, axis=1) for x in motion)),
     )
     zero_depth = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
     visible = as_parsed(scene.photo, len(zero_depth))
@@ -362,9 +351,8 @@ def evaluate(
         for term in objective.terms
     }
     failed = jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
-    alive = ~jnp.isin(rollout.status, failed)
     finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
-    alive &= finite
+    alive = ~jnp.isin(rollout.status, failed) & finite
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
     drift = jnp.maximum(drift, placement.settled)
     deepest = jnp.max(deeper(placement.depth), axis=2)

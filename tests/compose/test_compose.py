@@ -454,7 +454,7 @@ def on_a_wall(**frame):
 def test_an_attached_object_is_fixed_and_the_scene_is_stable():
     result = on_a_wall()
     assert result.scene.object("frame").fixed_base
-    assert result.notes == ("frame: composition fastened it to wall, as it is attached",)
+    assert result.notes == ("frame: composition fixed it to wall, because it is attached",)
     assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
 
 

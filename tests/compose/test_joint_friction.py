@@ -136,12 +136,12 @@ def test_composition_holds_joints_and_notes_it():
         ),
     )
     objects = {"table": scenes.table(), "chest": spec}
-    made = compose(tree, objects)
-    after = made.scene.object("chest").spec.joint("hinge").friction
+    composed = compose(tree, objects)
+    after = composed.scene.object("chest").spec.joint("hinge").friction
     assert after > 0.05
-    assert made.notes == (
+    assert composed.notes == (
         f"chest: composition raised the dry friction of joint hinge from 0.01 to {after:.2g} N m, "
-        "as its weight would move it from where the parse shows it",
+        "because gravity would move it from its parsed position",
     )
     plain = compose(tree, objects, ComposeOptions(hold_joints=False))
     assert plain.scene.object("chest").spec == spec and plain.notes == ()
