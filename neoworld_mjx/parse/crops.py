@@ -1,4 +1,4 @@
-"""Crops of objects for the programmer: margins, outlined neighbours, notes on occlusion."""
+"""Crops of objects for the programmer, with outlined neighbours and notes on occlusion."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,13 @@ from .enlarge import enlarged
 from .photo import Photo
 
 MARGIN = 0.12
-"""Margin on every side, over the box's longer side."""
+"""Margin on every side, relative to the box's longer side."""
 LEAST_PX = 8
+"""Minimum margin [px]."""
 MARK = (90, 90, 90)
+"""Colour of the outlines of other objects."""
 SHOWN_PX = 448
-"""A crop whose longer side is shorter is enlarged by a whole factor to at least this."""
+"""Minimum length of a crop's longer side, to which small crops are enlarged [px]."""
 
 Window = tuple[int, int, int, int]
 
@@ -25,18 +27,18 @@ class Crop:
     """An object cut out of the photo."""
 
     picture: Picture
-    """Labelled "crop", as requests refer to it."""
+    """The crop, with the label "crop" by which requests refer to it."""
     note: str
     """Description of the parts that are cut off or hidden; empty if there are none."""
     window: tuple[float, float, float, float]
-    """Original pixels (x0, y0, x1, y1) that the picture shows."""
+    """Window of the crop in original pixels (x0, y0, x1, y1)."""
 
 
 def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
-    """Return the crop of every object from the shown picture, by node name.
+    """Return the crop of every object, by node name.
 
-    Small crops are enlarged in integers, so that the same photo gives the same bytes on every
-    machine. Boxes of other objects within a crop are outlined in grey.
+    Small crops are enlarged in integer arithmetic, so every machine gives the same bytes. Boxes of
+    other objects within a crop have a grey outline.
     """
     return {node.name: _crop(photo, tree, node) for node in tree.nodes}
 
@@ -46,29 +48,29 @@ def _crop(photo: Photo, tree: SceneTree, node: TreeNode) -> Crop:
     canvas = np.array(photo.rgb)
     for other in tree.nodes:
         if other.name != node.name and not other.environment:
-            _outline(canvas, _shown(photo, other))
+            _outline(canvas, _pixel_box(photo, other))
     picture = Picture.of("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
     x0, y0, x1, y1 = (v / photo.scale for v in window)
     return Crop(picture, _note(tree, node), (x0, y0, x1, y1))
 
 
 def _window(photo: Photo, node: TreeNode) -> Window:
-    """Return a node's box with its margin, in whole pixels of the shown picture."""
+    """Return a node's box with its margin, in integer pixels of the resized picture."""
     width, height = photo.size
-    x0, y0, x1, y1 = _shown(photo, node)
+    x0, y0, x1, y1 = _pixel_box(photo, node)
     margin = max(LEAST_PX, round(MARGIN * max(x1 - x0, y1 - y0)))
     left, top = max(0, x0 - margin), max(0, y0 - margin)
     return left, top, min(width, x1 + margin), min(height, y1 + margin)
 
 
 def colour_in_box(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float, float]:
-    """Return the median red, green, blue, 0 to 1, of a node's box less those of other objects."""
+    """Return the median RGB, 0 to 1, of a node's box outside the boxes of other objects."""
     free = np.zeros(photo.rgb.shape[:2], bool)
-    x0, y0, x1, y1 = _shown(photo, node)
+    x0, y0, x1, y1 = _pixel_box(photo, node)
     free[y0:y1, x0:x1] = True
     for other in tree.nodes:
         if other.name != node.name and not other.environment:
-            a, b, c, d = _shown(photo, other)
+            a, b, c, d = _pixel_box(photo, other)
             free[b:d, a:c] = False
     chosen = photo.rgb[free] if free.any() else photo.rgb[y0:y1, x0:x1].reshape(-1, 3)
     red, green, blue = (float(v) / 255 for v in np.median(chosen, axis=0))
@@ -81,8 +83,8 @@ def _outline(canvas: UInt8[np.ndarray, "h w 3"], box: Window) -> None:
     canvas[[y0, y1 - 1], x0:x1] = MARK
 
 
-def _shown(photo: Photo, node: TreeNode) -> Window:
-    """Return a node's box in whole pixels of the shown picture, at least one wide and high."""
+def _pixel_box(photo: Photo, node: TreeNode) -> Window:
+    """Return a node's box in integer pixels of the resized picture, at least one wide and high."""
     width, height = photo.size
     x0, y0, x1, y1 = (v * photo.scale for v in node.box2d.as_tuple())
     left, top = min(int(x0), width - 1), min(int(y0), height - 1)
@@ -104,7 +106,7 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
     ]
     phrases = []
     if node.occluded_by:
-        hidden = [f"{name}{_where(tree.node(name), node)}" for name in node.occluded_by]
+        hidden = [f"{name}{_covered_part(tree.node(name), node)}" for name in node.occluded_by]
         phrases.append(f"partly hidden by {', '.join(hidden)}")
     elif node.occluded and not cut:
         phrases.append("partly hidden")
@@ -113,8 +115,8 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
     return "; ".join(phrases)
 
 
-def _where(other: TreeNode, node: TreeNode) -> str:
-    """Describe the part of a node's box that another's box covers, in ninths of it."""
+def _covered_part(other: TreeNode, node: TreeNode) -> str:
+    """Describe the part of a node's box that another box covers, on a grid of 3 x 3 cells."""
     own, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
     low, high = np.maximum(own[:2], over[:2]), np.minimum(own[2:], over[2:])
     if (low >= high).any():

@@ -1,8 +1,8 @@
 """Drawing of a parse on its photograph: boxes with name tags, the same pixels on every machine.
 
-The picture is part of the request to the critic, and tapes know requests by their pixels. So boxes
-are written into the array in whole pixels, with Pillow's bitmap font: no rasteriser whose rounding
-may change between versions takes part.
+The picture is part of the request to the critic, and its pixels are part of the key on a tape.
+Boxes are therefore drawn directly into the array, with Pillow's bitmap font, rather than by a
+rasteriser whose rounding may change between versions.
 """
 
 from collections.abc import Iterable
@@ -34,16 +34,16 @@ Region = tuple[int, int, int, int]
 
 
 def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
-    """Draw a parse on the shown picture, at its size.
+    """Draw a parse on the resized picture.
 
-    Objects on the same support share a colour, boxes of partly hidden objects are dashed,
-    environment supports are thin and grey.
+    Objects on the same support share a colour. Boxes of partly hidden objects are dashed, those of
+    environment supports thin and grey.
 
     Args:
         photo: the photograph.
         tree: the parse, in original pixels.
-        solid: also draw the projected edges of the 3D boxes. Their pixels depend on the machine's
-            rounding, so no request contains such a picture.
+        solid: True to also draw the projected edges of the 3D boxes. Their pixels depend on the
+            rounding of the machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
@@ -53,11 +53,11 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
     if solid:
         canvas = _edges(canvas, photo, tree, colours)
     boxes = {node.name: _pixels(node, photo) for node in tree.nodes}
-    # Supports first and large boxes before small ones, so that small ones end on top.
+    # Supports first, and large boxes before small ones, which end on top.
     order = sorted(tree.nodes, key=lambda node: (not node.environment, -_area(boxes[node.name])))
     for node in order:
-        thick = 1 if node.environment else line
-        _frame(canvas, boxes[node.name], colours[node.name], thick, dashed=node.occluded)
+        thickness = 1 if node.environment else line
+        _frame(canvas, boxes[node.name], colours[node.name], thickness, dashed=node.occluded)
     tags: list[Region] = []
     for node in reversed(order):
         tag = _tag(node.name, glyph)
@@ -76,7 +76,7 @@ def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
 
 
 def _pixels(node: TreeNode, photo: Photo) -> Region:
-    """Return a node's box in whole pixels of the shown picture, at least 2 pixels a side."""
+    """Return a node's box in integer pixels of the resized picture, at least 2 per side."""
     width, height = photo.size
     sx, sy = width / photo.original_size[0], height / photo.original_size[1]
     box = node.box2d
@@ -94,17 +94,17 @@ def _frame(
     canvas: UInt8[np.ndarray, "h w 3"],
     box: Region,
     colour: tuple[int, int, int],
-    thick: int,
+    thickness: int,
     *,
     dashed: bool,
 ) -> None:
-    """Draw a box's frame inwards from its outer edge, with a dark line inside it."""
-    for inset, width, ink in ((thick, 1, (0, 0, 0)), (0, thick, colour)):
+    """Draw the frame of a box inwards from its outer edge, with a black line inside."""
+    for inset, width, ink in ((thickness, 1, (0, 0, 0)), (0, thickness, colour)):
         x0, y0, x1, y1 = box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset
         if x1 - x0 < 1 or y1 - y0 < 1:
             continue
-        across = _dashes(x1 - x0, thick, dashed)
-        along = _dashes(y1 - y0, thick, dashed)
+        across = _dashes(x1 - x0, thickness, dashed)
+        along = _dashes(y1 - y0, thickness, dashed)
         for k in range(width):
             canvas[min(y0 + k, y1 - 1), x0:x1][across] = ink
             canvas[max(y1 - 1 - k, y0), x0:x1][across] = ink
@@ -112,18 +112,18 @@ def _frame(
             canvas[y0:y1, max(x1 - 1 - k, x0)][along] = ink
 
 
-def _dashes(length: int, thick: int, dashed: bool) -> Bool[np.ndarray, " length"]:
+def _dashes(length: int, thickness: int, dashed: bool) -> Bool[np.ndarray, " length"]:
     if not dashed:
         return np.ones(length, bool)
-    period = 8 * thick
-    at = np.arange(length)
-    # Mirrored, so that all four corners are drawn.
-    return np.minimum(at, length - 1 - at) % period < period // 2
+    period = 8 * thickness
+    index = np.arange(length)
+    # Mirrored, so that every corner is drawn.
+    return np.minimum(index, length - 1 - index) % period < period // 2
 
 
 @cache
 def _tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
-    """Return a name in the bitmap font with a margin, as a mask; `glyph` is its magnification."""
+    """Return the mask of a name in the bitmap font, with a margin and magnified by `glyph`."""
     font = ImageFont.load_default_imagefont()
     left, top, right, bottom = font.getbbox(name)
     image = Image.new("1", (int(right - left) + 4, int(bottom - top) + 2), 0)
@@ -139,32 +139,34 @@ def _place(
     tags: list[Region],
     boxes: Iterable[Region],
 ) -> tuple[int, int]:
-    """Choose the position of a tag that hides the fewest other tags, then the fewest frames."""
-    tall, wide = shape[0], shape[1]
+    """Choose the position of a tag that hides least of other tags, then the fewest frames."""
+    height, width = shape[0], shape[1]
     x0, y0, x1, y1 = box
-    spots = [
+    candidates = [
         (x, y)
-        for y in (y0 - tall, y0, y1 - tall, y1, (y0 + y1 - tall) // 2)
-        for x in (x0, x1 - wide, (x0 + x1 - wide) // 2, x1, x0 - wide)
+        for y in (y0 - height, y0, y1 - height, y1, (y0 + y1 - height) // 2)
+        for x in (x0, x1 - width, (x0 + x1 - width) // 2, x1, x0 - width)
     ]
     frames = list(boxes)
 
-    def cost(spot: tuple[int, int]) -> tuple[int, int, int]:
-        x, y = _inside(spot, (wide, tall), size)
-        region = (x, y, x + wide, y + tall)
-        moved = abs(x - spot[0]) + abs(y - spot[1])
+    def cost(position: tuple[int, int]) -> tuple[int, int, int]:
+        x, y = _inside(position, (width, height), size)
+        region = (x, y, x + width, y + height)
+        shift = abs(x - position[0]) + abs(y - position[1])
         return (
             sum(_overlap(region, other) for other in tags),
             sum(_crosses(region, other) for other in frames),
-            moved,
+            shift,
         )
 
-    return _inside(min(spots, key=cost), (wide, tall), size)
+    return _inside(min(candidates, key=cost), (width, height), size)
 
 
-def _inside(spot: tuple[int, int], tag: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
-    x = min(max(spot[0], 0), max(size[0] - tag[0], 0))
-    y = min(max(spot[1], 0), max(size[1] - tag[1], 0))
+def _inside(
+    position: tuple[int, int], tag: tuple[int, int], size: tuple[int, int]
+) -> tuple[int, int]:
+    x = min(max(position[0], 0), max(size[0] - tag[0], 0))
+    y = min(max(position[1], 0), max(size[1] - tag[1], 0))
     return x, y
 
 

@@ -1,4 +1,4 @@
-"""Enlarges small pictures by a whole factor, in integers: the same pixels on every machine."""
+"""Enlargement of small pictures by an integer factor, with the same pixels on every machine."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -7,33 +7,33 @@ from jaxtyping import UInt8
 def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.ndarray:
     """Enlarge a picture until its longer side has at least `least` pixels.
 
-    Pixels between two are their weighted mean, so edges become smooth ramps without overshoot.
+    Interpolation is linear, so edges become smooth ramps without overshoot.
 
     Args:
         rgb: the picture [h, w, 3].
-        least: wanted length of the longer side [px].
-        most: largest factor.
+        least: minimum length of the longer side [px].
+        most: maximum factor.
 
     Returns:
-        The picture, uint8 [k h, k w, 3] for a whole factor k; the same one if it is large enough.
+        The picture, uint8 [k h, k w, 3] for an integer factor k; unchanged if it is large enough.
     """
     factor = min(-(-least // max(rgb.shape[:2])), most)
     if factor <= 1:
         return rgb
-    return _stretched(_stretched(rgb, factor, 0), factor, 1)
+    return _stretch(_stretch(rgb, factor, 0), factor, 1)
 
 
-def _stretched(rgb: np.ndarray, factor: int, axis: int) -> np.ndarray:
-    """Stretch one axis by linear interpolation between the centres of pixels."""
+def _stretch(rgb: np.ndarray, factor: int, axis: int) -> np.ndarray:
+    """Stretch one axis by linear interpolation between pixel centres, in integer arithmetic."""
     count = rgb.shape[axis]
     # In units of 1 / (2 factor) pixels, from the centre of the first pixel.
-    place = 2 * np.arange(count * factor) + 1 - factor
-    lower = place // (2 * factor)
-    weight = place - 2 * factor * lower
+    position = 2 * np.arange(count * factor) + 1 - factor
+    lower = position // (2 * factor)
+    weight = position - 2 * factor * lower
     shape = [1, 1, 1]
     shape[axis] = -1
     first = np.take(rgb, np.clip(lower, 0, count - 1), axis).astype(np.int32)
     second = np.take(rgb, np.clip(lower + 1, 0, count - 1), axis).astype(np.int32)
-    share = weight.reshape(shape)
-    mixed = (first * (2 * factor - share) + second * share + factor) // (2 * factor)
+    upper_weight = weight.reshape(shape)
+    mixed = (first * (2 * factor - upper_weight) + second * upper_weight + factor) // (2 * factor)
     return mixed.astype(np.uint8)

@@ -1,8 +1,8 @@
-"""Step 1: ask for the scene in a photo, fit and check it, ask a critic, return the best round.
+"""Step 1: request the scene in a photo, fit, check and criticise it, return the best round.
 
-Checks without a model come first: a response is fitted to its own 2D boxes, and only the issues
-that remain go back to the model, unless the critic dismisses them, together with the critic's
-faults of the drawn picture. The result is the response with the best score.
+A response is first fitted to its own 2D boxes and checked without a model. A repair request then
+contains the issues that remain and that the critic does not dismiss, and the faults that the critic
+sees in the drawn parse. The result is the response with the best score.
 """
 
 import asyncio
@@ -19,11 +19,11 @@ from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree
 from .draw import draw_parse
 from .photo import Photo
-from .prompts import SceneCritique, judge_request, parse_request
+from .prompts import SceneCritique, critic_request, parse_request
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
-"""Least of the critic's three scores at which a response is accepted."""
+"""Minimum of each of the critic's three scores for a response to be accepted."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class SceneAttempt:
 
     response: ParsedScene
     tree: SceneTree | None
-    """Fitted where the fit helps; None if the response gives no tree."""
-    answered: SceneTree | None
-    """The same before the fit."""
+    """Fitted tree; None if the response gives no tree."""
+    response_tree: SceneTree | None
+    """The tree before the fit."""
     broken: str = ""
     """Reason why the response gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
@@ -43,8 +43,8 @@ class SceneAttempt:
     verdict: SceneCritique | None = None
 
     @property
-    def standing(self) -> tuple[SceneIssue, ...]:
-        """The issues that the critic did not dismiss."""
+    def open_issues(self) -> tuple[SceneIssue, ...]:
+        """Issues that the critic did not dismiss."""
         dismissed = () if self.verdict is None else self.verdict.dismissed
         return tuple(
             issue for number, issue in enumerate(self.checks, start=1) if number not in dismissed
@@ -52,23 +52,23 @@ class SceneAttempt:
 
     @property
     def score(self) -> float:
-        """Score of the checks, or its mean with the critic's; 0 to 1, and -1 without a tree."""
+        """Score of the checks, or its mean with the critic's score, 0 to 1; -1 without a tree."""
         if self.tree is None:
             return -1.0
-        own = check_score(self.tree, self.standing)
-        return own if self.verdict is None else (own + self.verdict.score) / 2
+        checks = check_score(self.tree, self.open_issues)
+        return checks if self.verdict is None else (checks + self.verdict.score) / 2
 
     @property
     def corrections(self) -> tuple[str, ...]:
         """Faults to correct, one line each; empty if the response is accepted."""
         if self.tree is None:
             return (self.broken,)
-        disliked = self.verdict is not None and self.verdict.lowest < ACCEPT
-        if not disliked and not any(issue.severity == "error" for issue in self.standing):
+        low_score = self.verdict is not None and self.verdict.lowest < ACCEPT
+        if not low_score and not any(issue.severity == "error" for issue in self.open_issues):
             return ()
         faults = () if self.verdict is None else self.verdict.faults
         return (
-            *(issue.phrase() for issue in self.standing),
+            *(issue.phrase() for issue in self.open_issues),
             *(f"{fault.node or 'scene'}: {fault.what} {fault.correction}" for fault in faults),
         )
 
@@ -78,25 +78,25 @@ class Parsed:
     """The result of Step 1."""
 
     tree: SceneTree
-    answered: SceneTree
-    """The same before the fit."""
+    response_tree: SceneTree
+    """The tree before the fit."""
     picture: bytes
     """The parse drawn on the photo, PNG."""
     rounds: tuple[SceneAttempt, ...]
-    kept: int
-    """Index of the round that `tree` is from."""
+    best_round: int
+    """Index of the round that gave `tree`."""
     fallbacks: tuple[tuple[str, str], ...] = field(default=())
-    """Stages that failed, and why."""
+    """Failed stages, and the reasons."""
 
     @property
     def checks(self) -> tuple[SceneIssue, ...]:
         """Issues that remain in `tree`."""
-        return self.rounds[self.kept].standing
+        return self.rounds[self.best_round].open_issues
 
     @property
     def fit(self) -> FitReport | None:
         """Report of the fit of `tree` to the photo; None if the fit is switched off."""
-        return self.rounds[self.kept].fit
+        return self.rounds[self.best_round].fit
 
     def to_json(self) -> str:
         """Return all rounds as JSON."""
@@ -110,7 +110,7 @@ class Parsed:
                 if attempt.verdict is None
                 else attempt.verdict.model_dump(mode="json"),
                 "score": round(attempt.score, 4),
-                "kept": number == self.kept,
+                "kept": number == self.best_round,
             }
             for number, attempt in enumerate(self.rounds)
         ]
@@ -128,16 +128,16 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     Raises:
         ModelError: the first request failed, or no response gave a tree.
     """
-    o = options or ParseOptions()
+    options = options or ParseOptions()
     fallbacks: list[tuple[str, str]] = []
 
     async def criticise(attempt: SceneAttempt) -> SceneAttempt:
         if attempt.tree is None:
             return attempt
-        # Only 2D boxes, which the fit does not move, so every machine draws the same picture.
+        # Draw only 2D boxes, which the fit does not move: every machine draws the same picture.
         drawn = draw_parse(photo, attempt.tree)
         findings = [issue.phrase() for issue in attempt.checks]
-        request = judge_request(photo, attempt.response, drawn, findings)
+        request = critic_request(photo, attempt.response, drawn, findings)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
@@ -148,32 +148,34 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         return (
             None
             if response is None or response == last.response
-            else await _checked(photo, response, o)
+            else await _fit_and_check(photo, response, options)
         )
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
-        await _checked(photo, first, o),
-        rounds=o.critic_rounds,
+        await _fit_and_check(photo, first, options),
+        rounds=options.critic_rounds,
         accept=lambda attempt: not attempt.corrections,
         next_attempt=correct,
         criticise=criticise,
     )
-    kept = max(range(len(attempts)), key=lambda number: attempts[number].score)
-    tree, answered = attempts[kept].tree, attempts[kept].answered
-    if tree is None or answered is None:
-        raise ModelError(f"no response of {len(attempts)} gave a scene: {attempts[kept].broken}")
+    best = max(range(len(attempts)), key=lambda number: attempts[number].score)
+    tree, response_tree = attempts[best].tree, attempts[best].response_tree
+    if tree is None or response_tree is None:
+        raise ModelError(f"no response of {len(attempts)} gave a scene: {attempts[best].broken}")
     drawn = await asyncio.to_thread(draw_parse, photo, tree, solid=True)
-    return Parsed(tree, answered, drawn.data, tuple(attempts), kept, tuple(fallbacks))
+    return Parsed(tree, response_tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
 
 
-async def _checked(photo: Photo, response: ParsedScene, options: ParseOptions) -> SceneAttempt:
+async def _fit_and_check(
+    photo: Photo, response: ParsedScene, options: ParseOptions
+) -> SceneAttempt:
     """Fit a response to its 2D boxes and check it."""
     try:
-        answered = tree = to_tree(response, photo)
+        response_tree = tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, None, str(error))
     report = None
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return SceneAttempt(response, tree, answered, checks=check_tree(tree), fit=report)
+    return SceneAttempt(response, tree, response_tree, checks=check_tree(tree), fit=report)

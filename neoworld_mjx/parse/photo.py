@@ -1,11 +1,11 @@
-"""Load photographs: every format that Pillow decodes becomes upright 8-bit RGB.
+"""Photographs as upright 8-bit RGB, from every format that Pillow decodes.
 
-The picture is rotated by its EXIF data, laid on white where it is transparent, converted to 8-bit
-RGB, and shrunk or enlarged to the size that models are shown. Pixel coordinates elsewhere are
-those of the upright original; `Photo.scale` leads from them to the shown picture. Embedded colour
-profiles are not applied, so that the same file gives the same pixels everywhere.
+`load_photo` rotates a picture by its EXIF data, blends transparent pixels with white, converts it
+to 8-bit RGB, and resizes it for the models. All other pixel coordinates are those of the upright
+original; `Photo.scale` converts them to the resized picture. Embedded colour profiles are ignored,
+so a file gives the same pixels on every machine.
 
-Files that could exhaust the memory are refused by their header, before a pixel is decoded.
+A file that could exhaust the memory is rejected by its header, before any pixel is decoded.
 """
 
 import hashlib
@@ -26,10 +26,10 @@ MIN_SIDE_PX = 16
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph in the size that models are shown."""
+    """A photograph at the size that models receive."""
 
     rgb: UInt8[np.ndarray, "height width 3"] = field(repr=False)
-    """The shown picture, shape [height, width, 3]."""
+    """The resized picture, shape [height, width, 3]."""
     original_size: tuple[int, int]
     """Width and height of the upright original, in pixels."""
     sha256: str
@@ -38,12 +38,12 @@ class Photo:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the shown picture, in pixels."""
+        """Width and height of the resized picture, in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]
 
     @property
     def scale(self) -> float:
-        """Shown over original pixels; above 1 for a small photo that is shown enlarged."""
+        """Ratio of resized to original pixels; above 1 for an enlarged small photo."""
         return max(self.size) / max(self.original_size)
 
 
@@ -51,13 +51,13 @@ def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Pho
     """Read a photograph; of an animation or several pages, the first image.
 
     Args:
-        path: the file, in one of `reading.IMAGE_FORMATS`.
-        max_side_px: largest length of the shown picture's longer side, in pixels.
-        min_side_px: length that a shorter picture's longer side is enlarged to at least, by a
-            whole factor that keeps it within `max_side_px`.
+        path: the image file.
+        max_side_px: maximum length of the resized picture's longer side, in pixels.
+        min_side_px: minimum length of the longer side, to which a small picture is enlarged by an
+            integer factor within `max_side_px`.
 
     Raises:
-        PhotoError: the file is missing, no picture, damaged, too small (under 16 pixels a side),
+        PhotoError: the file is missing, not a picture, damaged, too small (under 16 pixels a side),
             or larger than `files` of the configuration allows.
     """
     path = Path(path)
@@ -112,7 +112,7 @@ def _upright(image: Image.Image) -> Image.Image:
     try:
         turned = ImageOps.exif_transpose(image)
     except Exception:
-        return image  # EXIF data that cannot be read say nothing about the picture.
+        return image  # Ignore unreadable EXIF data.
     return turned or image
 
 
@@ -129,8 +129,8 @@ def _to_rgb(image: Image.Image) -> Image.Image:
 def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
     """Convert grey values of 16 or 32 bits, or of floats, to 8 bits.
 
-    White is the full range of 16-bit integers, and 1 for floats that do not exceed it; of wider
-    values, whose white is unknown, it is their maximum.
+    White is 65535 for integers, 1 for floats up to 1 and 255 for other floats, or the maximum if it
+    is larger.
     """
     grey = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     top = float(grey.max())

@@ -9,21 +9,21 @@ from ..mllm import Picture, Request, package_text
 from .photo import Photo
 from .schema import ParsedScene
 
-ASK = (
+REQUEST_PROMPT = (
     "Describe the scene in this photograph of {width} x {height} pixels: the camera, every object, "
     "every support. Give boxes in pixels of this picture."
 )
-MEND = (
+REPAIR_PROMPT = (
     "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
     "checked for consistency. These faults were found; look at the photograph again for each of "
     "them, since a finding can itself be wrong:\n\n{findings}\n\nRespond again with the complete "
     "scene, with the faults corrected and everything that was right unchanged."
 )
-JUDGE = (
+CRITIC_PROMPT = (
     "The photograph has {width} x {height} pixels. The parse lists {count} objects:"
     "\n\n{listing}\n\n{findings}Judge it."
 )
-FINDINGS = (
+FINDINGS_PROMPT = (
     "Checks of its numbers found the following. They know only boxes, not shapes:\n\n{lines}\n\n"
     "Put into `dismissed` the numbers of the findings that the photograph shows not to be "
     "faults.\n\n"
@@ -46,7 +46,7 @@ class SceneFault(BaseModel):
 class SceneCritique(BaseModel):
     """The critic's verdict on a parse."""
 
-    # Titles and docstrings are part of the request: tapes hold responses to these very ones.
+    # Titles and docstrings are part of the request: a change invalidates recorded tapes.
     model_config = ConfigDict(extra="forbid")
 
     faults: list[SceneFault]
@@ -74,17 +74,17 @@ class SceneCritique(BaseModel):
 def parse_request(
     photo: Photo, response: ParsedScene | None = None, findings: Sequence[str] = ()
 ) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo, or for a corrected response.
+    """Return the request for the scene in a photo, or for the correction of a response.
 
     Args:
         photo: the photograph.
-        response: an earlier response, which is to be corrected.
-        findings: its faults, one line each.
+        response: an earlier response to correct.
+        findings: faults of the earlier response, one line each.
     """
     width, height = photo.size
-    prompt = ASK.format(width=width, height=height)
+    prompt = REQUEST_PROMPT.format(width=width, height=height)
     if response is not None:
-        prompt = MEND.format(
+        prompt = REPAIR_PROMPT.format(
             ask=prompt,
             response=response.model_dump_json(indent=1),
             findings="\n".join(f"- {line}" for line in findings),
@@ -99,16 +99,16 @@ def parse_request(
     )
 
 
-def judge_request(
+def critic_request(
     photo: Photo, response: ParsedScene, drawn: Picture, findings: Sequence[str] = ()
 ) -> Request[SceneCritique]:
-    """Return the request to the critic about a response.
+    """Return the request for a critique of a response.
 
     Args:
         photo: the photograph.
         response: the response.
         drawn: the response drawn on the photograph.
-        findings: of the checks, one line each; the critic may dismiss them by number, from 1 on.
+        findings: issues of the checks, one line each, which the critic may dismiss by number.
     """
     width, height = photo.size
     lines = "\n".join(f"{number}. {line}" for number, line in enumerate(findings, start=1))
@@ -116,12 +116,12 @@ def judge_request(
         role="critic",
         name="parse:judge",
         system=package_text(__package__, "critic"),
-        prompt=JUDGE.format(
+        prompt=CRITIC_PROMPT.format(
             width=width,
             height=height,
             count=len(response.objects),
             listing=listing(response),
-            findings=FINDINGS.format(lines=lines) if findings else "",
+            findings=FINDINGS_PROMPT.format(lines=lines) if findings else "",
         ),
         schema=SceneCritique,
         pictures=[Picture.of("photo", photo.rgb), drawn],

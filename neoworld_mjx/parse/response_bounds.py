@@ -1,6 +1,7 @@
-"""Bounds of every number in the reasoner's response, reported to its author if exceeded.
+"""Bounds of every number in the reasoner's response.
 
-They are not part of the JSON schema, as some servers reject schemas with bounds.
+The JSON schema does not contain them, because some servers reject schemas with bounds. The model
+receives an error for a number outside its bounds.
 """
 
 from collections.abc import Iterator
@@ -11,29 +12,29 @@ from ..io.names import MAX_NAME, plain_text
 
 FURTHEST_M, LARGEST_M, THINNEST_M = 1000.0, 1000.0, 1e-4
 MAX_LISTED = 200
-_PLACE, _EDGE = (-FURTHEST_M, FURTHEST_M), (THINNEST_M, LARGEST_M)
-_PIXEL, _TURN, _SHARE = (-1e5, 1e5), (-720.0, 720.0), (-1.0, 1.0)
+_POSITION, _EDGE = (-FURTHEST_M, FURTHEST_M), (THINNEST_M, LARGEST_M)
+_PIXEL, _ANGLE, _FRACTION = (-1e5, 1e5), (-720.0, 720.0), (-1.0, 1.0)
 BOUNDS: dict[str, tuple[float, float]] = {
-    **{f"position.{axis}": _PLACE for axis in "xyz"},
+    **{f"position.{axis}": _POSITION for axis in "xyz"},
     **{f"size.{edge}": _EDGE for edge in ("length", "width", "height")},
     **{f"box.{side}": _PIXEL for side in ("left", "top", "right", "bottom")},
     **{"contact.u": _PIXEL, "contact.v": _PIXEL},
-    **{"yaw_deg": _TURN, "tilt.degrees": _TURN},
+    **{"yaw_deg": _ANGLE, "tilt.degrees": _ANGLE},
     **{"articulation.opening": (0.0, 1.0)},
-    **{"outline.points.x": _SHARE, "outline.points.y": _SHARE},
+    **{"outline.points.x": _FRACTION, "outline.points.y": _FRACTION},
     **{"surface.step": (THINNEST_M, 10.0)},
     **{"surface.colour": (0.0, 1.0), "surface.second_colour": (0.0, 1.0)},
     **{"doubt.position": (1e-6, FURTHEST_M), "doubt.size": (1e-6, 10.0)},
     **{"doubt.yaw_deg": (1e-6, 360.0)},
-    **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _TURN},
-    **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _PLACE},
+    **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _ANGLE},
+    **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _POSITION},
 }
-"""Least and largest value [m, degrees, pixels, fractions] by a number's path in an object or in the
+"""Minimum and maximum [m, degrees, pixels, fractions] by the number's path in an object or in the
 response."""
 
 
 def out_of_bounds(response: BaseModel) -> Iterator[str]:
-    """Yield an error for each number of a response that lies outside of its bounds."""
+    """Yield an error for each number of a response that is out of its bounds."""
     for path, name, value in _numbers(response):
         low, high = BOUNDS[path]
         if not low <= value <= high:
@@ -60,7 +61,7 @@ def _numbers(part: BaseModel, prefix: str = "", name: str = "") -> Iterator[tupl
     """Yield path, name of the object, and value of every number."""
     for field in type(part).model_fields:
         value = getattr(part, field)
-        # Paths start at the object, as the error names it.
+        # Paths start at the object, which the error names.
         path = "" if field == "objects" else f"{prefix}{field}"
         for inner in value if isinstance(value, list) else [value]:
             if isinstance(inner, float):

@@ -1,4 +1,4 @@
-"""Conversion of parsed objects into a scene tree in pixels of the original, metres and radians."""
+"""Conversion of parsed objects to a scene tree in original pixels, metres and radians."""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _TOWARDS = {
     "left": (-1.0, 0.0, 0.0),
     "right": (1.0, 0.0, 0.0),
 }
-"""Axis, in the object's frame, of the rotation that moves its top in that direction."""
+"""Axis of the rotation, in the object's frame, that moves the object's top in a direction."""
 
 
 def build_tree(
@@ -45,9 +45,9 @@ def build_tree(
     Args:
         camera: the parsed camera.
         objects: the parsed objects.
-        per_pixel: pixels of the original per pixel of the picture shown, right and down.
+        per_pixel: original pixels per pixel of the resized picture, horizontally and vertically.
         size: width and height of the original [px].
-        clip: clip boxes at the picture's edges.
+        clip: True to clip boxes at the picture's edges.
 
     Raises:
         ValidationError: the tree is invalid.
@@ -77,7 +77,7 @@ def _node(
     box2d = Box2D(x0=pixels[0], y0=pixels[1], x1=pixels[2], y1=pixels[3])
     yaw, tilt = math.radians(obj.yaw_deg), tilt_quat(obj.tilt)
     edges = np.array([obj.size.length, obj.size.width, obj.size.height])
-    place = np.array([obj.position.x, obj.position.y]) + base_offset(edges, yaw, tilt)
+    center = np.array([obj.position.x, obj.position.y]) + base_offset(edges, yaw, tilt)
     return TreeNode(
         name=obj.name,
         label=plain_text(obj.label, MAX_LABEL),
@@ -91,7 +91,7 @@ def _node(
         occluded_by=tuple(dict.fromkeys(obj.occluded_by)),
         box2d=box2d,
         box3d=Box3D(
-            position=(float(place[0]), float(place[1]), obj.position.z),
+            position=(float(center[0]), float(center[1]), obj.position.z),
             size=tuple(edges.tolist()),
             yaw=math.remainder(yaw, 2 * math.pi),
         ),
@@ -129,7 +129,7 @@ def corners(box: ParsedBox) -> tuple[float, float, float, float]:
 
 
 def tilt_quat(tilt: ParsedTilt | None) -> Quat:
-    """Return the rotation before yaw of a tilt in words."""
+    """Return the rotation, applied before yaw, of a parsed tilt."""
     if tilt is None or tilt.degrees == 0:
         return IDENTITY
     turn = from_axis_angle(_TOWARDS[tilt.towards], math.radians(tilt.degrees))
@@ -139,7 +139,7 @@ def tilt_quat(tilt: ParsedTilt | None) -> Quat:
 def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
     """Return the offset of a tilted box's bottom centre from its footprint's centre, x and y [m].
 
-    A scene tree states the bottom centre, a response the centre of the visible footprint.
+    A scene tree contains the bottom centre, a response the centre of the footprint.
     """
     turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
     middle = (turned.min(axis=0) + turned.max(axis=0)) / 2

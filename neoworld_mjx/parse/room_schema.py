@@ -85,7 +85,7 @@ def support_surface(surface: ParsedSurface | None) -> SupportSurface | None:
     """Convert a surface; None stays None.
 
     Raises:
-        ValueError: a colour is none.
+        ValueError: a colour is invalid.
     """
     if surface is None:
         return None
@@ -104,7 +104,7 @@ def surface_colours(surface: ParsedSurface) -> tuple[RGB | None, RGB | None]:
     """Return both colours of a surface.
 
     Raises:
-        ValueError: one is no colour; the message is written for the author of the response.
+        ValueError: one is invalid; the message is written for the model.
     """
     first = None if surface.colour is None else _rgb("colour", surface.colour)
     second = surface.second_colour
@@ -122,7 +122,7 @@ def support_outline(outline: ParsedOutline | None) -> SupportOutline:
     """Convert an outline; None is a rectangle.
 
     Raises:
-        ValueError: a polygon is none; the message is written for the author of the response.
+        ValueError: a polygon is invalid; the message is written for the model.
     """
     if outline is None:
         return SupportOutline()
@@ -139,13 +139,13 @@ def support_problems(
     outline: ParsedOutline | None,
     surface: ParsedSurface | None,
 ) -> list[str]:
-    """List what is wrong with what an object declares that only supports of the environment have.
+    """Return the errors of an object's fields that are for supports of the environment only.
 
     Args:
-        environment: whether it is such a support.
-        furniture: whether its shape is built from the picture.
-        outline: its outline.
-        surface: its surface.
+        environment: True if the object is such a support.
+        furniture: True if a program builds its shape from the picture.
+        outline: outline of the object.
+        surface: surface of the object.
     """
     declared = {"outline": outline, "surface": surface}
     given = [name for name, value in declared.items() if value is not None]
@@ -166,7 +166,7 @@ def support_problems(
 
 
 def phrase(error: ValidationError) -> str:
-    """Return the errors of a validation in one line, each with its place."""
+    """Return the errors of a validation on one line, each with its path."""
     lines = []
     for problem in error.errors():
         where = ".".join(str(step) for step in problem["loc"])

@@ -1,9 +1,8 @@
 """Schema of the reasoner's response, and its conversion into a `SceneTree`.
 
-The response is flatter than a scene tree and uses pixels of the shown picture, degrees, and tilts
-in words. All errors of a response are reported at once, in words by which its author can correct
-it. Names, docstrings and descriptions of the classes are part of the request, as in
-`object_schema`.
+The response is flatter than a scene tree and uses pixels of the resized picture, degrees, and tilts
+in words. Validation reports all errors of a response at once, in words for the model. Names,
+docstrings and descriptions of the classes are part of the request, as in `object_schema`.
 """
 
 from pydantic import Field, ValidationError, model_validator
@@ -48,12 +47,12 @@ def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
     Boxes are clipped at the picture's edges.
 
     Args:
-        response: the response, its boxes in pixels of the picture shown.
-        photo: the photograph that was shown.
+        response: the response, with boxes in pixels of the resized picture.
+        photo: the photograph.
 
     Raises:
         SpecError: a box lies outside the picture, or the tree is invalid; the message is written
-            for the author of the response.
+            for the model.
     """
     size, original = photo.size, photo.original_size
     outside = [
@@ -78,7 +77,7 @@ def _problems(response: ParsedScene) -> list[str]:
     """List the errors that the tree's own validation would not report clearly."""
     problems = list(too_long(response))
     if problems:
-        return problems[:1]  # The others would be errors about each of the objects.
+        return problems[:1]  # Further errors would concern every object.
     if not response.objects:
         problems.append("objects is empty: list at least the supports")
     names = [obj.name for obj in response.objects]
@@ -111,7 +110,7 @@ def _problems(response: ParsedScene) -> list[str]:
 
 
 def _same_names(names: list[str]) -> list[str]:
-    """Return an error for each name that another one differs from by case alone."""
+    """Return an error for each name that differs from an earlier one only by case."""
     spelled: dict[str, str] = {}
     return [
         f"object {plain_text(name, MAX_NAME)}: {spelled[name.lower()]} differs by case alone"

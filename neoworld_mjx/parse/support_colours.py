@@ -1,7 +1,7 @@
-"""Colours of supports, measured where the photograph shows only the support.
+"""Colours of supports, measured on pixels that show only the support.
 
-A pixel shows a support if the support is the first that its ray meets, the pixel is within the
-support's 2D box, and it is in no object's box.
+A pixel shows a support if its ray hits this support first, and if the pixel lies within the
+support's 2D box and outside the boxes of all objects.
 """
 
 from typing import Literal, NamedTuple
@@ -17,29 +17,29 @@ from .crops import colour_in_box
 from .photo import Photo
 
 RASTER = 320
-"""Columns or rows of the raster along the picture's longer side."""
+"""Number of samples along the picture's longer side."""
 MARGIN = 0.012
-"""Width left out around objects and the support's own outline, over the longer side."""
+"""Width of the excluded border around objects and within supports, over the longer side."""
 LEAST_SHARE = 0.004
-"""Least fraction of the picture in which a colour is measured."""
+"""Minimum fraction of the picture from which a colour is measured."""
 
 
 class SupportColour(NamedTuple):
     """Colour of a support, and its source."""
 
     rgb: tuple[float, float, float] | None
-    """0 to 1; None is that of its material."""
+    """RGB, 0 to 1; None for the colour of its material."""
     source: Literal["photo", "answer", "material", "box"]
-    """`photo`: median over the pixels that show only it; `answer`: the parsed one; `box`: median
-    over its 2D box less those of objects, for supports without a declared surface."""
+    """`photo`: median of the pixels that show only the support; `answer`: parsed colour; `box`:
+    median of its 2D box outside those of objects, for a support without a declared surface."""
     share: float
-    """Fraction of the picture that shows only it."""
+    """Fraction of the picture that shows only the support."""
 
 
 def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
     """Return the colour of every support of the environment that is built from its box.
 
-    The photograph's comes before the response's, where it shows the support well enough.
+    The measured colour takes precedence over the parsed one if enough of the support is visible.
 
     Args:
         photo: the photograph.
@@ -64,11 +64,11 @@ def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
 def measured_colours(
     photo: Photo, tree: SceneTree
 ) -> dict[str, tuple[tuple[float, float, float] | None, float]]:
-    """Measure the colours of environment supports that are made from their boxes.
+    """Measure the colours of environment supports that are built from their boxes.
 
     Returns:
-        For each its colour, None if it is hardly seen, and the share of the picture that shows it
-        and nothing else.
+        The colour of each, None if it is hardly visible, and the fraction of the picture that shows
+        only it, by name.
     """
     width, height = photo.original_size
     step = max(1.0, max(photo.size) / RASTER)
@@ -81,8 +81,8 @@ def measured_colours(
     eye = tree.camera.position()
     if not supports:
         return {}
-    reach = np.stack([_distance(node, eye, rays) for node in supports])
-    first = np.where(np.isfinite(reach.min(axis=0)), reach.argmin(axis=0), -1)
+    distances = np.stack([_distance(node, eye, rays) for node in supports])
+    first = np.where(np.isfinite(distances.min(axis=0)), distances.argmin(axis=0), -1)
     margin = MARGIN * max(width, height)
     free = np.ones(first.shape, bool)
     for node in tree.nodes:
@@ -92,11 +92,13 @@ def measured_colours(
     erosions = max(1, round(MARGIN * RASTER))
     measured = {}
     for k, node in enumerate(supports):
-        own = (first == k) & free & _within(node, pixels, 0.0)
-        own = binary_erosion(own, iterations=erosions, border_value=1)
-        share, rgb = float(own.mean()), None
+        visible = (first == k) & free & _within(node, pixels, 0.0)
+        visible = binary_erosion(visible, iterations=erosions, border_value=1)
+        share, rgb = float(visible.mean()), None
         if share >= LEAST_SHARE:
-            red, green, blue = (np.median(colours[np.asarray(own, bool)], axis=0) / 255).tolist()
+            red, green, blue = (
+                np.median(colours[np.asarray(visible, bool)], axis=0) / 255
+            ).tolist()
             rgb = (red, green, blue)
         measured[node.name] = (rgb, share)
     return measured
@@ -113,9 +115,9 @@ def _within(
 def _distance(
     node: TreeNode, eye: Float[np.ndarray, "3"], rays: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w"]:
-    """Return how far along each ray a support's box is, or the top of its outline [m]; inf beside.
+    """Return the distance along each ray to a support's box [m]; inf if the ray misses it.
 
-    The sides of an outline that is no rectangle are left out.
+    Only the top of a support counts if its outline is not a rectangle.
     """
     box = node.box3d
     turn = conjugate(quat_mul(from_yaw(box.yaw), np.array(node.base_tilt)))

@@ -29,7 +29,7 @@ def parse_photo(context: StepContext) -> None:
             return
         parsed = run_coroutine(parse(photo, models, options))
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
-        (out / RESPONSE_TREE).write_text(parsed.answered.to_json(), encoding="utf-8")
+        (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")
         (out / "photo.png").write_bytes(to_png(photo.rgb))
         (out / "pictures").mkdir()
         (out / "pictures" / "parse.png").write_bytes(parsed.picture)

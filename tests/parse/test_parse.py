@@ -65,7 +65,7 @@ def test_faults_go_back_and_the_better_round_is_kept():
     parsed, names, requests = run(consistent(), BAD, better, GOOD)
     assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
     assert "A pen at the edge. Add pen." in requests[2].prompt
-    assert parsed.kept == 1
+    assert parsed.best_round == 1
     assert parsed.tree.node("left").description == "now with a pen"
 
 
@@ -73,7 +73,7 @@ def test_a_round_with_a_lower_score_is_not_kept():
     worse = consistent()
     worse["objects"] = worse["objects"][:2]
     parsed, _, _ = run(consistent(), BAD, worse, BAD | {"completeness": 2})
-    assert parsed.kept == 0
+    assert parsed.best_round == 0
     assert len(parsed.tree.nodes) == 4
 
 
@@ -95,7 +95,7 @@ def test_errors_of_the_checks_go_back_even_if_the_critic_is_content():
     parsed, names, requests = run(wrong, GOOD, consistent(), GOOD)
     assert names[2] == "parse:mend"
     assert "can: only 0% of its footprint lies in that of its support right" in requests[2].prompt
-    assert parsed.kept == 1
+    assert parsed.best_round == 1
     assert parsed.tree.node("can").parent == "left"
 
 
@@ -118,7 +118,7 @@ def test_a_box_outside_the_picture_goes_back_without_a_critic():
     parsed, names, requests = run(outside, consistent(), GOOD)
     assert names == ["parse", "parse:mend", "parse:judge"]
     assert "lies outside the picture" in requests[1].prompt
-    assert parsed.kept == 1
+    assert parsed.best_round == 1
 
 
 def test_only_invalid_responses_are_one_error():
