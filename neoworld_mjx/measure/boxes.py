@@ -10,7 +10,7 @@ from ..spec.pose import ArrayLike
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the intersection over union of two boxes in pixels (x0, y0, x1, y1)."""
-    first, second = _four(a), _four(b)
+    first, second = _corners(a), _corners(b)
     common = shared_2d(first, second)
     union = _area(first) + _area(second) - common
     return common / union if union > 0 else 0.0
@@ -18,7 +18,7 @@ def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
 
 def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the intersection area [px^2] of two boxes in pixels."""
-    first, second = _four(a), _four(b)
+    first, second = _corners(a), _corners(b)
     sides = np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2])
     return float(np.prod(np.maximum(sides, 0.0)))
 
@@ -45,9 +45,7 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
-    """Return the intersection area [m^2] of two counterclockwise polygons [n, 2] m, of which the
-    second is convex.
-    """
+    """Return the intersection area [m^2] of two counterclockwise polygons [n, 2] m, `b` convex."""
     clipped = a
     for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
         if len(clipped) == 0:
@@ -78,7 +76,7 @@ def shared_3d(a: Box3D, b: Box3D) -> float:
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Return the intersection over union of two upright boxes, each turned by its yaw."""
+    """Return the intersection over union of two upright boxes at their yaws."""
     common = shared_3d(a, b)
     union = float(np.prod(a.size) + np.prod(b.size)) - common
     return common / union
@@ -105,7 +103,7 @@ def upright(node: TreeNode) -> Box3D:
     )
 
 
-def _four(box: Box2D | ArrayLike) -> NDArray:
+def _corners(box: Box2D | ArrayLike) -> NDArray:
     return np.asarray(box.as_tuple() if isinstance(box, Box2D) else box, float)
 
 

@@ -10,7 +10,7 @@ from ..spec.pose import yaw_of
 
 
 class Move(NamedTuple):
-    """The change of one object."""
+    """Displacement, scaling and rotation of one object."""
 
     distance_m: float
     """Distance between its origins in the world."""
@@ -20,7 +20,7 @@ class Move(NamedTuple):
 
 
 def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
-    """Return the changes of the objects in both scenes, without environment supports."""
+    """Return the move of every object that both scenes share, without environment supports."""
     old, new = ({item.name: item for item in scene.objects} for scene in (before, after))
     poses_before, poses_after = world_poses(before), world_poses(after)
     result = {}

@@ -1,4 +1,4 @@
-"""Validity of a scene: each measure compared with its bound, as in `check` and `refine`."""
+"""Validity of a scene: comparison of each measure with its bound, for `check` and `refine`."""
 
 import math
 
@@ -25,7 +25,7 @@ class SceneCheck(Spec):
 
 
 def measured(scene: SceneSpec, o: RefineOptions, *, sleeps: bool = False) -> SceneMeasure:
-    """Measure a scene for as long as the final check does; see `scene_measure`."""
+    """Measure a scene with the duration, time step and bounds of the options."""
     return scene_measure(
         scene,
         duration=o.check_duration_s,
@@ -49,16 +49,16 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
         ("settled_depth_m", measure.settled_depth_m, depth, measure.settled_depths_m),
         ("max_drift_m", measure.max_drift_m, drift, measure.drift_m),
         ("max_tilt_deg", measure.max_tilt_deg, tilt, measure.tilt_deg),
-        ("max_joint_slide_m", _most(measure.joint_slide_m), drift, measure.joint_slide_m),
-        ("max_joint_turn_deg", _most(measure.joint_turn_deg), tilt, measure.joint_turn_deg),
+        ("max_joint_slide_m", _largest(measure.joint_slide_m), drift, measure.joint_slide_m),
+        ("max_joint_turn_deg", _largest(measure.joint_turn_deg), tilt, measure.joint_turn_deg),
     )
     checks = []
-    for name, value, threshold, places in rows:
+    for name, value, threshold, values in rows:
         # Depths may equal their bound, as in S-Pen; motions may not.
         passed = value <= threshold if "depth" in name else value < threshold
         if measure.diverged and "max_depth" not in name:
             value, passed = math.inf, False
-        where = max(places, key=places.__getitem__, default="")
+        where = max(values, key=values.__getitem__, default="")
         checks.append(
             SceneCheck(name=name, value=value, threshold=threshold, passed=passed, where=where)
         )
@@ -70,5 +70,5 @@ def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
     return all(check.passed for check in scene_checks(measure, o))
 
 
-def _most(values: dict[str, float]) -> float:
+def _largest(values: dict[str, float]) -> float:
     return max(values.values(), default=0.0)

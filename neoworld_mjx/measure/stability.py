@@ -1,4 +1,4 @@
-"""S-Pen and S-Stab of a scene, the physical measures of the paper's scene table, in C MuJoCo."""
+"""S-Pen and S-Stab, the physical measures of the paper's scene table, computed by C MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -22,11 +22,11 @@ class SceneMeasure(Spec):
     max_depth_m: float
     """Largest penetration of two objects in the composed pose."""
     settled_depth_m: float
-    """Largest penetration at the end of the free fall, where contacts bear weight."""
+    """Largest penetration at the end of the simulation, when contacts bear weight."""
     depths_m: dict[str, float] = Field(default_factory=dict)
     """Penetrating pairs in the composed pose, "a|b"."""
     settled_depths_m: dict[str, float] = Field(default_factory=dict)
-    """Penetrating pairs at the end of the free fall."""
+    """Penetrating pairs at the end of the simulation."""
     s_stab: bool | None
     """True if every object stayed within the bounds at all times; None without movable objects."""
     max_drift_m: float
@@ -53,19 +53,20 @@ def scene_measure(
     max_tilt: float = 5.0,
     sleeps: bool = False,
 ) -> SceneMeasure:
-    """Measure penetration in the composed pose and drift over a free fall from it.
+    """Measure penetration in the composed pose, and drift in a simulation from it without drag.
 
-    No damping is added to that of joints; poses are compared after every step. Releases the GIL
-    while stepping, so scenes may be measured in threads.
+    Poses are compared after every step. Stepping releases the GIL, so scenes may be measured in
+    threads.
 
     Args:
         scene: the scene.
         duration: simulated time [s].
-        timestep: [s].
+        timestep: time step [s].
         max_depth: penetration bound [m].
         max_drift: translation bound [m].
         max_tilt: rotation bound [deg].
-        sleeps: True lets contact components at rest sleep: faster, but not the paper's measure.
+        sleeps: True lets contact components at rest sleep, which is faster but not the paper's
+            measure.
     """
     model, data = start_state(scene, timestep)
     if sleeps:
@@ -77,7 +78,7 @@ def scene_measure(
     base = base[:, None] + np.arange(7)
     initial = data.qpos.copy()
     start = initial[base]
-    qpos, finite = _free_fall(model, data, round(duration / timestep))
+    qpos, finite = _simulate(model, data, round(duration / timestep))
     moved = qpos[:, base]
     shift = np.linalg.norm(moved[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
     tilt = np.degrees(angle_between(start[:, 3:], moved[..., 3:])).max(axis=0, initial=0.0)
@@ -130,10 +131,10 @@ def _joint_motion(
     return slide, turn
 
 
-def _free_fall(
+def _simulate(
     model: mujoco.MjModel, data: mujoco.MjData, steps: int
 ) -> tuple[NDArray[np.float64], bool]:
-    """Step a scene from its state, without Python between steps.
+    """Step a scene from its state, in one call to MuJoCo.
 
     Returns:
         qpos after each step [step, nq], and True if the simulation stayed finite; `data` holds the

@@ -20,7 +20,7 @@ class UnstableObject(Spec):
     drift_m: float
     tilt_deg: float
     held: bool
-    """False for an object that is attached but not fastened, which no layout can hold."""
+    """False if the object is attached but not fastened, so that no layout can make it stable."""
     why: str
 
     def phrase(self) -> str:
@@ -37,13 +37,13 @@ class UnstableObject(Spec):
 def unstable_objects(
     scene: SceneSpec, measure: SceneMeasure, *, max_drift: float = 0.01, max_tilt: float = 5.0
 ) -> tuple[UnstableObject, ...]:
-    """Return the moving objects of a check with the reasons, falling ones first.
+    """Return the objects that exceed a bound of motion, with reasons; falling ones come first.
 
     Args:
-        scene: the scene that was measured.
-        measure: its check.
-        max_drift: translation bound of the check [m].
-        max_tilt: rotation bound of the check [deg].
+        scene: the measured scene.
+        measure: measures of the scene.
+        max_drift: translation bound [m].
+        max_tilt: rotation bound [deg].
     """
     moving = [
         obj

@@ -61,7 +61,7 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
 
 
 def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", visible: "Visible") -> dict[str, float]:
-    """Return `visible_box_iou` of a compiled scene, given the visible parts of its objects."""
+    """Compute `visible_box_iou` from the visible parts of a compiled scene's objects."""
     if scene.camera is None:
         return {}
     boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
@@ -73,10 +73,10 @@ def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", visible: "Visible") ->
 
 
 def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
-    """Return the intersection over union of each parsed 3D box, clipped at the image border, with
-    the parsed 2D box.
+    """Return the intersection over union of each parsed 3D box in the image with the 2D box.
 
-    The boxes do not occlude one another, since a container's box would occlude its contents.
+    3D boxes are clipped at the image border. They do not occlude one another, since a container's
+    box would occlude its contents.
     """
     size = np.array([tree.camera.width, tree.camera.height_px])
     ious = {}
@@ -92,8 +92,8 @@ def box_iou(tree: SceneTree, composed: SceneSpec, refined: SceneSpec) -> dict[st
     """Compare the boxes of a run's parse, composed scene and refined scene with the parsed boxes.
 
     Returns:
-        "parsed", "composed", "refined": means over the objects, None where there are none; "worst":
-        name and value of the refined scene's worst; "objects": by name the values of all three.
+        "parsed", "composed", "refined": means over the objects, None without objects; "worst": name
+        and value of the worst object of the refined scene; "objects": all three values by name.
     """
     steps = {
         "parsed": parsed_box_iou(tree),
