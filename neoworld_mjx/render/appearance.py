@@ -41,9 +41,9 @@ def appearance_of(
     """Return the appearance of every geom.
 
     Args:
-        model: the model, which has the colors.
-        data: the posed model, for the frames of patterns.
-        scene: the scene of the model, which has gloss, patterns and prints; None for a plain model.
+        model: the model; defines the colors.
+        data: the posed model; defines the frames of patterns.
+        scene: the scene of the model; defines gloss, patterns and prints. None for a plain model.
     """
     n = model.ngeom
     gloss, metal = np.full(n, 0.04), np.zeros(n, bool)
@@ -80,7 +80,7 @@ def appearance_of(
 
 
 def geom_rgba(model: mujoco.MjModel) -> NDArray:
-    """Return the color and opacity of every geom [geom, 4]: its material's, else its own."""
+    """Return the color and opacity of every geom [geom, 4], from its material if it has one."""
     material = model.geom_matid[:, None]
     if not model.nmat:
         return model.geom_rgba.copy()

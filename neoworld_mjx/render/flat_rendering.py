@@ -1,6 +1,6 @@
 """Render with flat colors, one light and outlines, without shadows and patterns.
 
-This takes a fraction of the time of `rendering` and is used to compare many candidate layouts.
+This takes a fraction of the time of `rendering`; it serves to compare many candidate layouts.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from .view import View
 
 _AMBIENT, _SKY, _KEY = 0.25, 0.3, 0.55
 _OUTLINE = 0.45
-"""Brightness of the pixels on the border of an object, relative to their own."""
+"""Factor that darkens the pixels on the border of an object."""
 
 
 def render_plain(

@@ -1,8 +1,8 @@
 """Lighting: a soft key light and a sky, with shadows and ambient occlusion.
 
 Each light is sampled at 16 points. Each pixel of a 4 x 4 tile traces a shadow ray to one of them;
-averaging over neighboring pixels of the same surface gives every pixel all 16 samples, at one
-shadow ray for each pixel and light.
+averaging over neighboring pixels of the same surface gives every pixel all 16 samples, at the cost
+of one shadow ray per pixel and light.
 """
 
 import math

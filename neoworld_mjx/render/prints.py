@@ -15,7 +15,7 @@ from ..spec import Material
 from ..spec.photo_print import PhotoPrint
 
 LEAST_COSINE = 0.2
-"""Smallest cosine of the angle between normal and direction to the camera of a printed point."""
+"""Smallest cosine between a printed point's normal and its direction to the camera."""
 DEPTH_SHARE = 0.015
 """Largest relative difference from the print's depth at which a point counts as visible."""
 MOST_CONDITION = 1e9
@@ -134,8 +134,8 @@ def print_png(material: Material) -> bytes:
     """Return the texture of a printed material: its image above a strip of its plain color."""
     assert material.photo is not None
     colours = read_print(material.photo).colours
-    own = np.round(255 * np.array(material.rgba[:3])).astype(np.uint8)
-    strip = np.broadcast_to(own, (STRIP, colours.shape[1], 3))
+    plain = np.round(255 * np.array(material.rgba[:3])).astype(np.uint8)
+    strip = np.broadcast_to(plain, (STRIP, colours.shape[1], 3))
     content = BytesIO()
     Image.fromarray(np.concatenate([colours, strip])).save(content, format="PNG", optimize=True)
     return content.getvalue()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FAR = 1e10
 SEE_THROUGH_GROUP, LAYER_GROUP = 5, 4
-"""Geom groups, in the copy of the model, of transparent geoms and of the one that is cast alone."""
+"""Geom groups, in the copy of the model, of the transparent geoms and of the one cast alone."""
 FAR_BOX_M = 1e4
 """Half the edge of a box that contains every eye."""
 
@@ -93,16 +93,16 @@ class RayCaster:
         """
         hits_by_geom = []
         length = np.linalg.norm(directions, axis=1)
-        one = np.zeros(6, np.uint8)
-        one[LAYER_GROUP] = 1
+        layer = np.zeros(6, np.uint8)
+        layer[LAYER_GROUP] = 1
         for g in self.see_through.tolist():
             rows = np.flatnonzero(self._near(g, eye, directions, length))
             self.model.geom_group[g] = LAYER_GROUP
-            hits = self._hits(eye, directions[rows], one, smooth)
+            hits = self._hits(eye, directions[rows], layer, smooth)
             self.model.geom_group[g] = SEE_THROUGH_GROUP
-            on = np.flatnonzero(hits.geom >= 0)
-            if len(on):
-                hits_by_geom.append((rows[on], hits.rows(on)))
+            hit = np.flatnonzero(hits.geom >= 0)
+            if len(hit):
+                hits_by_geom.append((rows[hit], hits.rows(hit)))
         return hits_by_geom
 
     def _near(self, g: int, eye: NDArray, directions: NDArray, length: NDArray) -> NDArray:
@@ -195,9 +195,9 @@ class RayCaster:
 def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model whose bounding boxes of bodies contain every eye.
 
-    `mj_multiRay` culls bodies by the angles of the corners of their boxes. For boxes that are not
-    axis-aligned, those of bodies with a rotated inertial frame, it culls too much: table legs and
-    cabinet corners vanish. Bodies whose box contains the eye are not culled.
+    `mj_multiRay` culls bodies by the angles of the corners of their boxes. It culls too much if the
+    boxes are not axis-aligned, as for bodies with a rotated inertial frame: table legs and cabinet
+    corners vanish. Bodies whose box contains the eye are not culled.
     """
     model = copy.copy(model)
     roots = model.body_bvhadr[model.body_bvhadr >= 0]

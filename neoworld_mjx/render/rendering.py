@@ -108,7 +108,7 @@ def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def object_of_geoms(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
-    """Return the object index of each geom, and the names of the objects."""
+    """Return the index of each geom's object, and the names of the objects."""
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     index = np.full(model.nbody, -1)
     index[roots] = np.arange(len(roots))
@@ -163,11 +163,11 @@ class _Stage:
         down = rays[:, 2] < -1e-6
         if self.ground is not None and self.view.eye[2] > self.ground and down.any():
             distance = (self.ground - self.view.eye[2]) / np.where(down, rays[:, 2], -1.0)
-            on = (surface < 0) & down & (distance < 40.0 * self.reach)
-            surface[on] = FLOOR
-            hits.point[on] = self.view.eye + rays[on] * distance[on, None]
-            hits.normal[on] = [0.0, 0.0, 1.0]
-            reach[on] = distance[on]
+            floor = (surface < 0) & down & (distance < 40.0 * self.reach)
+            surface[floor] = FLOOR
+            hits.point[floor] = self.view.eye + rays[floor] * distance[floor, None]
+            hits.normal[floor] = [0.0, 0.0, 1.0]
+            reach[floor] = distance[floor]
         layers = Layers.cast(self.caster, self.view.eye, rays, reach)
         return _RayHits(rays, hits, surface, layers)
 
@@ -194,22 +194,22 @@ class _Stage:
         light = surroundings(cast.rays)
         body = np.flatnonzero(cast.surface >= 0)
         light[body] = self._shade_hits(cast.hits, body, cast.rays[body], key[body], sky[body])
-        on = np.flatnonzero(cast.surface == FLOOR)
-        n = len(on)
+        floor = np.flatnonzero(cast.surface == FLOOR)
+        n = len(floor)
         lit = shade(
             np.tile(FLOOR_COLOUR, (n, 1)),
             np.zeros(n),
             np.zeros(n, bool),
-            cast.hits.normal[on],
-            -cast.rays[on],
-            key[on],
-            sky[on],
+            cast.hits.normal[floor],
+            -cast.rays[floor],
+            key[floor],
+            sky[floor],
             self.lights.key_direction,
         )
         # The floor fades into the horizon.
-        away = np.linalg.norm((cast.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
+        away = np.linalg.norm((cast.hits.point[floor] - self.centre)[:, :2], axis=1) / self.reach
         fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
-        light[on] = lit + (surroundings(cast.rays[on] * [1, 1, 0]) - lit) * fade
+        light[floor] = lit + (surroundings(cast.rays[floor] * [1, 1, 0]) - lit) * fade
         return self._through(cast, light)
 
     def _through(self, cast: _RayHits, light: NDArray) -> NDArray:

@@ -1,7 +1,7 @@
 """Tiles of patterned materials: small images that repeat seamlessly, for other programs.
 
-A tile shows the pattern of rendered images on the plane z = 0 of an object's frame. Patterns in
-courses repeat after a whole number of courses; the others are mirrored or blended at their edges.
+A tile shows the same pattern as rendered images, on the plane z = 0 of an object's frame. Patterns
+of courses repeat after a whole number of courses; others are mirrored or blended at their edges.
 """
 
 from functools import lru_cache
@@ -25,7 +25,7 @@ SAMPLES = 2
 """Samples per pixel and axis of patterns with edges."""
 GRAIN_M = 0.32
 _STEPS: dict[str, tuple[int, int]] = {
-    # Periods along u and v; a whole number of courses where the tile is not mirrored.
+    # Periods along u and v: a whole number of courses if the tile is not mirrored.
     "boards": (9, 8), "tiles": (4, 4), "bricks": (12, 12), "veins": (3, 3),
     "speckles": (24, 24), "weave": (16, 16), "brushed": (40, 40),
 }  # fmt: skip
@@ -77,9 +77,9 @@ def _tile(pattern: SurfacePattern, rgb: tuple[float, float, float]) -> NDArray:
     blended = pattern.kind in _BLENDED
     samples = 1 if blended else SAMPLES
     n = PIXELS * samples
-    at = (np.arange(n + round(OVERLAP * n) * blended) + 0.5) / n
-    first = at[: n // 2] if "u" in folded else at
-    second = at[: n // 2] if "v" in folded else at
+    grid = (np.arange(n + round(OVERLAP * n) * blended) + 0.5) / n
+    first = grid[: n // 2] if "u" in folded else grid
+    second = grid[: n // 2] if "v" in folded else grid
     u, v = np.meshgrid(first * wide, second * tall)
     point = np.stack([u.ravel(), v.ravel(), np.zeros(u.size)], axis=1)
     up = np.broadcast_to([0.0, 0.0, 1.0], point.shape)

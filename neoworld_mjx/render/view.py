@@ -80,7 +80,7 @@ class View(NamedTuple):
             azimuth: azimuth of the camera about +z [rad]; 0 looks at the front (+x).
             elevation: elevation of the camera above the horizontal [rad].
             fovy: vertical field of view [rad].
-            margin: factor of the distance.
+            margin: factor by which the distance exceeds the smallest one.
         """
         p = np.asarray(points, float)
         centre = (p.min(axis=0) + p.max(axis=0)) / 2
