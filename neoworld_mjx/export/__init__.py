@@ -1,4 +1,4 @@
-"""URDF, USD and MJCF of objects and scenes, and back."""
+"""Export of objects and scenes to URDF, USD and MJCF, and import from these formats."""
 
 from .handles import Frame, frames
 from .importing import Imported, import_mjcf, import_urdf, import_usd

@@ -63,7 +63,7 @@ def open_usd(path: Path) -> Usd.Stage:
         library="USD", verb="open", accepted=(_INVALID,),
     )  # fmt: skip
     if status == _INVALID:
-        # Opening the file here as well could take all memory before it fails.
+        # Opening the file in this process could take all memory before it fails.
         message = printable(output.decode("utf-8", "replace").strip())[:300]
         raise SpecError(f"{path} is not valid USD: {message}")
     return open_inside(path)

@@ -17,7 +17,7 @@ FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "
 
 
 def checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
-    """Check a file and all that it includes, and return their root elements, its own first.
+    """Check a file and all that it includes; return their root elements, that of `path` first.
 
     Raises:
         SpecError: a file is broken or hostile, names a file that is missing or lies outside the

@@ -105,7 +105,7 @@ def lost(described: Described, kind: Format) -> list[str]:
 
 
 def collider_error(described: Described) -> float:
-    """Return the largest distance of colliders for MJX from the surfaces they approximate [m]."""
+    """Return the largest distance [m] between colliders for MJX and the surfaces they replace."""
     return max(
         (
             polyhedron_error(piece.kind, piece.size)

@@ -59,8 +59,8 @@ def _handle(spec: ObjectSpec, joint: JointSpec, name: str) -> Frame:
     for part in spec.parts:
         if group[part.name] != group[joint.child]:
             continue
-        for geom, piece, at in pieces(part):
-            box = box_around(piece, at)
+        for geom, piece, local in pieces(part):
+            box = box_around(piece, local)
             whole.append(box)
             if HANDLE.search(geom.name) or (HANDLE.search(part.name) and part.name != spec.root):
                 held.append(box)

@@ -113,21 +113,21 @@ def to_object(mechanism: Mechanism) -> Imported:
             raise SpecError(
                 f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
             ) from None
-    labels = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
+    part_names = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
     leaders = {joint.name: joint.mimic.joint for joint in moving if joint.mimic is not None}
     if (looped := name_on_cycle(leaders)) is not None:
         raise SpecError(f"joint {looped!r} follows itself through other joints")
-    titles = {joint.name: names.take(joint.name, "joint") for joint in moving}
+    joint_names = {joint.name: names.take(joint.name, "joint") for joint in moving}
     joints = []
     for joint in moving:
         update: dict[str, Any] = {
-            "name": titles[joint.name],
-            "parent": labels[joint.parent],
-            "child": labels[joint.child],
+            "name": joint_names[joint.name],
+            "parent": part_names[joint.parent],
+            "child": part_names[joint.child],
         }
         if joint.mimic is not None:
-            if joint.mimic.joint in titles:
-                leader = titles[joint.mimic.joint]
+            if joint.mimic.joint in joint_names:
+                leader = joint_names[joint.mimic.joint]
                 update["mimic"] = joint.mimic.model_copy(update={"joint": leader})
             else:
                 update["mimic"] = None
@@ -142,7 +142,7 @@ def to_object(mechanism: Mechanism) -> Imported:
             sites=tuple(
                 Site(
                     name=names.take(site.name, "site"),
-                    part=labels[owner[site.part]],
+                    part=part_names[owner[site.part]],
                     pos=site.pos,
                 )
                 for site in mechanism.sites
@@ -152,7 +152,9 @@ def to_object(mechanism: Mechanism) -> Imported:
         raise SpecError(f"{name}: {validation_message(error, ObjectSpec)}") from None
     low, high = bounds(spec)
     origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
-    return Imported(recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), titles)
+    return Imported(
+        recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), joint_names
+    )
 
 
 def _without_empty(
@@ -184,11 +186,11 @@ def _without_empty(
     for link in links.values():
         if not link.shapes:
             joint = next((j for j in joints if j.child == link.name), None)
-            at = np.eye(4)
-            at[:3, 3] = (0, 0, 0) if joint is None else joint.pos
-            link.shapes = [LinkShape(Sphere(radius=PLACEHOLDER_M), at, "collision", hull=True)]
+            frame = np.eye(4)
+            frame[:3, 3] = (0, 0, 0) if joint is None else joint.pos
+            link.shapes = [LinkShape(Sphere(radius=PLACEHOLDER_M), frame, "collision", hull=True)]
             if link.mass is None or link.mass <= 0:
-                link.mass, link.com, link.inertia = 1e-3, at[:3, 3], np.eye(3) * 1e-6
+                link.mass, link.com, link.inertia = 1e-3, frame[:3, 3], np.eye(3) * 1e-6
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
             notes.append(f"link {link.name} has no geometry: a sphere of {radius} is used")
     return joints, owner
@@ -237,8 +239,8 @@ def _part(
             GeomSpec(
                 name=names.take(f"{label[:40]}_{k}", "geom"),
                 shape=shape,  # pyright: ignore[reportArgumentType] pydantic checks the union
-                pos=tuple(item.at[:3, 3].tolist()),
-                quat=tuple(from_matrix(item.at[:3, :3]).tolist()),
+                pos=tuple(item.frame[:3, 3].tolist()),
+                quat=tuple(from_matrix(item.frame[:3, :3]).tolist()),
                 material=_material(item, materials, helper),
                 role=role,
             )

@@ -99,8 +99,8 @@ def _check_accessors(path: Path, data: bytes) -> None:
     try:
         accessors = json.loads(text).get("accessors", [])
         counts = [accessor["count"] for accessor in accessors]
-        most = file_bounds().max_mesh_mib * MIB
-        fits = all(isinstance(n, int) and 0 <= n <= most for n in counts) and sum(counts) <= most
+        limit = file_bounds().max_mesh_mib * MIB
+        fits = all(isinstance(n, int) and 0 <= n <= limit for n in counts) and sum(counts) <= limit
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
         raise SpecError(f"{path} is not glTF: its JSON cannot be read") from None
     # An accessor without a buffer view stands for any number of zeros.

@@ -29,10 +29,10 @@ Triangles = tuple[NDArray, NDArray]
 
 @dataclass
 class LinkShape:
-    """A shape of a link; `at` [4, 4] transforms it to the root frame with all joints at 0."""
+    """A shape of a link; `frame` [4, 4] is its pose in the root frame with all joints at 0."""
 
     shape: BaseShape | Triangles
-    at: NDArray
+    frame: NDArray
     role: Role
     rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
@@ -118,7 +118,7 @@ def mechanism(spec: ObjectSpec) -> Mechanism:
     return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
 
 
-def transformed(own: Mechanism, into: NDArray) -> Mechanism:
+def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
     """Return a mechanism in another frame, to which `into` [4, 4] transforms rigidly."""
     turn, shift = into[:3, :3], into[:3, 3]
 
@@ -128,21 +128,21 @@ def transformed(own: Mechanism, into: NDArray) -> Mechanism:
     links = {
         name: replace(
             link,
-            shapes=[replace(shape, at=into @ shape.at) for shape in link.shapes],
+            shapes=[replace(shape, frame=into @ shape.frame) for shape in link.shapes],
             com=None if link.com is None else place(link.com),
             inertia=None if link.inertia is None else turn @ link.inertia @ turn.T,
             origin=place(link.origin),
         )
-        for name, link in own.links.items()
+        for name, link in mechanism.links.items()
     }
     joints = [
         joint.model_copy(
             update={"pos": triple(place(joint.pos)), "axis": triple(turn @ np.array(joint.axis))}
         )
-        for joint in own.joints
+        for joint in mechanism.joints
     ]
-    sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in own.sites]
-    return Mechanism(own.name, links, joints, sites, own.notes)
+    sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in mechanism.sites]
+    return Mechanism(mechanism.name, links, joints, sites, mechanism.notes)
 
 
 def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str, str]]) -> str:

@@ -1,7 +1,7 @@
 """Materials and textures of MJCF: visual geoms have materials named <object>-<material>.
 
-MuJoCo multiplies a texture by the color of its material, so that of a textured material is white.
-Its plain color is stored in <numeric name="<object>-<material>-rgb">, for readers without textures.
+MuJoCo multiplies a texture by the color of its material, so textured materials are white. Their
+plain colors are stored in <numeric name="<object>-<material>-rgb">, for readers without textures.
 """
 
 import xml.etree.ElementTree as ET

@@ -24,8 +24,8 @@ from ..spec.pose import Pose, matrix
 from .link_frames import unused
 
 Alignment = tuple[NDArray, NDArray]
-"""Stretch and shift [2]: pixel x of the rendered image is at stretch * x + shift in the photograph,
-both in pixels of the camera."""
+"""Stretch [2] and shift [2] px: pixel x of the rendered image is at stretch * x + shift in the
+photograph, both in pixels of the camera."""
 PRINTED = "_photo"
 """Suffix of the names of printed materials."""
 LONGEST_PX = 512
@@ -106,7 +106,7 @@ def _printed_object(
     return spec.model_copy(update={"materials": kept, "parts": tuple(parts)})
 
 
-def _alignment(own: NDArray, item: SceneObject, camera: Camera) -> Alignment:
+def _alignment(mask: NDArray, item: SceneObject, camera: Camera) -> Alignment:
     """Return the alignment of an object's rendered pixels with the photograph.
 
     It maps the object's box in the rendered image to its box in the photograph, by the sides that
@@ -115,9 +115,9 @@ def _alignment(own: NDArray, item: SceneObject, camera: Camera) -> Alignment:
     """
     box = item.box2d
     identity = (np.ones(2), np.zeros(2))
-    if box is None or item.environment or not own.any():
+    if box is None or item.environment or not mask.any():
         return identity
-    rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     size = np.array([camera.width, camera.height_px], float)
     ends = np.array([[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]], float)
     photo_ends = np.array([[box.x0, box.y0], [box.x1, box.y1]])
@@ -153,10 +153,10 @@ def _warped(image: NDArray, alignment: Alignment, scale: NDArray, *, smooth: boo
     return np.asarray(warped)
 
 
-def _filled(photo: NDArray, own: NDArray) -> NDArray:
-    """Fill pixels outside the object with the nearest pixel of the object."""
+def _filled(photo: NDArray, mask: NDArray) -> NDArray:
+    """Fill pixels outside an object's mask with the nearest pixel inside."""
     height, width = photo.shape[:2]
-    mask = np.asarray(Image.fromarray(own).resize((width, height), Image.Resampling.NEAREST))
+    mask = np.asarray(Image.fromarray(mask).resize((width, height), Image.Resampling.NEAREST))
     # Pixels at the edge of the object also show the background.
     inner = ndimage.binary_erosion(mask, iterations=max(1, width // 400))
     mask = inner if inner.any() else mask
@@ -168,7 +168,7 @@ def _filled(photo: NDArray, own: NDArray) -> NDArray:
 
 
 def _window(
-    camera: Camera, spec: ObjectSpec, part: PartSpec, material: str, at: Pose
+    camera: Camera, spec: ObjectSpec, part: PartSpec, material: str, place: Pose
 ) -> tuple[float, float, float, float] | None:
     """Return the window (x0, y0, x1, y1) that a material of a part covers in the image [px]."""
     corners = []
@@ -176,7 +176,7 @@ def _window(
         if geom.role != "collision" and geom.material == material:
             vertices, _ = geom.shape.surface()
             corners.append(geom.pose().apply(vertices))
-    pixels, depth = camera.project(at.apply(np.concatenate(corners)))
+    pixels, depth = camera.project(place.apply(np.concatenate(corners)))
     if np.any(depth < 1e-3):
         return 0.0, 0.0, float(camera.width), float(camera.height_px)
     size = np.array([camera.width, camera.height_px], float)
@@ -191,7 +191,7 @@ def _print(
     filled: NDArray,
     depth: NDArray,
     window: tuple[float, float, float, float],
-    at: Pose,
+    place: Pose,
 ) -> PhotoPrint | None:
     x0, y0, x1, y1 = (round(v) for v in window)
     sight = depth[y0:y1, x0:x1]
@@ -216,8 +216,8 @@ def _print(
         [0, camera.focal / tall, (camera.height_px / 2 - y0) / tall],
         [0, 0, 1],
     ])  # fmt: skip
-    turn = inner @ axes @ matrix(at.quat)
-    shift = inner @ axes @ (at.pos - camera.position())
+    turn = inner @ axes @ matrix(place.quat)
+    shift = inner @ axes @ (place.pos - camera.position())
     return PhotoPrint(
         image=base64_png(np.asarray(picture)),
         depth=base64_png(np.ascontiguousarray(levels[::step, ::step])),

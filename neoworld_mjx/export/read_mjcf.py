@@ -134,26 +134,26 @@ def _mechanism(
 
 def _without_prefix(assembly: Assembly) -> Assembly:
     """Remove the prefix "<object>-" from all names of an object if all of them have it."""
-    own = assembly.mechanism
-    prefix = f"{own.root}-"
-    inner = [name for name in own.links if name != own.root]
-    names = [*inner, *(j.name for j in own.joints), *(site.name for site in own.sites)]
+    mechanism = assembly.mechanism
+    root, prefix = mechanism.root, f"{mechanism.root}-"
+    inner = [name for name in mechanism.links if name != root]
+    names = [*inner, *(j.name for j in mechanism.joints), *(s.name for s in mechanism.sites)]
 
     def short(name: str) -> str:
         return name.removeprefix(prefix)
 
-    if not all(name.startswith(prefix) for name in names) or own.root in map(short, inner):
+    if not all(name.startswith(prefix) for name in names) or root in map(short, inner):
         return assembly
-    links = {short(name): replace(link, name=short(name)) for name, link in own.links.items()}
+    links = {short(name): replace(link, name=short(name)) for name, link in mechanism.links.items()}
     joints = []
-    for joint in own.joints:
+    for joint in mechanism.joints:
         update = {key: short(getattr(joint, key)) for key in ("name", "parent", "child")}
         mimic = joint.mimic
         mimic = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
         joints.append(joint.model_copy(update={**update, "mimic": mimic}))
-    sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in own.sites]
+    sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in mechanism.sites]
     state = {short(key): value for key, value in assembly.state.items()}
-    renamed = replace(own, links=links, joints=joints, sites=sites)
+    renamed = replace(mechanism, links=links, joints=joints, sites=sites)
     return replace(assembly, mechanism=renamed, state=state)
 
 
@@ -221,8 +221,8 @@ def _link(
 def _shape(
     model: mujoco.MjModel, data: mujoco.MjData, g: int, link: str, notes: list[str]
 ) -> LinkShape | None:
-    at = np.eye(4)
-    at[:3, :3], at[:3, 3] = data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]
     size, kind = [float(v) for v in model.geom_size[g]], int(model.geom_type[g])
     shape: BaseShape | Triangles
     if kind in _SHAPES:
@@ -242,7 +242,7 @@ def _shape(
     metallic, roughness = (float(v) if v >= 0 else None for v in gloss or (-1, -1))
     return LinkShape(
         shape,
-        at,
+        frame,
         "collision" if collides else "visual",
         (red, green, blue, alpha),
         float(model.geom_friction[g, 0]) if collides else 0.5,
@@ -290,9 +290,9 @@ def _joint(
     notes: list[str],
 ) -> JointSpec:
     name, kind = model.joint(j).name or f"{child}_joint", int(model.jnt_type[j])
-    at, dof = triple(data.xanchor[j]), int(model.jnt_dofadr[j])
+    anchor, dof = triple(data.xanchor[j]), int(model.jnt_dofadr[j])
     limited = bool(model.jnt_limited[j])
-    common: dict[str, Any] = {"name": name, "parent": parent, "child": child, "pos": at}
+    common: dict[str, Any] = {"name": name, "parent": parent, "child": child, "pos": anchor}
     losses: dict[str, Any] = {
         "damping": float(np.ravel(model.dof_damping[dof])[0]),
         "friction": float(model.dof_frictionloss[dof]),

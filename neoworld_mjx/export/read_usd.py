@@ -17,11 +17,11 @@ from ..spec.base import Vec3
 from .checked_usd import open_inside
 from .link_frames import unused
 from .mechanism import Assembly, Link, Mechanism, triple, unchecked_site
-from .read_usd_joints import JointReader, Tie, is_joint, rotation_matrix, state_of
+from .read_usd_joints import JointReader, StageJoint, is_joint, rotation_matrix, state_of
 from .read_usd_shapes import shapes_of, unscaled
 
 WORLD = "world"
-"""Name of the link that represents the world in an object that a joint moves in it."""
+"""Name of the link that represents the world, in an object that a joint attaches to it."""
 MAX_NUMBER = 1e6
 """Largest coordinate [m] and scale."""
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -116,7 +116,7 @@ def _assemblies(
 
     bodies = _bodies(prims, placed)
     reader = JointReader(path, stage, placed, {p: body.rigid for p, body in bodies.items()}, notes)
-    ties = reader.ties([prim for prim in prims if is_joint(prim)])
+    stage_joints = reader.stage_joints([prim for prim in prims if is_joint(prim)])
     loose: dict[str, _Body] = {}
     for prim in prims:
         if prim.IsA(UsdGeom.Gprim):
@@ -133,11 +133,13 @@ def _assemblies(
     notes += _unread(prims)
     shared = frame_of(top) if object_path else np.eye(4)
     result = []
-    for names, tied in _components(bodies, ties):
-        held = [tie for tie in ties if not tie.parent and tie.child in names]
+    for names, inner_joints in _components(bodies, stage_joints):
+        world_joints = [
+            joint for joint in stage_joints if not joint.parent and joint.child in names
+        ]
         home = _home(top, names)
         frame = frame_of(home) if apart and home else shared
-        result.append(_assembly(bodies, names, tied, held, frame, reader))
+        result.append(_assembly(bodies, names, inner_joints, world_joints, frame, reader))
     for group, body in loose.items():
         frame = body.rigid if apart else shared
         link = _link(body, "static", np.linalg.inv(frame), stage, notes)
@@ -214,7 +216,9 @@ def _group(prim: Usd.Prim, top: Usd.Prim) -> Usd.Prim:
     return prim
 
 
-def _components(bodies: dict[str, _Body], ties: list[Tie]) -> Iterator[tuple[list[str], list[Tie]]]:
+def _components(
+    bodies: dict[str, _Body], stage_joints: list[StageJoint]
+) -> Iterator[tuple[list[str], list[StageJoint]]]:
     """Yield the connected components of bodies, with the joints of each."""
     group = {name: name for name in bodies}
 
@@ -223,13 +227,16 @@ def _components(bodies: dict[str, _Body], ties: list[Tie]) -> Iterator[tuple[lis
             name = group[name]
         return name
 
-    for tie in ties:
-        if tie.parent:
-            group[head(tie.child)] = head(tie.parent)
+    for joint in stage_joints:
+        if joint.parent:
+            group[head(joint.child)] = head(joint.parent)
     heads = {name: head(name) for name in bodies}
     for component in dict.fromkeys(heads.values()):
         names = [name for name in bodies if heads[name] == component]
-        yield names, [tie for tie in ties if tie.parent and tie.parent in names]
+        yield (
+            names,
+            [joint for joint in stage_joints if joint.parent and joint.parent in names],
+        )
 
 
 def _home(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
@@ -242,37 +249,37 @@ def _home(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
 def _assembly(
     bodies: dict[str, _Body],
     names: list[str],
-    ties: list[Tie],
-    held: list[Tie],
+    stage_joints: list[StageJoint],
+    world_joints: list[StageJoint],
     frame: NDArray,
     reader: JointReader,
 ) -> Assembly:
     """Describe the bodies of one object, with all joints at 0, in its frame."""
     into = np.linalg.inv(frame)
-    moved = next((tie for tie in held if not tie.fixed), None)
-    root = _root(bodies, names, ties, held)
+    moved = next((joint for joint in world_joints if not joint.fixed), None)
+    root = _root(bodies, names, stage_joints, world_joints)
     rest = {root: bodies[root].rigid}
     labels = _labels([bodies[name].prim for name in names])
     links: dict[str, Link] = {}
-    used: list[Tie] = []
+    used: list[StageJoint] = []
     if moved is not None:
-        # The world is the base link then.
+        # A joint that moves in the world makes the world the base link.
         rest = {"": np.eye(4), moved.child: moved.parent_frame @ np.linalg.inv(moved.child_frame)}
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
         used.append(moved)
-    waiting = [*ties]
+    waiting = [*stage_joints]
     while ready := [t for t in waiting if (t.parent in rest) != (t.child in rest)]:
-        for tie in ready:
-            waiting.remove(tie)
-            if tie.parent in rest and tie.child in rest:
-                reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
+        for joint in ready:
+            waiting.remove(joint)
+            if joint.parent in rest and joint.child in rest:
+                reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
                 continue
-            outward = tie if tie.parent in rest else tie.flipped()
+            outward = joint if joint.parent in rest else joint.flipped()
             joint_frame = rest[outward.parent] @ outward.parent_frame
             rest[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
             used.append(outward)
-    for tie in waiting:
-        reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
+    for joint in waiting:
+        reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
     sites, stage, notes = [], reader.stage, reader.notes
     for name in names:
         body = bodies[name]
@@ -285,24 +292,31 @@ def _assembly(
                 position = into @ rest[name] @ np.array([*local, 1.0])
                 sites.append(unchecked_site(point.GetName(), labels[name], position[:3]))
     ends = {**labels, "": WORLD}
-    joints = [reader.joint(tie, into @ rest[tie.parent] @ tie.parent_frame, ends) for tie in used]
+    joints = [
+        reader.joint(joint, into @ rest[joint.parent] @ joint.parent_frame, ends) for joint in used
+    ]
     actual = {name: bodies[name].rigid for name in names} | {"": np.eye(4)}
     state = {}
-    for tie, joint in zip(used, joints, strict=True):
+    for joint, spec in zip(used, joints, strict=True):
         displaced = [into @ actual[e] @ np.linalg.inv(rest[e]) @ frame
-                     for e in (tie.parent, tie.child)]  # fmt: skip
-        state |= state_of(joint, np.linalg.inv(displaced[0]) @ displaced[1])
-    fixed = bool(held) or not any(bodies[name].dynamic for name in names)
+                     for e in (joint.parent, joint.child)]  # fmt: skip
+        state |= state_of(spec, np.linalg.inv(displaced[0]) @ displaced[1])
+    fixed = bool(world_joints) or not any(bodies[name].dynamic for name in names)
     home = _title(bodies[root].prim, names)
     mechanism = Mechanism(home.rpartition("/")[2], links, joints, sites, notes)
     return Assembly(home, mechanism, frame, fixed, state)
 
 
-def _root(bodies: dict[str, _Body], names: list[str], ties: list[Tie], held: list[Tie]) -> str:
+def _root(
+    bodies: dict[str, _Body],
+    names: list[str],
+    stage_joints: list[StageJoint],
+    world_joints: list[StageJoint],
+) -> str:
     """Return the root body of an object."""
-    children = {tie.child for tie in ties}
+    children = {joint.child for joint in stage_joints}
     for chosen in (
-        [tie.child for tie in held],
+        [joint.child for joint in world_joints],
         [n for n in names if bodies[n].prim.HasAPI(UsdPhysics.ArticulationRootAPI)],
         [name for name in names if name not in children],
     ):

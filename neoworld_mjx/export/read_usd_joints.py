@@ -1,6 +1,6 @@
 """Read joints of USD stages: their frames, and attributes of UsdPhysics, Newton, PhysX and MuJoCo.
 
-The axis of a joint is that of its token, turned by its local rotation. Limits and drives use
+The axis of a joint is the axis of its token, rotated by its local rotation. Limits and drives use
 degrees.
 """
 
@@ -23,7 +23,7 @@ _FREEDOMS = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 
 
 @dataclass(frozen=True)
-class Tie:
+class StageJoint:
     """A joint between two bodies, given by their paths; an empty parent is the world."""
 
     prim: Usd.Prim
@@ -46,7 +46,7 @@ class Tie:
         """True if the joint has no degree of freedom."""
         return kind_of(self.prim)[0] == "fixed"
 
-    def flipped(self) -> "Tie":
+    def flipped(self) -> "StageJoint":
         """Return the joint with parent and child exchanged."""
         return replace(
             self, parent=self.child, child=self.parent, parent_frame=self.child_frame,
@@ -100,27 +100,27 @@ class JointReader:
     """Rigid transforms of the bodies to the world [4, 4] m, by path."""
     notes: list[str]
 
-    def ties(self, prims: list[Usd.Prim]) -> list[Tie]:
+    def stage_joints(self, prims: list[Usd.Prim]) -> list[StageJoint]:
         """Return the joints that connect a body to another or to the world, in file order."""
         result = []
         for prim in prims:
-            joint = UsdPhysics.Joint(prim)
+            schema = UsdPhysics.Joint(prim)
             first, first_frame = self._side(
-                joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()
+                schema.GetBody0Rel(), schema.GetLocalPos0Attr(), schema.GetLocalRot0Attr()
             )
             second, second_frame = self._side(
-                joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()
+                schema.GetBody1Rel(), schema.GetLocalPos1Attr(), schema.GetLocalRot1Attr()
             )
             if first == second:
                 continue
-            tie = Tie(prim, first, second, first_frame, second_frame)
-            tie = tie if second else tie.flipped()
+            joint = StageJoint(prim, first, second, first_frame, second_frame)
+            joint = joint if second else joint.flipped()
             if kind_of(prim)[0] == "other":
-                outcome = "imported as fixed" if tie.parent else "skipped"
+                outcome = "imported as fixed" if joint.parent else "skipped"
                 self.notes.append(f"joint {prim.GetName()} has several freedoms: {outcome}")
-                if not tie.parent:
+                if not joint.parent:
                     continue
-            result.append(tie)
+            result.append(joint)
         return result
 
     def _side(
@@ -148,48 +148,48 @@ class JointReader:
         name = str(owner.GetPath())
         return name, np.linalg.inv(self.bodies[name]) @ frame
 
-    def joint(self, tie: Tie, frame: NDArray, labels: dict[str, str]) -> JointSpec:
-        """Return a joint.
+    def joint(self, joint: StageJoint, frame: NDArray, labels: dict[str, str]) -> JointSpec:
+        """Convert a joint of the stage.
 
         Args:
-            tie: the joint in the stage.
+            joint: the joint in the stage.
             frame: frame of the joint at rest, in that of the mechanism [4, 4] m.
             labels: link names by path of the body.
 
         Raises:
             SpecError: it is a slide without limits.
         """
-        kind, token = kind_of(tie.prim)
+        kind, token = kind_of(joint.prim)
         common: dict[str, Any] = {
-            "name": tie.name,
-            "parent": labels[tie.parent],
-            "child": labels[tie.child],
+            "name": joint.name,
+            "parent": labels[joint.parent],
+            "child": labels[joint.child],
             "pos": triple(frame[:3, 3]),
         }
         if kind in ("fixed", "other"):
             return unchecked_joint(**common, type="fixed")
         if kind == "ball":
-            return unchecked_joint(**common, **_ball_fields(tie.prim), type="ball")
+            return unchecked_joint(**common, **_ball_fields(joint.prim), type="ball")
         slide = kind == "prismatic"
         axis = frame[:3, :3] @ np.eye(3)["XYZ".index(token)]
-        lower, upper = _limits(tie.prim, slide, token)
+        lower, upper = _limits(joint.prim, slide, token)
         limited = math.isfinite(lower) and math.isfinite(upper) and lower <= upper
         if slide and not limited:
-            raise SpecError(f"{self.path}: joint {tie.name} slides and states no limits")
+            raise SpecError(f"{self.path}: joint {joint.name} slides and states no limits")
         if limited and lower == upper:
-            self.notes.append(f"joint {tie.name} has no range: imported as fixed")
+            self.notes.append(f"joint {joint.name} has no range: imported as fixed")
             return unchecked_joint(**common, type="fixed")
         units = self._units(slide)
         return unchecked_joint(
             **common,
-            **_passive_fields(tie.prim, "linear" if slide else "angular"),
-            **self._drive_fields(tie, units, "linear" if slide else "angular"),
+            **_passive_fields(joint.prim, "linear" if slide else "angular"),
+            **self._drive_fields(joint, units, "linear" if slide else "angular"),
             type="prismatic" if slide else "revolute" if limited else "continuous",
-            axis=triple((-axis if tie.reversed else axis) / np.linalg.norm(axis)),
+            axis=triple((-axis if joint.reversed else axis) / np.linalg.norm(axis)),
             lower=lower * units.position if limited else 0.0,
             upper=upper * units.position if limited else 0.0,
-            velocity=_velocity(tie.prim, "linear" if slide else "angular", units.position),
-            mimic=self._mimic(tie.prim, units.position, tie.reversed),
+            velocity=_velocity(joint.prim, "linear" if slide else "angular", units.position),
+            mimic=self._mimic(joint.prim, units.position, joint.reversed),
         )
 
     def _units(self, slide: bool) -> "_Units":
@@ -200,20 +200,22 @@ class JointReader:
         degree = math.radians(1.0)
         return _Units(degree, degree, kilogram * meter**2, 1.0)
 
-    def _drive_fields(self, tie: Tie, units: "_Units", instance: str) -> dict[str, float | None]:
+    def _drive_fields(
+        self, joint: StageJoint, units: "_Units", instance: str
+    ) -> dict[str, float | None]:
         """Return damping, stiffness and effort: those of the drive, else MuJoCo's attributes."""
-        drive = UsdPhysics.DriveAPI.Get(tie.prim, instance)
-        applied = bool(drive) and tie.prim.HasAPI(UsdPhysics.DriveAPI, instance)
+        drive = UsdPhysics.DriveAPI.Get(joint.prim, instance)
+        applied = bool(drive) and joint.prim.HasAPI(UsdPhysics.DriveAPI, instance)
         damping = _value(drive.GetDampingAttr()) if applied else 0.0
         stiffness = _value(drive.GetStiffnessAttr()) if applied else 0.0
         if stiffness and _value(drive.GetTargetPositionAttr()):
-            self.notes.append(f"joint {tie.name}: its drive's target is not imported")
+            self.notes.append(f"joint {joint.name}: its drive's target is not imported")
         force = _value(drive.GetMaxForceAttr()) if applied else 0.0
         return {
             "damping": max(damping / units.per * units.strength, 0.0)
-            or _first(tie.prim, "mjc:damping"),
+            or _first(joint.prim, "mjc:damping"),
             "stiffness": max(stiffness / units.per * units.strength, 0.0)
-            or _first(tie.prim, "mjc:stiffness"),
+            or _first(joint.prim, "mjc:stiffness"),
             "effort": force * units.strength * units.length if force > 0 else None,
         }
 
@@ -240,7 +242,7 @@ class JointReader:
 
 @dataclass(frozen=True)
 class _Units:
-    """SI values of the units in which a stage states the quantities of a joint."""
+    """Factors that convert a stage's joint quantities to SI units."""
 
     position: float
     """[m] or [rad]."""

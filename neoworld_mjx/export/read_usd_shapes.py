@@ -44,7 +44,7 @@ def shapes_of(prim: Usd.Prim, frame: NDArray, notes: list[str]) -> Iterator[Link
     Args:
         prim: a geometric prim.
         frame: transform of the prim, with scale, to the mechanism's frame [4, 4] m.
-        notes: notes of what is not imported are added to it.
+        notes: list to which notes of omissions are added.
 
     Raises:
         SpecError: a mesh is broken or too large.
@@ -72,7 +72,7 @@ def shapes_of(prim: Usd.Prim, frame: NDArray, notes: list[str]) -> Iterator[Link
 
 
 def _collision(prim: Usd.Prim) -> tuple[bool, bool, str]:
-    """Return whether a prim collides, whether as its hull, and its bounding approximation or ""."""
+    """Return True if a prim collides, True if as its hull, and its bounding approximation or ""."""
     holder = prim
     while holder and not holder.HasAPI(UsdPhysics.CollisionAPI):
         # The collision API may be on a group above the mesh.

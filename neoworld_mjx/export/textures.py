@@ -18,7 +18,7 @@ from .load_mesh import merged_vertices
 TEXTURES = "textures"
 """Folder of the textures, relative to the object."""
 PRINT_CUTS = 24
-"""Bounding-box diagonal of a printed surface over its longest triangle edge, at least."""
+"""Least ratio of a printed surface's bounding-box diagonal to its longest triangle edge."""
 
 
 def is_textured(spec: ObjectSpec, geom: GeomSpec) -> bool:

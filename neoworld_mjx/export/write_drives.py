@@ -1,7 +1,7 @@
 """Write drives.xml: MJCF that includes a scene or object and adds position actuators to its joints.
 
-The actuators are in a separate file as they resist motion: without them a drawer can be pulled out
-by its handle.
+The actuators are in a separate file since they resist motion: a drawer without them can be pulled
+out by its handle.
 """
 
 import xml.etree.ElementTree as ET
@@ -39,7 +39,7 @@ class Drive:
     effort: float | None
     """Largest force [N m or N]; None if unlimited."""
     held: float
-    """Target that holds the joint at its state in the scene."""
+    """Target that holds the joint at its position in the scene."""
 
 
 def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:

@@ -1,4 +1,4 @@
-"""Write objects and scenes in every format, as a run folder has them."""
+"""Write objects and scenes in every format of a run folder."""
 
 from pathlib import Path
 
@@ -67,7 +67,7 @@ def export_scene(scene: SceneSpec, out: Path) -> None:
     """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
 
     scene.xml refers to the meshes and textures of the objects, scene.usda to their USD files.
-    drives.xml, written where there are joints, adds actuators to scene.xml. Objects are written in
+    drives.xml, written if there are joints, adds actuators to scene.xml. Objects are written at
     their final size.
 
     Raises:

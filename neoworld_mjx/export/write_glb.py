@@ -35,7 +35,7 @@ def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
     # Object names have no hyphens, so these names are unused.
     base = f"{scene.name}-scene"
     result = trimesh.Scene(base_frame=base)
-    # A quarter turn about x takes Z up to Y up.
+    # A quarter turn about x converts Z up to Y up.
     up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     result.graph.update(frame_from=base, frame_to="z-up", matrix=up)
     poses = world_poses(scene)

@@ -1,10 +1,10 @@
 """Write MJCF of a scene or one object that compiles to exactly the same model.
 
 MuJoCo's writer rounds to six digits. This moves bodies by micrometers and can violate the triangle
-inequality of the inertia of thin plates, so every number is written again in full. Meshes are the
-files that URDF uses, as other readers of MJCF do not support inline vertices.
+inequality of the inertia of thin plates, so this module writes every number again in full. Meshes
+are the files that URDF uses, as other readers of MJCF do not support inline vertices.
 
-The files can be included or attached next to a robot: they have no settings that would conflict.
+The files can be included or attached alongside a robot: they have no settings that would conflict.
 Contacts have elliptic cones and stiff friction, so that resting objects do not creep.
 """
 
@@ -161,10 +161,10 @@ def _restore_precision(root: ET.Element, model: mujoco.MjSpec) -> None:
     option = root.find("option")
     if option is not None:
         _exact(option, model.option, {"timestep": "timestep", "gravity": "gravity"})
-    place = {"pos": "pos", "quat": "quat"}
+    pose = {"pos": "pos", "quat": "quat"}
     finders: dict[str, tuple[Callable[[str], Any], dict[str, str]]] = {
-        "body": (model.body, place),
-        "geom": (model.geom, {**place, "size": "size", "friction": "friction", "rgba": "rgba"}),
+        "body": (model.body, pose),
+        "geom": (model.geom, {**pose, "size": "size", "friction": "friction", "rgba": "rgba"}),
         "joint": (
             model.joint,
             {
@@ -178,8 +178,8 @@ def _restore_precision(root: ET.Element, model: mujoco.MjSpec) -> None:
                 "armature": "armature",
             },
         ),
-        "site": (model.site, {**place, "size": "size"}),
-        "camera": (model.camera, {**place, "fovy": "fovy"}),
+        "site": (model.site, {**pose, "size": "size"}),
+        "camera": (model.camera, {**pose, "fovy": "fovy"}),
         "mesh": (model.mesh, {"vertex": "uservert"}),
         "key": (model.key, {"qpos": "qpos"}),
     }

@@ -5,8 +5,8 @@
     /<scene>/lights
 
 Static objects have colliders and no rigid bodies. Joints that are not at 0 state their position in
-PhysicsJointStateAPI, which PhysX and Newton read. A name in this list gets underscores if an object
-has the same name.
+PhysicsJointStateAPI, which PhysX and Newton read. If an object has a name of this list, underscores
+are appended to the latter.
 """
 
 import math

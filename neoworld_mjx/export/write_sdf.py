@@ -1,8 +1,8 @@
 """Write SDF of an object or a scene, for Gazebo and Drake.
 
-Link frames are those of `link_frames`. All joints are at 0: SDF can store neither another joint
-state nor armature. Links, joints and frames of a model share one namespace, so a joint that has the
-name of a link gets an underscore.
+Link frames are those of `link_frames`. All joints are at 0, as SDF can store neither joint states
+nor armature. Links, joints and frames of a model share one namespace, so a joint with the name of a
+link gets an underscore.
 """
 
 import xml.etree.ElementTree as ET

@@ -2,7 +2,7 @@
 
 Link frames are those of `link_frames`, so joint origins are plain offsets. Sites and handles are
 links without geometry. Surface friction is written for PyBullet (<contact>) and for Drake
-(`drake_contact`). Joint stiffness and armature have no place in URDF and are left out.
+(`drake_contact`). URDF has no joint stiffness and armature, so these are omitted.
 
 Capsules become a cylinder and two spheres, ellipsoids become meshes. A ball joint becomes three
 hinges <joint>_x, _y, _z through one point with two links of tiny mass between them; the middle
@@ -32,7 +32,7 @@ from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_name, link_origins
 from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
-"""Limits that are written where the object states none: URDF requires both."""
+"""Limits that are written if the object states none, as URDF requires both."""
 BALL_LINK = 1e-6
 """Mass and inertia of the links within a ball joint, relative to those of its child."""
 CLEARANCE_M, MAX_SHRINKAGE = 0.0005, 0.1
@@ -260,7 +260,7 @@ def _add_ball(
             tensor = {f"i{a}{b}": "0" for a, b in ("xy", "xz", "yz")}
             tensor |= {f"i{a}{a}": number(BALL_LINK * max(mass.diagonal)) for a in "xyz"}
             ET.SubElement(link, "inertia", tensor)
-        most = min(joint.upper, np.pi / 2) if axis == "y" else joint.upper
+        limit = min(joint.upper, np.pi / 2) if axis == "y" else joint.upper
         hinge = joint.model_copy(
             update={
                 "name": name,
@@ -268,8 +268,8 @@ def _add_ball(
                 "parent": parent,
                 "child": child,
                 "axis": tuple(float(axis == a) for a in "xyz"),
-                "lower": -most,
-                "upper": most,
+                "lower": -limit,
+                "upper": limit,
             }
         )
         _add_joint(robot, hinge, origin)

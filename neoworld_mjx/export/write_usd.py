@@ -5,11 +5,11 @@
         visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site or handle>
     /<object>/joints/<joint>   /<object>/looks/<material>
 
-The axis of a joint is +X, turned by its local rotations, unless it is +X, +Y or +Z itself: a reader
-that uses only the axis token gets it wrong. UsdPhysics measures angles in degrees, in limits and in
-the stiffness and damping of drives. Armature, dry friction, velocity limits and mimics are written
-in two schemas that agree: Newton's (newton-usd-schemas) and PhysX's, for Isaac; both use degrees. A
-ball is a spherical joint with a cone; its damping and stiffness are custom attributes, in radians.
+A joint axis other than +X, +Y or +Z is written as +X with local rotations, so readers must not use
+the axis token alone. UsdPhysics uses degrees in limits and in the stiffness and damping of drives.
+Armature, dry friction, velocity limits and mimics are written in two equivalent schemas: Newton's
+(newton-usd-schemas) and PhysX's, for Isaac; both use degrees. A ball becomes a spherical joint with
+a cone limit; its damping and stiffness are custom attributes, in radians.
 Semantic labels give the class and category of the object, its parts and materials, and the purpose
 of its joints.
 """
@@ -147,14 +147,14 @@ def _add_visual(
     spec: ObjectSpec,
     part: PartSpec,
     geom: GeomSpec,
-    at: Pose,
+    local: Pose,
 ) -> None:
     primitive = geom.shape.primitive()
     if primitive is not None and not is_textured(spec, geom):
-        _gprim(stage, path, primitive, at)
+        _gprim(stage, path, primitive, local)
         return
     vertices, faces, uv = visible_surface(spec, part.name, geom)
-    mesh = _mesh(stage, path, vertices, faces, at)
+    mesh = _mesh(stage, path, vertices, faces, local)
     _shade(mesh, corner_normals(vertices, faces))
     if uv is not None:
         primvars = UsdGeom.PrimvarsAPI(mesh)
@@ -172,12 +172,14 @@ def _shade(mesh: UsdGeom.Mesh, normals: NDArray) -> None:
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
 
 
-def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece, at: Pose) -> None:
+def _add_collider(
+    stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece, local: Pose
+) -> None:
     triangles = piece_mesh(geom, piece)
     if triangles is None:
-        prim = _gprim(stage, path, piece, at).GetPrim()
+        prim = _gprim(stage, path, piece, local).GetPrim()
     else:
-        mesh = _mesh(stage, path, *triangles, at)
+        mesh = _mesh(stage, path, *triangles, local)
         # Validators require normals of every mesh.
         _shade(mesh, corner_normals(*triangles, crease=FLAT))
         prim = mesh.GetPrim()
@@ -187,7 +189,7 @@ def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece
     UsdGeom.Imageable(prim).CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 
-def _gprim(stage: Usd.Stage, path: Sdf.Path, piece: Piece, at: Pose) -> UsdGeom.Gprim:
+def _gprim(stage: Usd.Stage, path: Sdf.Path, piece: Piece, local: Pose) -> UsdGeom.Gprim:
     size = [float(v) for v in piece.size]
     scale: list[float] | None = None
     if piece.kind == "box":
@@ -206,7 +208,7 @@ def _gprim(stage: Usd.Stage, path: Sdf.Path, piece: Piece, at: Pose) -> UsdGeom.
         gprim.CreateRadiusAttr(size[0])
         gprim.CreateHeightAttr(2 * size[1])
         gprim.CreateAxisAttr(UsdGeom.Tokens.z)
-    set_pose(gprim, at)
+    set_pose(gprim, local)
     if scale is not None:
         gprim.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*scale))
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(gprim, Usd.TimeCode.Default())
@@ -215,7 +217,7 @@ def _gprim(stage: Usd.Stage, path: Sdf.Path, piece: Piece, at: Pose) -> UsdGeom.
 
 
 def _mesh(
-    stage: Usd.Stage, path: Sdf.Path, vertices: NDArray, faces: NDArray, at: Pose
+    stage: Usd.Stage, path: Sdf.Path, vertices: NDArray, faces: NDArray, local: Pose
 ) -> UsdGeom.Mesh:
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreatePointsAttr(_points(vertices))
@@ -223,7 +225,7 @@ def _mesh(
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.ravel().astype(np.int32)))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateExtentAttr(_points(np.stack([vertices.min(axis=0), vertices.max(axis=0)])))
-    set_pose(mesh, at)
+    set_pose(mesh, local)
     return mesh
 
 
