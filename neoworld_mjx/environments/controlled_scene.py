@@ -93,7 +93,7 @@ class ControlledScene:
 
     @cached_property
     def hold(self) -> NDArray:
-        """Action that holds the initial state of an episode without noise [action]."""
+        """Action that holds the initial state of an episode without reset noise [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
         return np.array([drive.held for drive in self.drives] + tail, np.float32)
 
@@ -154,9 +154,9 @@ def controlled_scene(
         run: a run folder, a scene.json or a scene.
         gripper: initial pose of a free gripper, or the name of a handle, <object>-<frame>, that it
             faces; None adds no gripper.
-        drive_joints: True to add position actuators to the joints; by default if there is no
-            gripper, as the actuators resist pulling.
-        mjx: True if the model is for `mjx_step`.
+        drive_joints: True to add position actuators to the joints; None adds them only without a
+            gripper, since they resist pulling.
+        mjx: True for a model that `mjx_step` can simulate.
 
     Raises:
         SpecError: there is no scene, no such handle, nothing to actuate, or an object has the name

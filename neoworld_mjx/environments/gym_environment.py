@@ -134,14 +134,15 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return self.data.qpos[self.controlled.qpos_of_joints]
 
     def _observe(self) -> Observation:
-        own = self.controlled
-        poses = np.concatenate([self.data.xpos[own.bodies], self.data.xquat[own.bodies]], axis=1)
+        scene = self.controlled
+        bodies = scene.bodies
+        poses = np.concatenate([self.data.xpos[bodies], self.data.xquat[bodies]], axis=1)
         result = {
             "poses": poses.astype(np.float32),
             "joints": self._joints().astype(np.float32),
-            "joint_velocities": self.data.qvel[own.dof_of_joints].astype(np.float32),
+            "joint_velocities": self.data.qvel[scene.dof_of_joints].astype(np.float32),
         }
-        if own.gripper is not None:
+        if scene.gripper is not None:
             hand = self.data.body(f"{PREFIX}-hand")
             fingers = [float(self.data.joint(f"{PREFIX}-{s}").qpos[0]) for s in ("left", "right")]
             result["gripper"] = np.array([*hand.xpos, *hand.xquat, sum(fingers)], np.float32)
@@ -170,7 +171,7 @@ def gym_env(
     Args:
         run: the folder, file or scene.
         gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
-        drive_joints: True if actions include the targets of joints; by default without a gripper.
+        drive_joints: True if actions include targets of joints; None only without a gripper.
         reward: function of an observation.
         noise: noise that every reset adds to the scene; none by default.
         picture: height and width of images in observations; each takes about a second.

@@ -72,7 +72,7 @@ class MjxEnv:
         """Apply targets, clipped to their bounds, for one control interval. Traceable."""
         data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
         data = mjx_step(self.mjx_model, data, self.n_substeps)
-        # A step leaves body poses as they were before its last time step.
+        # Body poses in the data lag one time step behind qpos.
         data = mjx.kinematics(self.mjx_model.mjx, data)
         return self._state(data, state.info["step"] + 1)
 
@@ -83,16 +83,16 @@ class MjxEnv:
         return EnvState(data, obs, reward, done, {}, {"step": step})
 
     def _observe(self, data: mjx.Data) -> Observation:
-        own = self.controlled
+        scene = self.controlled
         result = {
-            "poses": jnp.concatenate([data.xpos[own.bodies], data.xquat[own.bodies]], axis=1),
-            "joints": data.qpos[own.qpos_of_joints],
-            "joint_velocities": data.qvel[own.dof_of_joints],
+            "poses": jnp.concatenate([data.xpos[scene.bodies], data.xquat[scene.bodies]], axis=1),
+            "joints": data.qpos[scene.qpos_of_joints],
+            "joint_velocities": data.qvel[scene.dof_of_joints],
         }
-        if own.gripper is not None:
-            hand = own.model.body(f"{PREFIX}-hand").id
+        if scene.gripper is not None:
+            hand = scene.model.body(f"{PREFIX}-hand").id
             fingers = np.array(
-                [own.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in ("left", "right")]
+                [scene.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in ("left", "right")]
             )
             wide = jnp.sum(data.qpos[fingers])[None]
             result["gripper"] = jnp.concatenate([data.xpos[hand], data.xquat[hand], wide])
@@ -113,7 +113,7 @@ def mjx_env(
     Args:
         run: the folder, file or scene.
         gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
-        drive_joints: True if actions include the targets of joints; by default without a gripper.
+        drive_joints: True if actions include targets of joints; None only without a gripper.
         reward: traceable function of an observation.
         noise: noise that every reset adds to the scene; none by default.
         control_s: duration of each action [s].
