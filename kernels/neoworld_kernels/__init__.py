@@ -1,4 +1,4 @@
-"""Array operations of neoworld_mjx: `jnp` references and faster kernels."""
+"""Kernels of neoworld_mjx for arrays, each with a `jnp` reference."""
 
 from .blocks import sorted_samples
 from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance

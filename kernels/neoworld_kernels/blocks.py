@@ -22,9 +22,10 @@ class Blocks(NamedTuple):
 def sorted_samples(
     samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
 ) -> Float[NDArray, "object sample 3"]:
-    """Order each object's samples so that every BLOCK consecutive ones are close together.
+    """Reorder each object's samples so that every BLOCK consecutive ones are close together.
 
-    The `first` most important samples stay in front, in another order.
+    The first `first` samples, the most important ones, stay in front and are reordered among
+    themselves.
     """
 
     def halved(points: NDArray) -> NDArray:
@@ -38,7 +39,7 @@ def sorted_samples(
 
 
 def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
-    """Cut samples into blocks of consecutive ones."""
+    """Split samples into blocks of consecutive ones."""
     count, number, _ = samples.shape
     size = min(BLOCK, number)
     points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")

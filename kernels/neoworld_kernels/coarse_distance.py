@@ -1,7 +1,7 @@
-"""Depths for the search of the deepest sample: cheap, and approximate outside a solid.
+"""Cheap depths for the search of the deepest sample; approximate outside a solid.
 
-Functions take separate coordinates as broadcastable arrays of any shape, so a kernel and plain XLA
-share them. `plane(f, k)` returns component k of a piece's plane f.
+Functions take separate coordinates as broadcastable arrays of any shape, so that the Pallas kernel
+and plain XLA share them. `plane(f, k)` returns component k of a piece's plane f.
 """
 
 import math
@@ -25,8 +25,8 @@ def depths(
     Args:
         kind: a field name of `Colliders`.
         local: points in the piece's frame, each [x, y, z].
-        size: of the piece, three arrays.
-        plane: of the piece.
+        size: size of the piece, three arrays.
+        plane: planes of the piece.
         faces: number of planes.
     """
     if kind == "box":

@@ -31,7 +31,7 @@ class Colliders(NamedTuple):
 
     box: PieceGroup
     capsule: PieceGroup
-    """Spheres too: capsules of length zero."""
+    """Includes spheres, as capsules of length zero."""
     cylinder: PieceGroup
     ellipsoid: PieceGroup
     polytope: PieceGroup

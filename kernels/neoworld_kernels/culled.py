@@ -2,16 +2,16 @@
 
 Most objects of a scene are apart, and if two touch, most surface samples are far from the contact.
 A piece and an object are tested only if, in some candidate, the bounding box of the piece
-intersects the bounding sphere of the object; and of the object's samples only those blocks of BLOCK
-consecutive ones whose bounding spheres intersect it. Consecutive samples should therefore be close
-together; see `sorted_samples`.
+intersects the bounding sphere of the object. Of the object's samples, in blocks of BLOCK
+consecutive ones, only blocks whose bounding spheres intersect the box are tested. Consecutive
+samples should therefore be close together; see `sorted_samples`.
 
 The search returns the deepest sample and its piece. Its depth is then recomputed, which makes the
 result differentiable at the cost of one distance per pair of objects.
 
-Loops run only over pairs found near at run time, so padding costs almost nothing. Pieces form two
-families, since XLA's time grows with the number of branches: those defined by sizes, for which all
-formulas are evaluated and one selected, and those defined by planes.
+Loops run only over pairs that prove to be near at run time, so padding costs almost nothing. Pieces
+form two families, since XLA's compile time grows with the number of branches: those defined by
+sizes, for which all formulas are evaluated and one is selected, and those defined by planes.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,7 @@ class Pieces(NamedTuple):
     all: PieceGroup
     """Without planes."""
     code: Int[Array, " round"]
-    """Index in SIZE_KINDS of each of the first."""
+    """Index in SIZE_KINDS of each piece defined by sizes."""
     planes: Float[Array, "flat face 4"]
     times: Float[Array, " flat"]
     """Number of repeats of each polytope about its frame's z axis."""
@@ -79,8 +79,8 @@ def pair_depth_culled(
 ) -> Float[Array, "pop object object"]:
     """Compute `pair_depth` with culling by bounding volumes. Differentiable.
 
-    Of equally deep samples one determines the gradient. The depths of an object whose pose is not
-    finite are NaN.
+    One of several equally deep samples determines the gradient. The depths of an object whose pose
+    is not finite are NaN.
     """
     pop, count = scale.shape
     if not any(len(group.owner) for group in colliders) or not pop or not samples.size:
@@ -97,10 +97,10 @@ def pair_depth_culled(
 def join_pieces(colliders: Colliders) -> Pieces:
     """Join the pieces of all kinds, in the order of `Colliders`."""
     flat = (colliders.polytope, colliders.sector)
-    most = max(g.planes.shape[1] for g in flat)
-    most += -most % UNROLL
+    width = max(g.planes.shape[1] for g in flat)
+    width += -width % UNROLL
     spare = np.array([0.0, 0.0, 0.0, SPARE], np.float32)
-    fill = lambda g: jnp.broadcast_to(spare, (len(g.owner), most - g.planes.shape[1], 4))
+    fill = lambda g: jnp.broadcast_to(spare, (len(g.owner), width - g.planes.shape[1], 4))
     planes = jnp.concatenate([jnp.concatenate([g.planes, fill(g)], axis=1) for g in flat])
     join = lambda leaf: jnp.concatenate([getattr(group, leaf) for group in colliders])
     counts = [len(getattr(colliders, kind).owner) for kind in SIZE_KINDS]
@@ -152,11 +152,11 @@ def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
         if last > first:
             pairs, number = true_indices(near[first:last])
 
-            def look(k: Array, deepest: Deepest, pairs: Array = pairs, first: int = first):
+            def search(k: Array, deepest: Deepest, pairs: Array = pairs, first: int = first):
                 piece, i = first + pairs[k] // count, pairs[k] % count
                 return _deeper(deepest, placed, blocks, pieces, piece, i, planes=first == cut)
 
-            deepest = lax.fori_loop(0, number, look, deepest)
+            deepest = lax.fori_loop(0, number, search, deepest)
     return deepest
 
 
@@ -182,7 +182,7 @@ def _deeper(
     i: Int[Array, ""],
     planes: bool,
 ) -> Deepest:
-    """Search deeper samples of object i in a piece, for all candidates."""
+    """Update the deepest samples with those of object i in one piece, for all candidates."""
     o = pieces.all.owner[piece]
     pos, rot, size = pieces.all.pos[piece], pieces.all.rot[piece], placed.scale[o]
     low, high = pieces.all.extent[piece]
@@ -205,7 +205,7 @@ def _deeper(
 
     depth_of = _by_planes(pieces, piece) if planes else _by_size(pieces, piece)
 
-    def look(b: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def search(b: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         points = blocks.points[i, b]
         number = len(points)
         values = depth_of(at([points[:, c, None] for c in range(3)]))
@@ -219,7 +219,7 @@ def _deeper(
     best, sample = lax.fori_loop(
         0,
         len(near),
-        lambda b, carry: lax.cond(near[b], look, lambda _, kept: kept, b, carry),
+        lambda b, carry: lax.cond(near[b], search, lambda _, carry: carry, b, carry),
         (none.astype(jnp.float32), none),
     )
     face = none
@@ -261,8 +261,8 @@ def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
         x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
 
         def nearer(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-            least, some = carry
-            for a, b, c, d in some:
+            least, loaded = carry
+            for a, b, c, d in loaded:
                 least = jnp.minimum(least, ((d - a * x) - b * y) - c * z)
             return least, following(k + 1)
 
@@ -312,10 +312,10 @@ def _value_backward(inputs: tuple[Any, ...], grad: Array) -> tuple[Any, ...]:
         rows = turn * PAIRS + jnp.arange(PAIRS)
         pair = pairs[jnp.minimum(rows, len(pairs) - 1)]
         i, j = pair // count, pair % count
-        own = Deepest(*(x[i, j] for x in deepest))
-        pull = jax.vjp(lambda p, s: _depth_at(own, i, j, p, s, pieces), placed, samples)[1]
-        more = pull(jnp.where((rows < number)[:, None], grad[i, j], 0.0))
-        return jax.tree.map(jnp.add, total, more)
+        of_pairs = Deepest(*(x[i, j] for x in deepest))
+        pullback = jax.vjp(lambda p, s: _depth_at(of_pairs, i, j, p, s, pieces), placed, samples)[1]
+        gradient = pullback(jnp.where((rows < number)[:, None], grad[i, j], 0.0))
+        return jax.tree.map(jnp.add, total, gradient)
 
     none = jax.tree.map(jnp.zeros_like, (placed, samples))
     return None, *lax.fori_loop(0, -(-number // PAIRS), add, none), None
@@ -365,8 +365,8 @@ def _depth_at(
     if flat:
         b, c, z = _folded(list(local), times)
         x, y = jnp.where(times > 1.0, b, local[0]), jnp.where(times > 1.0, c, local[1])
-        most = pieces.planes.shape[1]
-        index = jnp.maximum(deepest.piece - cut, 0) * most + deepest.face
+        width = pieces.planes.shape[1]
+        index = jnp.maximum(deepest.piece - cut, 0) * width + deepest.face
         n = first(pieces.planes.reshape(-1, 4)[index])
         beyond = n[0] * x + n[1] * y + n[2] * z - n[3]
         far = jnp.where(code < 0, beyond, far)

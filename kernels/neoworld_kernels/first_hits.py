@@ -1,10 +1,10 @@
 """First hits of camera rays on convex pieces, for a population of poses: a z-buffer without pixels.
 
 The inverse depth at which a ray crosses a plane is linear in the ray's image position. A ray hits a
-convex polytope where the minimum over planes that face the camera exceeds the maximum over the
-others, at that minimum; a quadric adds a square root. A piece is tested against a block of rays
-only if their image boxes overlap for some candidate. Loops run only over pieces found near at run
-time, so padding costs almost nothing.
+convex polytope if the minimum over planes that face the camera exceeds the maximum over the others;
+the minimum is then the hit's inverse depth. A quadric adds a square root. A piece is tested against
+a block of rays only if their image boxes overlap for some candidate. Loops run only over pieces
+that prove to be near at run time, so padding costs almost nothing.
 """
 
 import math
@@ -52,11 +52,11 @@ class ConvexRows(NamedTuple):
 def flat_rows(colliders: Colliders) -> ConvexRows:
     """Return the pieces defined by planes: boxes, polytopes and repeated polytopes."""
     box, groups = colliders.box, (colliders.polytope, colliders.sector)
-    most = max(6, *(g.planes.shape[1] for g in groups))
-    most += -most % UNROLL
+    width = max(6, *(g.planes.shape[1] for g in groups))
+    width += -width % UNROLL
     spare = np.array([0.0, 0.0, 0.0, SPARE], np.float32)
     fill = lambda planes: jnp.concatenate(
-        [planes, jnp.broadcast_to(spare, (len(planes), most - planes.shape[1], 4))], axis=1
+        [planes, jnp.broadcast_to(spare, (len(planes), width - planes.shape[1], 4))], axis=1
     )
     normals = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
     sides = jnp.concatenate(
@@ -83,9 +83,8 @@ def flat_rows(colliders: Colliders) -> ConvexRows:
 
 def round_rows(colliders: Colliders) -> ConvexRows:
     """Return the pieces defined by quadrics; a capsule is a cylinder and two spheres."""
-    rod, can, egg = colliders.capsule, colliders.cylinder, colliders.ellipsoid
-    zero = lambda n: jnp.zeros(n)
-    long = rod.size[:, 1] > 0
+    capsule, cylinder, ellipsoid = colliders.capsule, colliders.cylinder, colliders.ellipsoid
+    long = capsule.size[:, 1] > 0
     parts = []
 
     def add(
@@ -99,19 +98,19 @@ def round_rows(colliders: Colliders) -> ConvexRows:
         real = jnp.all(group.extent[:, 1] > group.extent[:, 0], axis=1)
         pos = group.pos + group.rot[..., 2] * jnp.reshape(shift, (-1, 1))
         extent = group.extent if extent is None else extent
-        half = half + zero(len(group.owner))
+        half = half + jnp.zeros(len(group.owner))
         parts.append((group.owner, pos, group.rot, extent, weights, half, real & used))
 
     squared = lambda r: 1.0 / jnp.maximum(r, 1e-6) ** 2
-    for group in (can, rod):
+    for group in (cylinder, capsule):
         w = squared(group.size[:, 0])
-        used = long if group is rod else True
+        used = long if group is capsule else True
         add(group, jnp.stack([w, w, 0 * w], axis=-1), group.size[:, 1], used=used)
-    ball = squared(rod.size[:, :1]) * jnp.ones(3)
-    reach = rod.size[:, :1, None] * np.array([[-1.0], [1.0]], np.float32) * jnp.ones(3)
-    add(rod, ball, SPARE, rod.size[:, 1], True, reach)
-    add(rod, ball, SPARE, -rod.size[:, 1], long, reach)
-    add(egg, squared(egg.size), SPARE)
+    ball = squared(capsule.size[:, :1]) * jnp.ones(3)
+    reach = capsule.size[:, :1, None] * np.array([[-1.0], [1.0]], np.float32) * jnp.ones(3)
+    add(capsule, ball, SPARE, capsule.size[:, 1], True, reach)
+    add(capsule, ball, SPARE, -capsule.size[:, 1], long, reach)
+    add(ellipsoid, squared(ellipsoid.size), SPARE)
     owner, pos, rot, extent, weights, half, used = map(jnp.concatenate, zip(*parts, strict=True))
     count = len(owner)
     up = jnp.tile(np.array([0.0, 0.0, 1.0], np.float32), (count, 1))
@@ -130,7 +129,14 @@ def round_rows(colliders: Colliders) -> ConvexRows:
 def picture_boxes(
     placed: ObjectPoses, owner: Array, pos: Array, rot: Array, extent: Array
 ) -> Float[Array, "row 5 pop"]:
-    """Return image boxes of rows, posed in the camera's frame, and their greatest inverse depth.
+    """Return the image box and the greatest inverse depth of each row's bounding box.
+
+    Args:
+        placed: objects in the camera's frame.
+        owner: object of each row.
+        pos: position of each row in its object's frame [m].
+        rot: rotation of each row in its object's frame.
+        extent: corners of each row's bounding box [m].
 
     Returns:
         left, top, right, bottom and the inverse depth [1/m] of the nearest corner; a box that
@@ -173,10 +179,10 @@ def first_hits(
 
     Args:
         placed: objects in the camera's frame: right, down, forward.
-        families: of `flat_rows` and `round_rows`.
+        families: rows of `flat_rows` and `round_rows`.
         near: masks of the rows of each family that are tested.
         rays: the camera rays.
-        layer: of each object; layers do not occlude one another.
+        layer: layer of each object; layers do not occlude one another.
         layers: number of layers.
 
     Returns:
@@ -194,10 +200,10 @@ def first_hits(
             curved = rows.planes.shape[1] == UNROLL
             order, number = true_indices(mask)
 
-            def look(i, hits, rows=rows, order=order, curved=curved):
+            def cast(i, hits, rows=rows, order=order, curved=curved):
                 return _cast_row(hits, placed, rows, order[i], rays, bounds, layer, curved)
 
-            hits = lax.fori_loop(0, number, look, hits)
+            hits = lax.fori_loop(0, number, cast, hits)
     return hits
 
 
@@ -253,8 +259,8 @@ def _cast_row(
                 upper, lower = jnp.full_like(x, 2 * NEAREST), jnp.zeros_like(x)
 
             def cut(j: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-                upper, lower, some = carry
-                for a, d, up, down in some:
+                upper, lower, loaded = carry
+                for a, d, up, down in loaded:
                     sloped = a * x + d * y
                     upper = jnp.minimum(upper, sloped + up)
                     lower = jnp.maximum(lower, sloped + down)

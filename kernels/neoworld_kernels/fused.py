@@ -30,7 +30,7 @@ class PairDepthTuning:
     """True for one kernel over all kinds of colliders, False for one each."""
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless block is a multiple of 128 and unroll one of 8."""
+        """Raise a ValueError unless `block` is a multiple of 128 and `unroll` a multiple of 8."""
         if self.block < 128 or self.block % 128:
             raise ValueError(f"block must be a positive multiple of 128, got {self.block}")
         if self.unroll < 8 or self.unroll % 8:
@@ -44,7 +44,8 @@ class _Pieces(NamedTuple):
     first: Int[Array, " bound"]
     """Index of each object's first piece; one more entry for the end."""
     table: Float[Array, "piece column"]
-    """pos 3, rot 9 by rows, size 3, number of planes that are not spare, then 4 a plane."""
+    """pos (3), rot by rows (9), size (3), number of planes without spare ones (1), planes (4 each).
+    """
 
 
 def _pieces(colliders: Colliders, count: int) -> list[_Pieces]:
@@ -94,14 +95,14 @@ def pair_depth_kernel(
     shape = jax.ShapeDtypeStruct((count, count, blocks * t.block), jnp.float32)
     launch = _interpreted if interpret else _on_hopper
     depths_by_kind = []
-    for some in [groups] if t.fused else [[g] for g in groups]:
+    for batch in [groups] if t.fused else [[g] for g in groups]:
         body = functools.partial(
             _pair_depth_kernel,
-            kinds=[g.kind for g in some],
+            kinds=[g.kind for g in batch],
             samples=points.shape[1] * GRANULE,
             tuning=t,
         )
-        tables = [x for g in some for x in (g.first, g.table)]
+        tables = [x for g in batch for x in (g.first, g.table)]
         depths_by_kind.append(
             launch(body, (blocks, count, count), shape)(pose, points, sphere, *tables)
         )
@@ -176,7 +177,7 @@ def _pair_depth_kernel(
 
     @pl.when(i != o)
     def _() -> None:
-        load = lambda who, row: pose_ref[who, row, here]
+        load = lambda index, row: pose_ref[index, row, here]
         ri, ro = ([load(who, r) for r in range(9)] for who in (i, o))
         gap = [load(i, 9 + r) - load(o, 9 + r) for r in range(3)]
         size = load(o, 12)
@@ -221,7 +222,7 @@ def _pair_depth_kernel(
                     # Constant last indices avoid address arithmetic in the loop.
                     granules = tuning.unroll // GRANULE
 
-                    def some(s: Array, best: Array) -> Array:
+                    def update(s: Array, best: Array) -> Array:
                         local = [
                             at([points_ref[i, s * granules + g, c, u] for c in range(3)])
                             for g in range(granules)
@@ -232,7 +233,7 @@ def _pair_depth_kernel(
                         return best
 
                     low = size * 0.0 - 1e6
-                    best = lax.fori_loop(0, samples // (granules * GRANULE), some, low)
+                    best = lax.fori_loop(0, samples // (granules * GRANULE), update, low)
                     return jnp.maximum(depth, finished(kind, best, p[12:15]) * size)
 
                 # A pose with NaN counts as touching, so that its depth is NaN.

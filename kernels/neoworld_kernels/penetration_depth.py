@@ -106,7 +106,7 @@ def pair_depth(
         colliders: convex pieces in object frames at scale 1.
         impl: `jnp` evaluates all pairs in plain XLA, `culled` only those that can touch; `pallas`
             is the kernel for NVIDIA GPUs from Hopper on; `auto` selects by `choose`.
-        tuning: of the kernel.
+        tuning: block sizes of the kernel; None uses the defaults.
         interpret: True runs the kernel on any device, slowly.
 
     Returns:
@@ -126,8 +126,8 @@ def choose(
 ) -> Literal["jnp", "culled", "pallas"]:
     """Select the fastest implementation on JAX's default device, by `KERNEL_TIMES`.
 
-    CPUs use `culled`, which is slower only for a single candidate, by a millisecond; GPUs without
-    measurements use plain XLA.
+    CPUs use `culled`, which is slower than `jnp` only for a single candidate, by a millisecond;
+    GPUs without measurements use `jnp`.
     """
     pieces = sum(group.owner.shape[0] for group in colliders)
     work = pop * objects * samples * pieces
