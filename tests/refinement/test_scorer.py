@@ -248,7 +248,7 @@ def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rou
     (note,) = scorer.fallbacks
     assert note.startswith("S_sem by geometry alone, as 2")
     assert " of 32 candidates were not requested: " in note
-    assert "5 scores failed one after the other" in note
+    assert "5 consecutive scores failed" in note
     # Two calls per score; beyond the limit of five, only requests already in flight.
     assert panel.ledger.to_json()["calls"] <= 2 * 8
     lines = read_scores(log)
@@ -291,7 +291,7 @@ def test_a_failed_score_is_estimated(model, rounds):
     assert [k for k in range(POP) if marks[k] == Mark.ESTIMATED] == failed
     assert scorer.stopped is None
     assert scorer.fallbacks[0].startswith(f"S_sem by estimates for {len(failed)} of {POP}")
-    assert "gave no valid answer" in scorer.fallbacks[0]
+    assert "gave no valid response" in scorer.fallbacks[0]
 
 
 def test_the_cost_limit_is_observed(model, rounds):
