@@ -27,4 +27,4 @@ def test_scores_are_assigned_to_their_candidates():
     assert row.physics_s > 0.1
     assert row.both_s >= 3 * 0.05
     assert row.ratio == pytest.approx(row.both_s / max(row.physics_s, row.scoring_s), abs=0.01)
-    assert "scores failed one after the other" in row.dead_stopped
+    assert "consecutive scores failed" in row.dead_stopped

@@ -137,7 +137,7 @@ def test_vmap_over_tiles_agrees_up_to_rounding(model):
     runs = started(model, [options(0.5), options(2.0)], (0, 1))[:3]
     clock = dict.fromkeys(("descent", "rollout", "score"), 0.0)
     evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), 1, clock, 0.0)
-    opened = _opened(evaluation, runs, (), None, keeps=True, progress=None)
+    opened = _opened(evaluation, runs, (), None, may_fix_objects=True, progress=None)
     result = {}
     # Three runs in tiles of two: the second tile is filled up.
     for tile in (1, 2):
