@@ -26,10 +26,10 @@ def run_bounded(
 
     Args:
         path: the file that the code reads, for messages.
-        code: the program; it imports what it needs.
+        code: the program, with its imports.
         arguments: its command-line arguments.
         library: name of the library that reads the file, for messages.
-        verb: what the library does with the file, for messages.
+        verb: verb for the action of the library on the file, for messages.
         accepted: exit statuses other than 0 that the caller handles.
 
     Raises:

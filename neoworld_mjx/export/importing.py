@@ -1,4 +1,4 @@
-"""Convert mechanisms of URDF, MJCF and USD files to ObjectSpecs, with notes of what is lost."""
+"""Convert mechanisms of URDF, MJCF and USD files to ObjectSpecs, with notes on omissions."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

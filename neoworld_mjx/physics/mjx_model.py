@@ -211,7 +211,7 @@ def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
     """Advance one candidate's simulation, as `mjx.step` does. Traceable; for `jax.vmap`.
 
     Args:
-        model: of one candidate.
+        model: the candidate's model.
         data: its state.
         nstep: number of time steps. Near geoms are searched in the first one and in every
             `LOOKUP_STEPS`-th after it.
@@ -286,7 +286,7 @@ def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, 
         xpos: [geom, 3] positions in the world.
         xmat: [geom, 3, 3] rotations.
         aabb: [geom, 6] centres and half edges of the boxes in the geoms' frames.
-        pairs: of geoms.
+        pairs: pairs of geoms.
     """
     half = jnp.asarray(aabb[:, 3:])
     centre = xpos + jnp.sum(xmat * jnp.asarray(aabb[:, None, :3]), axis=-1)
