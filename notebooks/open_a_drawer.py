@@ -15,8 +15,8 @@
 # # Open a drawer
 #
 # A scene becomes a [Gymnasium](https://gymnasium.farama.org) environment in one call. Here a free
-# gripper takes a drawer's handle and pulls it out, by a script of four lines; a learner would
-# stand in its place.
+# gripper grasps a drawer's handle and pulls the drawer open by a script of a few lines, which a
+# learned policy would replace.
 
 # %%
 import numpy as np
@@ -29,8 +29,8 @@ from neoworld_mjx.templates import template
 # %% [markdown]
 # ## A scene
 #
-# A cabinet from a template, fastened. In place of it goes the folder of a run:
-# `nw.gym_env("out", ...)`.
+# The scene is a fixed cabinet from a template. For a reconstructed scene pass the folder of a run
+# instead: `nw.gym_env("out", ...)`.
 
 # %%
 cabinet = build(template("drawer_cabinet").program()).spec
@@ -40,8 +40,8 @@ scene = SceneSpec(objects=(SceneObject(name="cabinet", spec=cabinet, fixed_base=
 # ## The environment
 #
 # Every part that a joint moves has a handle. The gripper starts 10 cm in front of one, with its
-# fingers across it. An action is where the tool should be beside its start [m], how it should be
-# turned [rad], and how far its fingers should be apart [m].
+# fingers across it. An action is the target of the tool's displacement from its start [m], of its
+# rotation [rad], and of the distance of its fingers [m].
 
 # %%
 env = nw.gym_env(
@@ -68,14 +68,14 @@ def go(start, end, opening, seconds):
     return observation, reward
 
 
-go(0.0, -0.10, 0.12, 0.8)  # forwards, with open fingers
-observation, closed = go(-0.10, -0.10, 0.0, 0.6)  # take hold
+go(0.0, -0.10, 0.12, 0.8)  # move forward with open fingers
+observation, closed = go(-0.10, -0.10, 0.0, 0.6)  # grasp
 print(f"fingers hold something {1e3 * observation['gripper'][7]:.0f} mm thick")
 observation, opened = go(-0.10, 0.10, 0.0, 1.6)  # pull
 print(f"the drawer was {closed:.3f} m open, and is {opened:.3f} m open")
 
 # %% [markdown]
-# ## What it looks like
+# ## Result
 
 # %%
 picture = env.render()

@@ -15,8 +15,8 @@
 #
 # `nw.mjx_env` makes a scene's environment as pure functions, so `jax.vmap` runs one policy for each
 # of many environments and `jax.lax.scan` runs them through time, on a CPU or a GPU. Here a
-# linear policy learns to open the upper drawer of a cabinet by a given length, and to leave the
-# other one alone, by the cross-entropy method over its parameters.
+# linear policy learns to open the upper drawer of a cabinet by a given length and to leave the
+# other one closed, by the cross-entropy method over its parameters.
 
 # %%
 import jax
@@ -33,9 +33,9 @@ from neoworld_mjx.templates import template
 # %% [markdown]
 # ## The environment
 #
-# A cabinet of two drawers from a template, fastened. In place of the scene goes the folder of a
-# run. Actions are where each joint's drive shall go [m]; drives are springs with dampers, so
-# that drawers follow with a lag.
+# The scene is a fixed cabinet with two drawers from a template; the folder of a run can replace it.
+# Actions are targets of the joint drives [m]. Drives are damped springs, so drawers follow with a
+# lag.
 
 # %%
 kind = template("drawer_cabinet")
@@ -47,9 +47,8 @@ print("joints:", env.controlled.joints)
 # %% [markdown]
 # ## Rollouts
 #
-# A policy is a matrix from what it observes (joints, their velocities, and 1) to the targets.
-# A rollout is one second of 50 control steps; `vmap` makes a batch of it, each environment with
-# its own policy.
+# A policy is a matrix from the observation (joint positions, velocities, and 1) to the targets. A
+# rollout is one second of 50 control steps; `vmap` batches it, with one policy per environment.
 
 # %%
 GOAL_M, POPULATION, ELITES = 0.12, 24, 6
@@ -79,8 +78,8 @@ def reward(joints):
 # %% [markdown]
 # ## Learning
 #
-# Four generations: draw policies about a mean, roll all of them out at once, and take mean and
-# deviation of the best.
+# Each of four generations samples policies around a mean, rolls all of them out at once, and fits
+# mean and standard deviation to the best.
 
 # %%
 mean, deviation, key = jnp.zeros(size), 0.2 * jnp.ones(size), jax.random.key(1)
@@ -94,10 +93,10 @@ for generation in range(4):
     mean, deviation = best.mean(axis=0), best.std(axis=0) + 0.01
     history.append(rewards)
     paths.append(joints[jnp.argmax(rewards)])
-    print(f"generation {generation + 1}: the best is {-1e3 * rewards.max():.1f} mm off on average")
+    print(f"generation {generation + 1}: best mean error {-1e3 * rewards.max():.1f} mm")
 
 # %% [markdown]
-# ## What came of it
+# ## Result
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")

@@ -14,8 +14,8 @@
 # %% [markdown]
 # # From a photograph to a simulation
 #
-# One photograph in, a scene out that MuJoCo can step. The photograph comes with the repository, and
-# models' answers to it lie on a tape, so no key is needed; everything else is computed here.
+# One photograph in, a scene out that MuJoCo can step. The repository contains the photograph and a
+# tape of the models' responses, so no API key is needed; everything else is computed here.
 
 # %%
 import tempfile
@@ -35,8 +35,8 @@ PIL.Image.open(photo).resize((240, 160))
 # %% [markdown]
 # ## Reconstruct it
 #
-# The five steps: parse, program, verify, compose, refine. A small search is enough to show it;
-# leave `config` away for the whole one. The folder then holds everything, `report.html` first.
+# The five steps are parse, program, verify, compose and refine. This example uses a small search;
+# omit `config` for the full one. The output folder contains all results; start with `report.html`.
 
 # %%
 small = {
@@ -46,11 +46,11 @@ small = {
 folder = Path(tempfile.mkdtemp()) / "out"
 result = nw.reconstruct(photo, folder, load_config(overrides=small))
 print("objects:", ", ".join(result.objects))
-print("seconds a step:", ", ".join(result.seconds))
-print("models were asked", result.cost["calls"], "times, for", result.cost["cost_usd"], "USD")
+print("seconds per step:", ", ".join(result.seconds))
+print("model calls:", result.cost["calls"], "- cost:", result.cost["cost_usd"], "USD")
 
 # %% [markdown]
-# The scene before the search, and after it:
+# The scene before and after the search:
 
 # %%
 Image(folder / "pictures" / "before.png")
@@ -61,7 +61,7 @@ Image(folder / "pictures" / "after.png")
 # %% [markdown]
 # ## Is it valid?
 #
-# Two seconds of free fall: nothing may move by 1 cm, turn by 5 degrees or lie over 1 mm deep.
+# In two seconds of free fall no object may move by 1 cm, rotate by 5 degrees or penetrate by 1 mm.
 
 # %%
 limits = {"max_depth_m": 0.001, "max_drift_m": 0.01, "max_tilt_deg": 5.0}

@@ -12,11 +12,11 @@
 # ---
 
 # %% [markdown]
-# # A sweep, and its plots
+# # A sweep and its plots
 #
 # How much does a setting of the search matter? `nw.sweep` refines a scene with every combination of
 # some options' values and several seeds; `neoworld sweep FILE.yaml --out DIR` does the same and
-# writes a figure, tables and Parquet files. Here the rows are taken as they are and drawn by hand.
+# writes a figure, tables and Parquet files. Here the rows are plotted with Matplotlib.
 
 # %%
 import matplotlib.pyplot as plt
@@ -27,10 +27,10 @@ import neoworld_mjx as nw
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, SceneObject, SceneSpec
 
 # %% [markdown]
-# ## A scene with mistakes
+# ## A scene with errors
 #
-# Three boxes on a table, as a parse may set them: two are 3 cm inside of each other, and the third
-# stands half over the table's edge.
+# Three boxes on a table, as a parse may place them: two penetrate by 3 cm, and half of the third
+# extends over the table's edge.
 
 
 # %%
@@ -58,8 +58,8 @@ scene = SceneSpec(
 # %% [markdown]
 # ## The sweep
 #
-# Two axes: how far the search looks, and how much drift costs. Three seeds each. Both options are
-# numbers of the same compiled program, so all eighteen runs are one computation.
+# Two axes, the search radius and the weight of drift, with three seeds each. Both options are
+# inputs of the same compiled program, so all eighteen runs are one computation.
 
 # %%
 wide, weight = "refine.cem.sigma_xy", "refine.reward.w_drift"
@@ -77,8 +77,8 @@ found = nw.sweep(plan, cases=[scene])
 print(len(found.rows), "runs;", ", ".join(sorted(found.about)))
 
 # %% [markdown]
-# The reward is by each point's own weights: where weights differ, compare what it is made of. `n`
-# is scenes times seeds, and the brackets are 95 % intervals.
+# The reward uses each point's own weights: where weights differ, compare its terms. `n` is scenes
+# times seeds, and brackets are 95 % intervals.
 
 # %%
 Markdown(found.table)
@@ -86,7 +86,7 @@ Markdown(found.table)
 # %% [markdown]
 # ## Convergence
 #
-# The best reward so far by iteration: the median of the seeds, and the band of all of them.
+# The best reward so far by iteration: median and range over the seeds.
 
 # %%
 widths = sorted({row[wide] for row in found.rows})
@@ -114,10 +114,10 @@ places[0].legend(fontsize=7)
 plt.show()
 
 # %% [markdown]
-# ## Both axes, and the terms against each other
+# ## Both axes, and the trade-off of terms
 #
-# Left: the share of scenes that passed the final check. Right: how far objects drift beside how
-# well they lie where the parse saw them.
+# Left: the share of scenes that passed the final check. Right: drift of objects over their
+# agreement with the parse.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")

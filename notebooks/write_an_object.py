@@ -14,8 +14,9 @@
 # %% [markdown]
 # # An object from scratch
 #
-# Objects are programs: shapes, parts and joints in a small SDK, in metres and radians, the front
-# towards +x. A model writes them from a picture; here we do, with a mistake that the checks find.
+# Objects are programs that define shapes, parts and joints in a small SDK, in metres and radians,
+# with the front along +x. A model writes them from an image; here we write one by hand, with errors
+# that the checks detect.
 
 # %%
 from IPython.display import Image
@@ -40,9 +41,9 @@ o.revolute("hinge", body, lid, at=(-0.15, 0, 0.25), axis=(0, -1, 0), range=(0, {
 """
 
 # %% [markdown]
-# ## A first try
+# ## First version
 #
-# The lid sinks 5 mm into the body, and its range is in degrees.
+# The lid penetrates the body by 5 mm, and its range is in degrees.
 
 # %%
 program = BOX.format(height=0.245, widest=100)
@@ -51,13 +52,13 @@ for signal in first.signals:
     print(signal.listing("chest.py", program))
 
 # %% [markdown]
-# What overlaps is red; `neoworld build` writes this picture as `failed.png`:
+# Overlaps are red; `neoworld build` writes this image as `failed.png`:
 
 # %%
 Image(failed_picture(first.spec, ProgramOptions()), width=320)
 
 # %% [markdown]
-# ## Mended
+# ## Corrected version
 
 # %%
 chest = build(BOX.format(height=0.2502, widest=1.75))
@@ -70,9 +71,10 @@ Image(to_png(render_object(chest.spec, width=320, height=220)))
 Image(to_png(render_object(chest.spec, {"hinge": 1.2}, width=320, height=220)))
 
 # %% [markdown]
-# ## Is it sound?
+# ## Is it valid?
 #
-# The battery of Step 3: static checks, free fall, pushes, each joint driven, released and held.
+# The object tests of Step 3: static checks, free fall, pushes, and each joint driven, released and
+# held.
 
 # %%
 verdict = verify_and_repair(chest.spec, VerifyOptions(rounds=0)).verdict
@@ -82,7 +84,7 @@ for check in verdict.checks:
         print(check.scenario, check.name, check.value, check.threshold, check.hint)
 
 # %% [markdown]
-# ## Every format
+# ## Export to every format
 
 # %%
 for name, text in sorted(object_files(chest.spec).items()):

@@ -14,9 +14,9 @@
 # %% [markdown]
 # # Write your own reward
 #
-# A reward term is a function of (scene, layouts, rollout) that returns one number a candidate,
-# higher being better. It is written for the whole population at once, and JAX traces it. Here a
-# term wants things to stand square with the table, which physics alone does not care about.
+# A reward term is a function of (scene, layouts, rollout) that returns one number per candidate;
+# higher is better. It is vectorised over the population and traced by JAX. This example rewards
+# objects that are aligned with the table, which physics alone does not do.
 
 # %%
 import jax
@@ -30,8 +30,8 @@ from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, Sce
 # %% [markdown]
 # ## A small scene
 #
-# A table, which is part of the environment and does not move, and two boxes that a parse has set
-# down askew.
+# A table, which is part of the environment and does not move, and two boxes that the parse has
+# rotated slightly.
 
 
 # %%
@@ -68,7 +68,7 @@ scene = SceneSpec(
 # ## The term
 #
 # `rollout.quat` holds every object's rotation, `[candidate, time, object, 4]` with w first, and
-# `scene.optimised` says which objects the search may move.
+# `scene.optimised` marks the objects that the search may move.
 
 
 # %%
@@ -81,7 +81,7 @@ def square(scene, layouts, rollout):
 
 
 # %% [markdown]
-# ## Naming it in a configuration
+# ## Use it in a configuration
 #
 # A term is named by import path, `package.module:function`, with its weight. This notebook is the
 # module `__main__`; in a project it would be `my_rewards:square`.

@@ -89,8 +89,8 @@ def chair(at=(0, 0, 0)):
 
 def test_object_compared_with_itself():
     spec = chair()
-    result = geometry_measure(spec, surface_points(spec, 10_000, seed=1))
-    assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 70
+    result = geometry_measure(spec, surface_points(spec, 4_000, seed=1), samples=4_000)
+    assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 40
     assert result.aligned.chamfer_x10 <= result.unaligned.chamfer_x10 * 1.02
     assert abs(result.turn_deg) < 0.5 and result.scale == pytest.approx(1, abs=0.005)
 

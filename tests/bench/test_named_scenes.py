@@ -30,6 +30,7 @@ def test_unknown_names_are_refused(name, message):
         case(name, SOURCES)
 
 
+@pytest.mark.slow
 def test_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
     result = case("bench:tents", SOURCES)
     model = compile_scene(result.scene)

@@ -119,6 +119,7 @@ def test_objects_that_a_step_made_worse_are_listed_unless_invalid_before():
     assert "3/cup: position_mm" in text and "mm 30.00 (30.0)" in text
 
 
+@pytest.mark.slow
 def test_s_sem_prefers_the_ground_truth_to_displacements():
     (row,) = semantic_rows((1,), draws=64)
     assert row.truth > 0.98

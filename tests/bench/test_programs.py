@@ -16,6 +16,7 @@ def test_cabinet_program_is_valid():
     assert sum(joint.type != "fixed" for joint in built.spec.joints) == 8
 
 
+@pytest.mark.slow
 def test_suite_reports_times():
     times = cabinet_times(1)
     assert (times["parts"], times["joints"], times["signals"]) == (30, 8, [])
