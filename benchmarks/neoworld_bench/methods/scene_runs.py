@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -206,8 +207,12 @@ def _row(
         with_true_boxes.append(item.model_copy(update=box))
     compared = result.scene.model_copy(update={"objects": tuple(with_true_boxes)})
     part_depths = [o.part_depth_m for o in objects if o.part_depth_m is not None]
+    columns: dict[str, Any] = {
+        **job.columns(method, errors),
+        **layout_errors(result.scene, truth),
+    }
     return SceneRow(
-        **(job.columns(method, errors) | layout_errors(result.scene, truth)),
+        **columns,
         scene=job.subject,
         room=declared.room,
         tabletop=declared.tabletop,
