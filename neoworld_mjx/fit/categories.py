@@ -1,19 +1,19 @@
-"""Object categories: the range of sizes and the outline of objects, by the head noun of a label.
+"""Object categories: size range and outline of objects, by the head noun of a label.
 
-The ranges are deliberately wide: they catch a cup of 1 m, not a cup of 12 cm.
+The ranges are deliberately wide: they reject a cup of 1 m, but accept one of 18 cm.
 """
 
 import re
 from typing import Literal, NamedTuple, cast
 
 Outline = Literal["box", "round", "tapered", "ball", "handled", "spoon", "loose"]
-"""Shape that an object fills of its 3D box: all of it, an upright cylinder, one with a narrower
-foot, a ball, a round body with a handle to its front, a lying bowl with a thin handle to its back,
-or something between box and cylinder."""
+"""Shape of an object within its 3D box: the box, an upright cylinder, one with a narrower foot, a
+ball, a round body with a handle at its front, a lying bowl with a thin handle at its back, or a
+shape between box and cylinder."""
 
 
 class Category(NamedTuple):
-    """Range of sizes and outline of the objects of a category."""
+    """Size range and outline of the objects of a category."""
 
     low: float
     """Longest edge of the smallest common object [m]."""
@@ -94,7 +94,7 @@ floor ground wall ceiling carpet | 0.20 50.0 box
 """
 
 
-def _read() -> dict[str, Category]:
+def _parse_table() -> dict[str, Category]:
     categories = {}
     for line in _TABLE.strip().splitlines():
         words, values = line.split("|")
@@ -104,11 +104,11 @@ def _read() -> dict[str, Category]:
     return categories
 
 
-CATEGORIES = _read()
+CATEGORIES = _parse_table()
 
 
 def size_range(label: str) -> tuple[float, float] | None:
-    """Return the range of longest edges [m] of a label's objects; "small" and "large" widen it.
+    """Return the range of longest edges [m] for a label; words like "small" and "large" widen it.
 
     Returns:
         None if the category is unknown.

@@ -1,4 +1,4 @@
-"""Constants of the fit, one row per object: 2D boxes, outlines, priors and links to supports."""
+"""Constants of the fit, one row per object: 2D boxes, outlines, priors, indices of parents."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from .visible_sides import hidden_sides
 from .wireframe import Wireframe
 
 CAMERA = 2
-"""Unknowns of the camera; each object has seven."""
+"""Number of unknowns of the camera; each object has seven."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class FitData:
     """The scene tree and the objects to fit, as arrays.
 
     Unknowns are the camera's pitch [rad] and log height, each over its prior standard deviation,
-    then per object x, y, z [m], log length, width, height, and yaw [rad]. A rigid object keeps its
-    proportions: its log length is that of its scale, and the next two stay 0.
+    then for each object x, y, z [m], log length, log width, log height, and yaw [rad]. A rigid
+    object keeps its proportions: its log length is its log scale, and the next two unknowns stay 0.
     """
 
     tree: SceneTree
@@ -41,11 +41,11 @@ class FitData:
     parents: Int[np.ndarray, " n"]
     """Index of the parent among the objects; -1 for the environment."""
     levels: Int[np.ndarray, " n"]
-    """Number of objects below an object in the hierarchy."""
+    """Number of ancestors of an object among the objects."""
     rigid: Bool[np.ndarray, " n"]
     """True for objects with a built shape."""
     round: Bool[np.ndarray, " n"]
-    """True for outlines that do not show their heading."""
+    """True for outlines that do not depend on the heading."""
     sizes: Float[np.ndarray, "n 3"]
     """Size [m] of the outlines' unit boxes; 1 for built shapes, which are in metres."""
     values: Float[np.ndarray, "n 7"]
@@ -56,9 +56,11 @@ class FitData:
     contacts: Float[np.ndarray, "n 2"]
     """Pixels at which objects touch their supports; NaN if unknown."""
     inner: Float[np.ndarray, "n a 3"]
-    """Points of the smallest outline; next those of the largest, and those that can be lowest."""
+    """Points of the smallest outline."""
     outer: Float[np.ndarray, "n b 3"]
+    """Points of the largest outline."""
     lowest: Float[np.ndarray, "n c 3"]
+    """Points of which the lowest is at the height of the object's box."""
     hidden: Bool[np.ndarray, "n 4"]
     """True for sides of a 2D box that may not be the object's own outline."""
     normals: Float[np.ndarray, "n 3"]
@@ -71,7 +73,7 @@ class FitData:
     whitening: Float[np.ndarray, "n 3 3"]
     """Matrices that map changes of position [m] to standard deviations."""
     cut: Mapping[int, tuple[Wireframe, ...]] = field(default_factory=dict)
-    """Surfaces of the objects that the picture's border may cut, the smallest outline first."""
+    """Surfaces of the objects that the border may cut, by index; the smallest outline first."""
 
     @cached_property
     def heights(self) -> Float[np.ndarray, " n"]:
@@ -83,11 +85,11 @@ class FitData:
         return np.concatenate([np.zeros(CAMERA), self.values.ravel()])
 
     def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: Any) -> Float[np.ndarray, "k 3"]:
-        """Return the logarithms of edge lengths over their initial ones, of some objects."""
+        """Return the log ratios of the edge lengths of some objects to the initial ones."""
         return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 
     def unpacked(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
-        """Return the camera and the unknowns of the objects, held in the planes of their walls."""
+        """Return the camera and the objects' unknowns, with positions projected to their walls."""
         camera = self.tree.camera
         pitch, log_height = x[:CAMERA] * self.camera_sd
         moved = camera.model_copy(
@@ -147,6 +149,6 @@ def object_data(
 
 
 def _stacked(points: list[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
-    """Stack sets of points; shorter ones repeat points, which changes no extent."""
+    """Stack point sets; shorter sets repeat points, which does not change their extents."""
     longest = max(len(p) for p in points)
     return np.array([np.resize(p, (longest, 3)) for p in points])

@@ -1,4 +1,4 @@
-"""The least-squares problem of the fit: residuals of the picture and of the priors, Jacobian."""
+"""Least-squares problem of the fit: residuals of picture and priors, and their Jacobian."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ from .wireframe import Wireframe
 
 STEP = 1e-7
 """Step of finite differences, in m, log or rad."""
-TOLERATED = 1.0
-"""Residual of a side, in standard deviations, that moves nothing."""
-BEYOND = 5.0
-"""Residual of a side of a partly hidden object, in standard deviations, from which on the side
-counts as hidden."""
+DEAD_ZONE = 1.0
+"""Residual of a side up to which it has no effect, in standard deviations."""
+HIDDEN_RESIDUAL = 5.0
+"""Residual of a partly hidden object's side above which the side counts as hidden, in standard
+deviations."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class FitProblem:
 
     data: FitData
     follow: Float[np.ndarray, "n 3"]
-    """Fraction of a parent's motion, along x, y, z, by which the prior of a position follows it."""
+    """Fraction of the parent's motion along x, y, z that an object's prior position follows."""
     offsets: Float[np.ndarray, "n 3"]
     """Prior positions [m] relative to `anchors`."""
 
@@ -38,8 +38,8 @@ class FitProblem:
         """Return the indices of the unknowns to solve for.
 
         Args:
-            fixed: objects that stay as they are.
-            camera: whether the camera moves.
+            fixed: True for objects that do not move.
+            camera: True if the camera moves.
         """
         data = self.data
         free = np.ones((len(data.objects), 7), bool)
@@ -49,45 +49,45 @@ class FitProblem:
         return np.flatnonzero(np.concatenate([np.full(CAMERA, camera), free.ravel()]))
 
     def position_deviations(self, values: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 3"]:
-        """Return differences from the prior positions, in standard deviations."""
-        place = values[:, :3] - _anchors(self.data, self.follow, values) - self.offsets
-        return np.einsum("nij,nj->ni", self.data.whitening, place)
+        """Return the differences from the prior positions, in standard deviations."""
+        offset = values[:, :3] - _anchors(self.data, self.follow, values) - self.offsets
+        return np.einsum("nij,nj->ni", self.data.whitening, offset)
 
     def residuals(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " r"]:
         """Return all residuals, each over its standard deviation; soft L1 except the camera's.
 
-        A residual of the picture counts from one standard deviation on, so objects that agree with
-        the picture do not move. A box or a number may be an outlier, so its pull is bounded. The
-        camera's prior is quadratic, so no single object moves it far.
+        Residuals of the picture below `DEAD_ZONE` are 0, so objects that agree with the picture do
+        not move. The soft L1 loss limits the effect of outliers among boxes and parsed values. The
+        prior of the camera is quadratic, so no single object moves the camera far.
         """
         data = self.data
         _, values = data.unpacked(x)
         pixels = outline_residuals(data, x)
         sd = np.concatenate([data.side_sd, data.side_sd[:, [0, 1]]], axis=1)
-        picture = np.sign(pixels) * np.maximum(np.abs(pixels) / sd - TOLERATED, 0.0)
+        picture = np.sign(pixels) * np.maximum(np.abs(pixels) / sd - DEAD_ZONE, 0.0)
         log_sizes = data.log_sizes(values, slice(None))
         scale = log_sizes.mean(axis=1, keepdims=True)
         return np.concatenate(
             [
-                _soft(picture).ravel(),
+                _soft_l1(picture).ravel(),
                 x[:CAMERA],
-                _soft(self.position_deviations(values)).ravel(),
-                _soft(scale / data.scale_sd[:, None]).ravel(),
-                _soft((log_sizes - scale) / data.edge_sd).ravel(),
-                _soft((values[:, 6] - data.values[:, 6]) / data.yaw_sd),
+                _soft_l1(self.position_deviations(values)).ravel(),
+                _soft_l1(scale / data.scale_sd[:, None]).ravel(),
+                _soft_l1((log_sizes - scale) / data.edge_sd).ravel(),
+                _soft_l1((values[:, 6] - data.values[:, 6]) / data.yaw_sd),
             ]
         )
 
     def costs(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n_1"]:
-        """Return the sum of squared residuals of each object, and last of the camera."""
+        """Return the sum of squared residuals of each object and, last, of the camera."""
         n = len(self.data.objects)
         return np.bincount(self._owners() % (n + 1), self.residuals(x) ** 2, n + 1)
 
     def jacobian(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, "r u"]:
         """Return the derivative of the residuals by forward differences.
 
-        An object's residuals depend on its own unknowns, its parent's and the camera's. So one
-        difference serves all objects whose depths in the tree have the same parity.
+        An object's residuals depend only on its unknowns, its parent's and the camera's. One
+        difference therefore serves all objects whose depths in the tree have the same parity.
         """
         residuals = self.residuals(x)
         jacobian = np.zeros((len(residuals), len(x)))
@@ -125,7 +125,7 @@ class FitProblem:
 
         Args:
             x: the unknowns.
-            fixed: objects that stay as they are in the initial tree, to the bit.
+            fixed: True for objects that stay exactly as in the initial tree.
         """
         data = self.data
         camera, values = data.unpacked(x)
@@ -166,7 +166,7 @@ def fit_problem(
         objects: the nodes to fit, parents first.
         shapes: built surfaces [m] by name, untilted, in the frame of `Box3D`, its position at their
             origin; other objects have the outline of their category.
-        shown: which sides the built shapes show, see `hidden_sides`.
+        shown: visible sides of the built shapes, see `hidden_sides`.
     """
     shapes, shown = shapes or {}, shown or {}
     silhouettes = [
@@ -177,18 +177,18 @@ def fit_problem(
     ]
     data = object_data(tree, objects, shapes, shown, silhouettes)
     data = replace(data, cut=cut_surfaces(data, shapes, silhouettes))
-    # A side far within the outline is hidden, whatever the shapes show at the parsed positions.
-    far = outline_residuals(data, data.initial_unknowns())[:, :4] < -BEYOND * data.side_sd
+    # A side far within the outline is hidden, even if it is visible at the parsed position.
+    far = outline_residuals(data, data.initial_unknowns())[:, :4] < -HIDDEN_RESIDUAL * data.side_sd
     may_hide = np.array([node.occluded and node.name in shown for node in objects])
     data = replace(data, hidden=data.hidden | (far & may_hide[:, None]))
-    # A visible object is where the picture shows it; a hidden one follows its parent, and so does
-    # the content of a container.
+    # The picture determines the position of a visible object. A hidden object and the content of a
+    # container follow their parents.
     inside = np.array([node.relation == "in" for node in objects])
     share = np.where(inside, 1.0, data.hidden.mean(axis=1))
     follow = np.column_stack([share, share, np.ones(len(objects))])
     offsets = data.values[:, :3] - _anchors(data, follow, data.values)
     offsets[:, 2] += [_prior_lift(tree, node) for node in objects]
-    # The prior of a content is in its container, even if it was parsed next to it.
+    # The prior position of a content is in its container, even if its parsed position is not.
     supported = data.parents >= 0
     offsets[supported, :2] += np.array([shift_inside(tree, node) for node in objects])[supported]
     return FitProblem(data, follow, offsets)
@@ -199,7 +199,8 @@ def _anchors(
 ) -> Float[np.ndarray, "n 3"]:
     """Return the points [m] that prior positions are relative to.
 
-    They are on top of the parents, scaled by `follow`; the world's origin on the environment.
+    These are points on top of the parents, scaled by `follow`, or the world's origin for objects on
+    the environment.
     """
     parents = data.parents
     grown = np.exp(values[parents, np.where(data.rigid[parents], 3, 5)])
@@ -209,10 +210,10 @@ def _anchors(
 
 
 def _prior_lift(tree: SceneTree, node: TreeNode) -> float:
-    """Return the prior height of an object over its parsed one [m].
+    """Return the prior height of an object above its parsed height [m].
 
-    On a slab of the environment it is on its top. Elsewhere it may be at any depth within its
-    parent, since hollows are unknown; attached and leaning objects keep their height.
+    An object on a slab of the environment is at its top. Elsewhere it may be at any depth within
+    its parent, which may be hollow. Attached and leaning objects keep their height.
     """
     if node.parent is None or node.relation in ("attached", "leaning"):
         return 0.0
@@ -223,6 +224,6 @@ def _prior_lift(tree: SceneTree, node: TreeNode) -> float:
     return float(np.clip(gap, -parent.box3d.size[2], 0.0)) - gap
 
 
-def _soft(residual: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+def _soft_l1(residual: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Return residuals whose squares grow like r^2 near 0 and like 2 |r| far from it (soft L1)."""
     return residual * np.sqrt(2.0 / (np.sqrt(1.0 + residual**2) + 1.0))

@@ -9,12 +9,12 @@ from ..spec import Box3D
 from ..spec.tree import Relation
 
 NOTED_M, NOTED_SIZE = 0.10, 0.10
-"""Changes of position [m] and size from which on a note reports them."""
+"""Changes of position [m] and size above which a note reports them."""
 MIN_GAIN = 2 * math.log(31)
-"""Least fall of the sum of squared residuals for another support, twice a log-likelihood ratio.
+"""Minimum decrease of the sum of squared residuals for another support.
 
-One object in 32 is taken to have a wrong support in a response: of 30 objects in five rendered
-pictures none had one, by Laplace's rule of succession."""
+It is twice the log of the prior odds 31:1 of the parsed support, by Laplace's rule of succession:
+of 30 objects in five rendered pictures, none had a wrong one."""
 
 
 @dataclass(frozen=True)
@@ -25,28 +25,28 @@ class BoxChange:
     after: Box3D
     distance_m: float
     size_ratio: tuple[float, float, float]
-    """New over old size along x, y, z."""
+    """Ratio of the new to the old size along x, y, z."""
     yaw_deg: float
     agreement_before: float
     agreement_after: float
     hidden: tuple[bool, bool, bool, bool]
-    """True for sides of its 2D box (left, top, right, bottom) that are not its own outline."""
+    """True for sides of the 2D box (left, top, right, bottom) that are not the object's outline."""
     refused: str = ""
-    """Reason why the fit was refused, so that the box is as parsed."""
+    """Reason why the fit was refused and the box is as parsed; empty if it was not."""
 
 
 @dataclass(frozen=True)
 class OtherSupport:
-    """Support of an object that the picture shows, in place of the parsed one."""
+    """Support of an object that replaces the parsed one."""
 
     before: str
     """Parsed relation and parent."""
     parent: str
     relation: Relation
     z: float
-    """Height of its lowest point [m]."""
+    """Height of the object's lowest point [m]."""
     gain: float
-    """Fall of the sum of squared residuals of its fit."""
+    """Decrease of the sum of squared residuals of the object's fit."""
 
     def phrase(self) -> str:
         """Return the reason in words."""
@@ -68,14 +68,15 @@ class FitReport:
     """Mean agreement of projected 3D boxes with 2D boxes, 0 to 1."""
     agreement_after: float
     pitch_deg: float = 0.0
-    """Change of the camera's pitch; the next is also a change of the camera."""
+    """Change of the camera's pitch [deg]."""
     height_m: float = 0.0
+    """Change of the camera's height [m]."""
     objects: dict[str, BoxChange] = field(default_factory=dict)
     supports: dict[str, OtherSupport] = field(default_factory=dict)
-    """Other supports of objects, by the picture, where the parsed support is not possible."""
+    """New supports of the objects whose parsed support is infeasible."""
 
     def notes(self) -> Iterator[tuple[str, str]]:
-        """Yield what a person should know: objects that were refused, or that moved far."""
+        """Yield a note for each object whose fit was refused or that moved far."""
         for name, change in self.objects.items():
             ratio = math.prod(change.size_ratio) ** (1 / 3)
             if change.refused:
@@ -88,7 +89,7 @@ class FitReport:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain data, numbers rounded to four decimals."""
+        """Return JSON data with numbers rounded to four decimals."""
         groups = {"objects": self.objects, "carriers": self.supports}
         return {
             **{k: _plain(v) for k, v in vars(self).items() if k not in ("objects", "supports")},

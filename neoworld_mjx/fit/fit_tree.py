@@ -1,12 +1,12 @@
 """Fit of camera and 3D boxes to the 2D boxes by robust least squares.
 
-A model localises objects well in the picture and knows their common sizes, but is less exact about
-distances. So the fit moves the camera (pitch, height) and the boxes (position, size, heading) as
-far as the picture requires: a visible side of a 2D box counts only if its residual exceeds its
-noise, a hidden one only if the outline does not reach it, and `priors` hold everything else at the
-parsed values. The camera moves only if more than one object gains by it. An object whose fit is
-refused stays as parsed, without effect on the others. Supports of the environment do not move.
-After Step 2 built shapes replace the outlines, see `refit`.
+A model localises objects well in the picture and knows their common sizes, but estimates distances
+less accurately. The fit therefore moves the camera (pitch, height) and the boxes (position, size,
+heading) only as far as the picture requires: a visible side of a 2D box counts only if its residual
+exceeds its noise, a hidden side only if the outline does not reach it, and `priors` keep everything
+else near the parsed values. The camera moves only if this improves the fit of several objects. An
+object whose fit is refused keeps its parsed box and does not affect the others. Supports of the
+environment do not move. After Step 2, built shapes replace the outlines, see `refit`.
 """
 
 import math
@@ -27,18 +27,19 @@ from .priors import is_slab
 from .tree_checks import agreement, check_tree
 from .wireframe import Wireframe
 
-WORSE = 1.0
-"""Growth of an object's largest residual, in standard deviations, at which its fit is refused."""
+MAX_RESIDUAL_GROWTH = 1.0
+"""Maximum growth of an object's largest residual, in standard deviations."""
 CAMERA_GAIN = 0.01
-"""Fall of the sum of squared residuals for which the camera moves, above the solver's tolerance."""
-FAR, SIDES_FAR = 3.0, 3
-"""A change of so many standard deviations needs so many visible sides."""
-STEPS = 60
-"""Largest number of evaluations by the solver."""
-ROUNDS = 3
-"""Largest number of solves, each without the objects that were refused before."""
-EXACT = 12
-"""Most objects for the exact solver, reproducible to 1e-8 across machines; lsmr is to 1e-6."""
+"""Minimum decrease of the sum of squared residuals for which the camera moves."""
+LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
+"""Change, in standard deviations, above which an object needs a number of visible sides."""
+MAX_EVALUATIONS = 60
+"""Maximum number of evaluations by the solver."""
+MAX_SOLVES = 3
+"""Maximum number of solves, each with the refused objects fixed."""
+MAX_EXACT_OBJECTS = 12
+"""Maximum number of objects for the exact solver, which is reproducible across machines to 1e-8
+rather than 1e-6 (lsmr)."""
 
 
 def fit_tree(
@@ -51,7 +52,7 @@ def fit_tree(
     Args:
         tree: the parsed scene, or an earlier fit.
         shapes: built surfaces that replace the outlines of categories, see `fit_problem`.
-        shown: which sides the built shapes show at the parsed positions, see `hidden_sides`.
+        shown: visible sides of the built shapes at the parsed positions, see `hidden_sides`.
 
     Returns:
         The fitted tree, and the report.
@@ -63,38 +64,40 @@ def fit_tree(
     refused: dict[str, str] = {}
     fixed = np.zeros(len(objects), bool)
     try:
-        x = _with_camera(problem, fixed)
-        for _ in range(ROUNDS):
-            newly_refused = _refused(problem, x, fixed)
+        x = _solve_with_camera(problem, fixed)
+        for _ in range(MAX_SOLVES):
+            newly_refused = _refused_objects(problem, x, fixed)
             if not newly_refused:
                 break
             refused |= newly_refused
             fixed = np.array([node.name in refused for node in objects])
             values = np.where(np.repeat(fixed, 7), problem.data.values.ravel(), x[CAMERA:])
-            x = _minimised(problem, np.concatenate([x[:CAMERA], values]), fixed, camera=False)
+            x = _minimize(problem, np.concatenate([x[:CAMERA], values]), fixed, camera=False)
     except (ValueError, np.linalg.LinAlgError) as error:
         mean = float(np.mean([agreement(tree, node) for node in objects]))
         return tree, FitReport(False, f"the solver failed: {error}", mean, mean)
     return _outcome(problem, x, fixed, refused)
 
 
-def _with_camera(problem: FitProblem, fixed: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " u"]:
+def _solve_with_camera(
+    problem: FitProblem, fixed: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, " u"]:
     """Return the solution with a fixed camera, or the one with a moved camera if that is better.
 
-    The objects must gain more than the camera's prior loses even without the one that gains most:
-    a single wrong object is no evidence about the camera, small errors of all are. The environment
-    does not move along, so if walls or furniture belong to it, the camera stays.
+    The gain of the objects, without the largest one, must exceed the cost of the camera's prior: an
+    error of a single object is no evidence about the camera. The camera does not move if the
+    environment contains walls or furniture, which would not move with it.
     """
     data = problem.data
-    still = _minimised(problem, data.initial_unknowns(), fixed, camera=False)
+    fixed_camera = _minimize(problem, data.initial_unknowns(), fixed, camera=False)
     if not all(is_slab(node) for node in data.tree.nodes if node.environment):
-        return still
-    moved = _minimised(problem, still, fixed, camera=True)
-    *gains, price = problem.costs(still) - problem.costs(moved)
-    return moved if sum(gains) - max(gains) + price > CAMERA_GAIN else still
+        return fixed_camera
+    moved_camera = _minimize(problem, fixed_camera, fixed, camera=True)
+    *gains, camera_gain = problem.costs(fixed_camera) - problem.costs(moved_camera)
+    return moved_camera if sum(gains) - max(gains) + camera_gain > CAMERA_GAIN else fixed_camera
 
 
-def _minimised(
+def _minimize(
     problem: FitProblem,
     initial: Float[np.ndarray, " u"],
     fixed: Bool[np.ndarray, " n"],
@@ -110,45 +113,45 @@ def _minimised(
         full[free] = part
         return full
 
-    # The stubs of scipy know only names of schemes for `jac`.
+    # SciPy's stubs accept only names of schemes for `jac`.
     derivative: Any = lambda part: problem.jacobian(expanded(part))[:, free]
     result = least_squares(
         lambda part: problem.residuals(expanded(part)),
         initial[free],
         jac=derivative,
         x_scale="jac",
-        tr_solver="exact" if len(problem.data.objects) <= EXACT else "lsmr",
-        max_nfev=STEPS,
+        tr_solver="exact" if len(problem.data.objects) <= MAX_EXACT_OBJECTS else "lsmr",
+        max_nfev=MAX_EVALUATIONS,
         ftol=1e-7,
         xtol=1e-7,
     )
     return expanded(result.x).copy()
 
 
-def _refused(
+def _refused_objects(
     problem: FitProblem, x: Float[np.ndarray, " u"], fixed: Bool[np.ndarray, " n"]
 ) -> dict[str, str]:
     """Return the objects whose fit is refused, with reasons."""
     data = problem.data
-    errors = [_errors(tree) for tree in (data.tree, problem.tree(x, fixed))]
+    errors = [_error_codes(tree) for tree in (data.tree, problem.tree(x, fixed))]
     residuals = [
         np.abs(outline_residuals(data, unknowns)[:, :4] / data.side_sd).max(axis=1)
         for unknowns in (data.initial_unknowns(), x)
     ]
-    changes, visible = _deviations(problem, x), (~data.hidden).sum(axis=1)
+    changes, visible = _prior_deviations(problem, x), (~data.hidden).sum(axis=1)
     refused = {}
     for i, node in enumerate(data.objects):
         if fixed[i]:
             continue
         new = errors[1].get(node.name, set()) - errors[0].get(node.name, set())
-        if residuals[1][i] > max(residuals[0][i] + WORSE, 1.0 + WORSE):
+        if residuals[1][i] > max(residuals[0][i] + MAX_RESIDUAL_GROWTH, 1.0 + MAX_RESIDUAL_GROWTH):
             refused[node.name] = (
                 f"its outline would differ from its 2D box by {residuals[1][i]:.1f} standard "
                 f"deviations instead of {residuals[0][i]:.1f}"
             )
         elif new:
             refused[node.name] = f"checks would report {', '.join(sorted(new))}"
-        elif changes[i] > FAR and visible[i] < SIDES_FAR:
+        elif changes[i] > LARGE_CHANGE and visible[i] < SIDES_FOR_LARGE_CHANGE:
             refused[node.name] = (
                 f"it needs a change of {changes[i]:.0f} standard deviations, which {visible[i]} "
                 "visible sides do not justify"
@@ -156,15 +159,15 @@ def _refused(
     return refused
 
 
-def _deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
-    """Return each object's largest change of level position or of scale, in prior deviations."""
+def _prior_deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
+    """Return each object's largest change of horizontal position or scale, in prior deviations."""
     data, values = problem.data, x[CAMERA:].reshape(-1, 7)
     position = np.abs(problem.position_deviations(values)[:, :2]).max(axis=1)
     log_scale = np.where(data.rigid, values[:, 3], values[:, 3:6].mean(axis=1))
     return np.maximum(position, np.abs(log_scale) / data.scale_sd)
 
 
-def _errors(tree: SceneTree) -> dict[str, set[str]]:
+def _error_codes(tree: SceneTree) -> dict[str, set[str]]:
     codes: dict[str, set[str]] = {}
     for issue in check_tree(tree):
         if issue.severity == "error":

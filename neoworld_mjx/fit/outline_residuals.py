@@ -1,4 +1,4 @@
-"""Residuals of projected outlines: distances [px] by which they miss 2D boxes and contacts."""
+"""Residuals of projected outlines: distances [px] from the 2D boxes and contacts."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,35 +12,35 @@ from .projection import NEAR_M, Silhouette
 from .visible_sides import EDGE
 from .wireframe import Wireframe, extents_in_picture, hull_wireframe, near_border
 
-BASE = 0.03
-"""Height over the lowest point, over the object's height, up to which points count as its foot."""
+FOOT_HEIGHT = 0.03
+"""Height of the foot of an object above its lowest point, relative to the object's height."""
 _OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
 
 def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, "n 6"]:
-    """Return the distances of 2D sides and contacts from what the outlines allow [px].
+    """Return the distances of 2D sides and contacts from the projected outlines [px].
 
-    Columns 0 to 3 are positive where the 2D box extends beyond the largest outline, and negative
-    where the smallest outline extends beyond a side that is the object's own. The last two columns
-    are those of the contact, right and down; 0 without a contact.
+    Columns 0 to 3 are positive if the 2D box extends beyond the largest outline, and negative if
+    the smallest outline extends beyond a visible side. The last two columns are those of the
+    contact, right and down; 0 without a contact.
     """
     camera, values = data.unpacked(x)
     extents, feet = [], []
     rows = np.arange(len(data.objects))
     for k, points in enumerate((data.inner, data.outer)):
-        view, height = in_camera(data, camera, values, points, rows)
+        view, height = to_camera_frame(data, camera, values, points, rows)
         pixels = _projected(camera, view)
         boxes = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
         for i, frames in data.cut.items():
-            if k == len(frames):  # The same surface is the smallest and the largest.
+            if k == len(frames):  # Smallest and largest outline are the same.
                 boxes[i] = _OUTWARD * extents[0][i]
                 continue
-            view, _ = in_camera(data, camera, values, frames[k].points[None], rows[i : i + 1])
+            view, _ = to_camera_frame(data, camera, values, frames[k].points[None], rows[i : i + 1])
             size = np.tile([camera.width, camera.height_px], 2)
             visible_part = extents_in_picture(camera, view[0], frames[k].edges)
             boxes[i] = np.clip(boxes[i], 0, size) if visible_part is None else visible_part
         extents.append(_OUTWARD * boxes)
-        above_foot = (height > BASE * data.heights[:, None] + 1e-4)[..., None]
+        above_foot = (height > FOOT_HEIGHT * data.heights[:, None] + 1e-4)[..., None]
         low = np.where(above_foot, np.inf, pixels).min(axis=1)
         high = np.where(above_foot, -np.inf, pixels).max(axis=1)
         feet.append((low[:, 0], high[:, 0], high[:, 1]))
@@ -50,20 +50,20 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     sides = beyond - np.where(data.hidden, 0.0, within)
     (left, right, near), (left_2, right_2, near_2) = feet
     u, v = data.contacts.T
-    aside = _outside(u, np.minimum(left, left_2), np.maximum(right, right_2))
-    down = _outside(v, np.minimum(near, near_2), np.maximum(near, near_2))
+    aside = _distance_from_interval(u, np.minimum(left, left_2), np.maximum(right, right_2))
+    down = _distance_from_interval(v, np.minimum(near, near_2), np.maximum(near, near_2))
     contact = np.nan_to_num(np.column_stack([aside, down]), nan=0.0, posinf=0.0, neginf=0.0)
     return np.concatenate([sides, contact], axis=1)
 
 
-def in_camera(
+def to_camera_frame(
     data: FitData,
     camera: Camera,
     values: Float[np.ndarray, "n 7"],
     points: Float[np.ndarray, "k m 3"],
     rows: Int[np.ndarray, " k"],
 ) -> tuple[Float[np.ndarray, "k m 3"], Float[np.ndarray, "k m"]]:
-    """Return points of some objects in the camera's axes, and their heights over the lowest [m]."""
+    """Return points of some objects in the camera frame, and their heights above the lowest [m]."""
     values, tilts = values[rows], data.tilts[rows][:, None]
     log_sizes = data.log_sizes(values, rows)
     sizes = (data.sizes[rows] * np.exp(np.clip(log_sizes, -3, 3)))[:, None]
@@ -92,34 +92,34 @@ def cut_surfaces(
 
 
 def _may_be_cut(data: FitData, index: int) -> bool:
-    """Return whether an object's 2D box or its initial outline reaches the border."""
+    """Return True if an object's 2D box or its initial outline reaches the border."""
     camera, rows = data.tree.camera, np.array([index])
     size = np.array([camera.width, camera.height_px], float)
     pixels = [data.boxes[index].reshape(2, 2)]
     for points in (data.inner, data.outer):
-        view, _ = in_camera(data, camera, data.values, points[rows], rows)
+        view, _ = to_camera_frame(data, camera, data.values, points[rows], rows)
         pixels.append(_projected(camera, view).reshape(-1, 2))
     ends, edge = np.concatenate(pixels), EDGE * size.max()
     return bool((ends <= edge).any() or (ends >= size - edge).any())
 
 
 def _trimmed(data: FitData, index: int, frame: Wireframe) -> Wireframe:
-    """Leave out edges of a cut object that do not decide its box, and their points."""
+    """Return the wireframe of a cut object without edges that cannot determine its visible box."""
     camera, rows = data.tree.camera, np.array([index])
-    view, _ = in_camera(data, camera, data.values, frame.points[None], rows)
+    view, _ = to_camera_frame(data, camera, data.values, frame.points[None], rows)
     edges = near_border(camera, view[0], frame.edges)
     used, renumbered = np.unique(edges, return_inverse=True)
     return Wireframe(frame.hull, frame.points[used], renumbered.reshape(-1, 2))
 
 
 def _projected(camera: Camera, view: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Return the pixels of points in the camera's axes."""
+    """Return the pixels of points in the camera frame."""
     pixels = view[..., :2] / np.maximum(view[..., 2:], NEAR_M) * camera.focal
     return pixels + np.array([camera.width, camera.height_px]) / 2
 
 
-def _outside(
+def _distance_from_interval(
     value: Float[np.ndarray, " n"], low: Float[np.ndarray, " n"], high: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the distances of values above or below (negative) an interval."""
+    """Return the signed distances of values from an interval; 0 within it."""
     return np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)

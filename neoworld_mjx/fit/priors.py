@@ -1,9 +1,9 @@
-"""Prior standard deviations of the fit, with the reason of each.
+"""Prior standard deviations of the fit, with a reason for each.
 
-The docstrings give the median and the ninth decile of the changes that a loose fit of boxes made to
-responses about four photographs (61 objects): upper bounds, as part of them was the fit's own
-error. Losses are soft, so numbers that are further off can move. If a response states its own
-uncertainty about an object, that replaces the constants, within `SPREAD`.
+Percentages and angles in the docstrings are the median and the 90th percentile of the changes that
+a weakly regularised fit of boxes made to responses about four photographs (61 objects). They are
+upper bounds, since they include the error of the fit. The losses are soft, so values with larger
+errors can move. A response's own uncertainty of an object replaces the constants, within `SPREAD`.
 """
 
 import math
@@ -15,57 +15,57 @@ from ..spec import Camera, SceneTree, TreeNode
 from ..spec.pose import from_yaw, matrix
 
 PIXELS, SIDE = 0.003, 0.015
-"""A 2D side: fraction of the picture's longer side, plus a fraction of its own box. Sides are read
-off to 1 to 3 px at 640, less exactly where an outline is soft."""
+"""A 2D side: fraction of the picture's longer side, plus a fraction of the 2D box. Sides are
+accurate to 1 to 3 px at 640, less so where an outline is blurred."""
 LOG_SIZE, LOG_ASPECT = 0.03, 0.02
 """Logarithm of an object's scale, and of the ratios of its edges: 1 %, 5 %. Sizes come from known
-sizes of such objects, so they are the most exact of the numbers."""
+sizes of such objects and are the most accurate values."""
 KNOWN_SIZE = 0.01
-"""The same for an edge of standard length."""
+"""Logarithm of an edge of standard length."""
 YAW = math.radians(3.0)
-"""Heading [rad]: 0.2 deg, 2 deg, where boxes show it at all."""
-DEPTH, ASIDE = 0.035, 0.015
-"""Position along and across the view, over the distance from the camera: together 4 %, 8 %. A foot
-is located by its pixel, and one row is worth more metres than one column."""
+"""Heading [rad]: 0.2 deg, 2 deg, if the box depends on it."""
+DEPTH, ACROSS = 0.035, 0.015
+"""Position along and across the view, over the distance from the camera: together 4 %, 8 %. The
+pixel of a foot locates it, and a row of pixels spans more metres than a column."""
 LEANING = 0.5
-"""Fraction of `DEPTH` for an object that leans on another one, which gives the distance."""
-ROOM_M = 0.005
-"""Least clearance [m] of an object in a container: boxes are rough, and some contents stick out."""
+"""Fraction of `DEPTH` for an object that leans on another one, which locates it."""
+MIN_CLEARANCE_M = 0.005
+"""Minimum clearance [m] in a container: boxes are approximate, contents may protrude."""
 UPRIGHT = math.radians(10.0)
-"""Tilt up to which the foot of an object is in the middle of its box."""
+"""Maximum tilt at which the foot of an object is assumed in the middle of its box."""
 FASTENED_M, FASTENED = 0.005, 0.025
-"""An attached object: along the normal of its support [m], in its plane over the distance."""
+"""An attached object: along its support's normal [m], and in its plane, over the distance."""
 CONTACT_M, CONTACT = 0.002, 0.05
-"""Height over the support: metres plus a fraction of the object's height (feet, rims); on a slab of
-the environment metres alone, as composition places the object there."""
+"""Height over the support: metres, plus a fraction of the object's height (feet, rims). On a slab
+of the environment, only the metres, as composition places the object on its top."""
 SLAB = 0.2
-"""Largest height of a slab over its shorter edge."""
+"""Maximum ratio of a slab's height to its shorter edge."""
 PITCH, LOG_HEIGHT = math.radians(1.5), 0.04
 """Camera's pitch [rad] and logarithm of its height, which are computed from vanishing points,
 ellipses and known sizes. Roll and field of view are fixed: boxes cannot distinguish a wrong field
 of view from wrong distances, while vanishing points can."""
 MEASURED = 0.3
-"""Factor of both for a number that was measured in the picture."""
+"""Factor of both for a value that was measured in the picture."""
 SPREAD = 4.0
-"""Largest factor, up or down, between a stated standard deviation and these constants."""
+"""Maximum ratio, in both directions, of a stated standard deviation to these constants."""
 
 
 def camera_sd(tree: SceneTree) -> Float[np.ndarray, "2"]:
-    """Return standard deviations of the camera's pitch [rad] and log height."""
+    """Return the standard deviations of the camera's pitch [rad] and log height."""
     factors = [MEASURED if name in tree.camera_measured else 1.0 for name in ("pitch", "height")]
     return np.array([PITCH, LOG_HEIGHT]) * factors
 
 
 def side_sd(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"]:
-    """Return standard deviations [px] of the sides of a node's 2D box."""
+    """Return the standard deviations [px] of the sides of a node's 2D box."""
     x0, y0, x1, y1 = node.box2d.as_tuple()
     sides = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
     return PIXELS * max(camera.width, camera.height_px) + SIDE * sides
 
 
 def size_sd(node: TreeNode) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Return standard deviations of a node's log scale, and of the log of each edge's ratio."""
-    scale = _stated_or(node.cues.size_sd, LOG_SIZE)
+    """Return the standard deviations of a node's log scale, and of the log of each edge's ratio."""
+    scale = _stated_or_usual(node.cues.size_sd, LOG_SIZE)
     edges = np.full(3, LOG_ASPECT * scale / LOG_SIZE)
     known = np.array([axis in node.cues.known_size for axis in "xyz"])
     return (KNOWN_SIZE if known.any() else scale), np.where(known, KNOWN_SIZE, edges)
@@ -73,44 +73,46 @@ def size_sd(node: TreeNode) -> tuple[float, Float[np.ndarray, "3"]]:
 
 def yaw_sd(node: TreeNode) -> float:
     """Return the standard deviation of a node's heading [rad]."""
-    return _stated_or(node.cues.yaw_sd, YAW)
+    return _stated_or_usual(node.cues.yaw_sd, YAW)
 
 
 def position_whitening(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3 3"]:
     """Return the matrix that maps a change of position [m] to standard deviations.
 
     Rows are directions over their deviations: along the view, across it, and up; for an attached
-    object the normal of its support and two directions in its plane. A content's deviations are at
-    most its clearance in the container.
+    object, the normal of its support and two directions in its plane. The clearance in a container
+    limits the horizontal deviations of its content.
     """
     offset = np.array(node.box3d.position) - tree.camera.position()
     distance = float(np.linalg.norm(offset))
-    # Right below the camera any direction is across the view.
+    # Directly below the camera, any direction is across the view.
     along = offset[:2] / max(float(np.hypot(*offset[:2])), 1e-6)
     stated = node.cues.position_sd
     if node.relation == "attached" and node.parent is not None:
-        in_plane = _stated_or(stated, FASTENED * distance)
+        in_plane = _stated_or_usual(stated, FASTENED * distance)
         axes = _face_axes(tree.node(node.parent))
         return axes / np.array([FASTENED_M, in_plane, in_plane])[:, None]
     depth = DEPTH * (LEANING if node.relation == "leaning" else 1.0) * distance
-    level = np.array([_stated_or(stated, depth), _stated_or(stated, ASIDE * distance)])
+    horizontal = np.array(
+        [_stated_or_usual(stated, depth), _stated_or_usual(stated, ACROSS * distance)]
+    )
     if node.relation == "in" and node.parent is not None:
         container = tree.node(node.parent).box3d
-        room = (min(container.size[:2]) - min(node.box3d.size[:2])) / 2
-        level = np.minimum(level, max(room, ROOM_M))
+        clearance = (min(container.size[:2]) - min(node.box3d.size[:2])) / 2
+        horizontal = np.minimum(horizontal, max(clearance, MIN_CLEARANCE_M))
     height = CONTACT_M
     if not rests_on_slab(tree, node):
         height += CONTACT * node.box3d.size[2]
     rows = np.array([[*along, 0.0], [-along[1], along[0], 0.0], [0.0, 0.0, 1.0]])
-    return rows / np.array([*level, height])[:, None]
+    return rows / np.array([*horizontal, height])[:, None]
 
 
 def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
-    """Return the smallest shift [m] after which a content's box is over its container's.
+    """Return the smallest shift [m] that puts a content's box over its container's.
 
-    Along each side of the container one of the two boxes spans the other: a lid, a pot in a pot,
-    a spoon that sticks out of a bowl. Zero for tilted objects, whose box is far from their foot,
-    and for contents of a part of the container, such as a drawer.
+    Along each side of the container, the larger of the two boxes then spans the smaller: a lid, a
+    pot in a pot, a spoon that protrudes from a bowl. The shift is zero for tilted objects, whose
+    box is far from their foot, and for contents of a part of the container, such as a drawer.
     """
     if node.relation != "in" or node.parent is None or node.parent_link is not None:
         return np.zeros(2)
@@ -119,19 +121,19 @@ def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
         return np.zeros(2)
     axes = matrix(from_yaw(outer.box3d.yaw))[:2, :2]
     turn = np.abs(matrix(from_yaw(node.box3d.yaw - outer.box3d.yaw)))[:2, :2]
-    room = np.abs(np.array(outer.box3d.size[:2]) - turn @ np.array(node.box3d.size[:2])) / 2
+    clearance = np.abs(np.array(outer.box3d.size[:2]) - turn @ np.array(node.box3d.size[:2])) / 2
     offset = axes.T @ np.subtract(node.box3d.position[:2], outer.box3d.position[:2])
-    return axes @ (np.clip(offset, -room, room) - offset)
+    return axes @ (np.clip(offset, -clearance, clearance) - offset)
 
 
 def is_slab(node: TreeNode) -> bool:
-    """Return whether a node is flat, such as a floor or the top of a table."""
+    """Return True if a node is flat, such as a floor or the top of a table."""
     length, width, height = node.box3d.size
     return height < SLAB * min(length, width)
 
 
 def rests_on_slab(tree: SceneTree, node: TreeNode) -> bool:
-    """Return whether a node stands on a flat support of the environment."""
+    """Return True if a node stands on a flat support of the environment."""
     if node.parent is None or node.relation != "on":
         return False
     parent = tree.node(node.parent)
@@ -139,9 +141,9 @@ def rests_on_slab(tree: SceneTree, node: TreeNode) -> bool:
 
 
 def wall_normal(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3"]:
-    """Return the level unit normal of the wall that a node is attached to; zero if there is none.
+    """Return the horizontal unit normal of the wall that a node is attached to; zero without one.
 
-    Only objects on a wall of the environment can neither leave it nor turn.
+    Objects on a wall of the environment can neither leave it nor turn.
     """
     if node.relation == "attached" and node.parent is not None:
         support = tree.node(node.parent)
@@ -152,12 +154,12 @@ def wall_normal(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3"]:
 
 
 def _face_axes(node: TreeNode) -> Float[np.ndarray, "3 3"]:
-    """Return unit rows: the normal of a box's largest face, and two directions in the face."""
+    """Return the unit normal of a box's largest face and two unit vectors in the face, as rows."""
     c, s = math.cos(node.box3d.yaw), math.sin(node.box3d.yaw)
     axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.roll(axes, -int(np.argmin(node.box3d.size)), axis=0)
 
 
-def _stated_or(stated: float | None, usual: float) -> float:
+def _stated_or_usual(stated: float | None, usual: float) -> float:
     """Return a stated standard deviation within `SPREAD` of the usual one, or the usual one."""
     return usual if stated is None else float(np.clip(stated, usual / SPREAD, usual * SPREAD))

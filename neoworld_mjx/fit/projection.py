@@ -1,8 +1,8 @@
 """Projection of 3D boxes by the parsed camera: visible boxes, edges, and outlines of objects.
 
-A tight box around a cup is smaller than the one around the corners of the cup's 3D box. So the
-category of an object gives the shape that it fills of its 3D box: the box itself, an upright
-cylinder, a ball, ..., or something between box and cylinder if the category is unknown.
+A tight 2D box around a cup is smaller than the projection of its 3D box. The category of an object
+therefore gives the shape of its outline within the 3D box: the box itself, an upright cylinder, a
+ball, ..., or a shape between box and cylinder if the category is unknown.
 """
 
 from collections.abc import Sequence
@@ -16,20 +16,20 @@ from ..spec.pose import IDENTITY, from_yaw, rotate
 from .categories import Outline, category_of
 
 NEAR_M = 0.02
-"""Distance of the near plane from the camera."""
+"""Distance of the near plane from the camera [m]."""
 
-# Corners of Box3D.corners are in the order of (x, y, z) counted in binary, x slowest.
+# Box3D.corners are ordered like the binary numbers xyz: x varies slowest.
 _EDGES = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
-_TURNS = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
-_RIM = np.column_stack([np.cos(_TURNS) / 2, np.sin(_TURNS) / 2])
+_ANGLES = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+_RIM = np.column_stack([np.cos(_ANGLES) / 2, np.sin(_ANGLES) / 2])
 BOX_POINTS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-_WIDE = np.column_stack([_RIM, np.ones(len(_RIM))])
-ROUND_POINTS = np.concatenate([_WIDE, _WIDE * [1, 1, 0]])
-TAPERED_POINTS = np.concatenate([_WIDE, _WIDE * [0.65, 0.65, 0]])
-_NARROW = np.concatenate([_WIDE, _WIDE * [0.4, 0.4, 0]])
+_UPPER_RIM = np.column_stack([_RIM, np.ones(len(_RIM))])
+ROUND_POINTS = np.concatenate([_UPPER_RIM, _UPPER_RIM * [1, 1, 0]])
+TAPERED_POINTS = np.concatenate([_UPPER_RIM, _UPPER_RIM * [0.65, 0.65, 0]])
+_NARROW_POINTS = np.concatenate([_UPPER_RIM, _UPPER_RIM * [0.4, 0.4, 0]])
 BALL_POINTS = np.array(
     [
         [x * np.cos(up), y * np.cos(up), 0.5 + np.sin(up) / 2]
@@ -40,7 +40,7 @@ BALL_POINTS = np.array(
 _HANDLE = np.array([[0.5, y, z] for y in (-0.08, 0.08) for z in (0.35, 0.8)])
 _TAIL = np.array([[-0.5, y, z] for y in (-0.15, 0.15) for z in (0.5, 1.0)])
 _MIN_HANDLE = 1.1
-"""Least length over width of a handled object whose box includes the handle."""
+"""Minimum ratio of length to width of a handled object whose box includes the handle."""
 
 
 def outline_of(node: TreeNode) -> Outline:
@@ -50,19 +50,19 @@ def outline_of(node: TreeNode) -> Outline:
 
 
 def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Return points on a node's outline in a box of size 1, and the weight of the box's corners.
+    """Return points on a node's outline in a unit box, and the weight of the box's corners.
 
     The points are in the frame of `Box3D`. The extent of a node is the weighted mean of the extents
-    of the box's corners and of the points.
+    of the corners and of the points.
     """
     outline = outline_of(node)
     length, width, _ = node.box3d.size
-    share = min(width / length, 1.0)
+    ratio = min(width / length, 1.0)
     if outline == "handled" and length > _MIN_HANDLE * width:
-        body = TAPERED_POINTS * [share, 1, 1] - [(1 - share) / 2, 0, 0]
+        body = TAPERED_POINTS * [ratio, 1, 1] - [(1 - ratio) / 2, 0, 0]
         return np.concatenate([body, _HANDLE]), 0.0
     if outline == "spoon" and length > 2 * width:
-        bowl = ROUND_POINTS * [1.4 * share, 1, 0.5] + [0.5 - 0.7 * share, 0, 0]
+        bowl = ROUND_POINTS * [1.4 * ratio, 1, 0.5] + [0.5 - 0.7 * ratio, 0, 0]
         return np.concatenate([bowl, _TAIL]), 0.0
     if outline == "box":
         return BOX_POINTS, 1.0
@@ -76,17 +76,17 @@ def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
 
 
 class Silhouette(NamedTuple):
-    """Smallest and largest outline of an object; its real extents lie between theirs.
+    """Smallest and largest outline of an object, between which its true extents lie.
 
-    They are in the frame of `Box3D`; those of a category in a box of size 1.
+    Points are in the frame of `Box3D`; for outlines of categories, in a unit box.
     """
 
     inner: Float[np.ndarray, "a 3"]
     outer: Float[np.ndarray, "b 3"]
     lowest: Float[np.ndarray, "c 3"]
-    """Points, the lowest of which is at the height of the box."""
+    """Points of which the lowest is at the height of the box."""
     round: bool = False
-    """True if the silhouette does not show its heading."""
+    """True if the silhouette does not depend on the heading."""
 
 
 def silhouette_of(node: TreeNode) -> Silhouette:
@@ -94,18 +94,18 @@ def silhouette_of(node: TreeNode) -> Silhouette:
     points, weight = outline_points(node)
     outline = outline_of(node)
     if outline == "tapered":
-        return Silhouette(_NARROW, ROUND_POINTS, BOX_POINTS, True)
+        return Silhouette(_NARROW_POINTS, ROUND_POINTS, BOX_POINTS, True)
     outer = BOX_POINTS if weight > 0 else points
     inner = BOX_POINTS if weight == 1 else points
     if weight < 1 and not np.allclose(node.base_tilt, IDENTITY):
-        # The ends of a neck or a foot are visible once an object lies.
+        # The neck or the foot of a lying object may be visible from its end.
         inner = BALL_POINTS
-    # A cylinder in a box that is not square shows its heading, but hardly.
+    # The silhouette of a round object depends on its heading only if its box is not square.
     return Silhouette(inner, outer, BOX_POINTS, outline in ("round", "ball"))
 
 
 def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
-    """Return the box in pixels (x0, y0, x1, y1) of a node's outline without occluders.
+    """Return the box in pixels (x0, y0, x1, y1) of a node's unoccluded outline.
 
     Returns:
         None if the node is outside the picture.
@@ -130,7 +130,7 @@ def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | Non
 def to_world(
     points: Float[np.ndarray, "n 3"], box: Box3D, tilt: Quat = IDENTITY
 ) -> Float[np.ndarray, "n 3"]:
-    """Transform points in a box of size 1 to the world [m], as `Box3D.corners` does its corners."""
+    """Transform points in a unit box to the world [m], as `Box3D.corners` transforms corners."""
     local = rotate(tilt, points * np.array(box.size))
     lowest = rotate(tilt, BOX_POINTS * np.array(box.size))[:, 2].min()
     local[:, 2] -= lowest
@@ -161,7 +161,7 @@ def edges_in_view(
 
 
 def _outlined_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
-    """Return the box in pixels of a support that does not fill its 3D box."""
+    """Return the box in pixels of a support with an outline that does not fill its 3D box."""
     flat = node.outline.corners()
     n = len(flat)
     ends = np.vstack([np.column_stack([flat, np.full(n, z)]) for z in (0.0, 1.0)])
@@ -173,9 +173,9 @@ def _outlined_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | No
 def visible_box(
     camera: Camera, corners: Float[np.ndarray, "n 3"], faces: Sequence[tuple[int, ...]] = _FACES
 ) -> Float[np.ndarray, "4"] | None:
-    """Return the box in pixels (x0, y0, x1, y1) of the visible part of a 3D box, or another solid.
+    """Return the box in pixels (x0, y0, x1, y1) of the visible part of a 3D box or another solid.
 
-    Its faces are clipped at the near plane and at the picture's edges.
+    The faces are clipped at the near plane and at the picture's edges.
 
     Args:
         camera: the camera.
@@ -226,6 +226,6 @@ def _clip(
         if height[k] >= 0:
             clipped.append(polygon[k])
         if (height[k] >= 0) != (height[j] >= 0):
-            share = height[k] / (height[k] - height[j])
-            clipped.append(polygon[k] + share * (polygon[j] - polygon[k]))
+            fraction = height[k] / (height[k] - height[j])
+            clipped.append(polygon[k] + fraction * (polygon[j] - polygon[k]))
     return np.array(clipped).reshape(-1, 3)

@@ -1,7 +1,7 @@
 """Second fit of camera and boxes, with built shapes in place of the outlines of categories.
 
-After Step 2 the silhouette of an object is known, so its 2D box determines more: scale, position
-and heading are fitted to the pixels that its surface covers; the program gives its proportions.
+After Step 2, the program determines the proportions and the silhouette of an object. The 2D box
+then determines its scale, position and heading more accurately.
 """
 
 from collections.abc import Mapping
@@ -32,9 +32,9 @@ def refit_tree(
     Args:
         tree: the scene tree of Step 1.
         objects: the built objects by name, at any size.
-        shown: which sides of their visible boxes they show, by `measure.shown_sides` of the scene
-            composed from the tree; without it occlusion is estimated from boxes.
-        change_supports: allow other supports than those of the tree; see `other_supports`.
+        shown: visible sides of the objects, from `measure.shown_sides` of the scene composed from
+            the tree; without it, occlusion is estimated from boxes.
+        change_supports: True to allow supports other than those of the tree; see `other_supports`.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
@@ -52,7 +52,7 @@ def refit_tree(
 def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:
     """Return an object's visible surface [m], in the frame of its parsed box.
 
-    The object is scaled to the box as composition does it, and its joints are as parsed.
+    The object is scaled to the box as in the composition, with the parsed joint states.
     """
     fit = fit_to_box(spec, node)
     vertices, triangles = visible_surface(spec, fit.state)

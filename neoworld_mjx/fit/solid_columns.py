@@ -1,4 +1,4 @@
-"""Vertical columns through an object's collision shapes, for overlaps and heights of support."""
+"""Vertical columns through an object's collision geometry, for overlaps and support heights."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,16 +10,16 @@ from ..spec.fit_to_box import fit_to_box
 from ..spec.pose import from_yaw, pose, rotate
 
 SAMPLES = 15
-"""Columns along each side of a footprint."""
+"""Number of columns along each side of a footprint."""
 
 
 class SolidColumns:
     """Vertical columns [m] in the world through an object that is scaled to its parsed box.
 
     Attributes:
-        xy: positions of the columns that meet the object.
-        bottom: the object's lowest height in each column.
-        top: its highest one.
+        xy: positions of the columns that intersect the object.
+        bottom: lowest height of the object in each column.
+        top: highest height of the object in each column.
     """
 
     def __init__(self, node: TreeNode, spec: ObjectSpec) -> None:
@@ -37,18 +37,18 @@ class SolidColumns:
         xy = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
         lows, highs = self.spans(xy)
         bottom, top = lows.min(axis=0), highs.max(axis=0)
-        met = np.isfinite(bottom)
-        if met.any():
+        intersects = np.isfinite(bottom)
+        if intersects.any():
             self._lift = float(z - bottom.min())
-        self.xy = xy[met]
-        self.bottom, self.top = bottom[met] + self._lift, top[met] + self._lift
+        self.xy = xy[intersects]
+        self.bottom, self.top = bottom[intersects] + self._lift, top[intersects] + self._lift
 
     def spans(
         self, xy: Float[np.ndarray, "k 2"]
     ) -> tuple[Float[np.ndarray, "p k"], Float[np.ndarray, "p k"]]:
         """Return the lowest and highest height [m] of each convex piece in columns.
 
-        (inf, -inf) where a piece does not meet the column.
+        The result is (inf, -inf) for a piece that does not intersect the column.
         """
         columns = [column(piece, placed, xy) for piece, placed in self._pieces]
         return (
@@ -57,7 +57,7 @@ class SolidColumns:
         )
 
     def depth(self, other: "SolidColumns", shift: Float[np.ndarray, " 3"]) -> float:
-        """Return the largest vertical overlap [m] with another object, after a shift."""
+        """Return the largest vertical overlap [m] with another object after a shift of this one."""
         lows, highs = other.spans(self.xy + shift[:2])
         top, bottom = self.top + shift[2], self.bottom + shift[2]
         return float(np.max(np.minimum(highs, top) - np.maximum(lows, bottom), initial=-np.inf))

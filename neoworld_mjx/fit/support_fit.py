@@ -1,4 +1,4 @@
-"""Fit of a single object to its 2D box on a candidate support, the rest of the scene held."""
+"""Fit of a single object to its 2D box on a candidate support, with the rest of the scene fixed."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,11 +10,11 @@ from .fit_problem import FitProblem, fit_problem
 from .wireframe import Wireframe
 
 STEPS = 40
-"""Largest number of evaluations by the solver."""
+"""Maximum number of evaluations by the solver."""
 
 
 class SupportFit:
-    """Fits of one object at given heights and positions; its parsed position is the prior.
+    """Fits of one object at given heights and positions, with its parsed position as the prior.
 
     Args:
         parsed: the scene tree before the fit.
@@ -39,7 +39,7 @@ class SupportFit:
     def cost(
         self, support: str, relation: str, z: float, xy: Float[np.ndarray, " 2"] | None = None
     ) -> tuple[float, Float[np.ndarray, " 2"]]:
-        """Fit scale and heading at a height, and the position [m] if none is given.
+        """Fit scale and heading at a height; if no position [m] is given, fit that as well.
 
         Returns:
             The sum of squared residuals, and the position.
@@ -63,7 +63,7 @@ class SupportFit:
     def cost_unfitted(
         self, support: str, relation: str, z: float, xy: Float[np.ndarray, " 2"]
     ) -> float:
-        """Return the sum of squared residuals at a position [m] with scale and heading held."""
+        """Return the sum of squared residuals at a position [m], without a fit."""
         problem = self._problem(support, relation, z)
         unknowns = problem.data.initial_unknowns()
         unknowns[CAMERA : CAMERA + 2] = xy

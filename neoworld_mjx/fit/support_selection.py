@@ -1,10 +1,10 @@
-"""Selection of another support for an object whose parsed support is not possible.
+"""Selection of another support for an object whose parsed support is infeasible.
 
-A response may state that a sponge is on the table although its position is in a basket: as parsed,
-it would penetrate the basket's floor. Either the position is wrong, and the sponge is next to the
-basket, or the support is wrong. Both are fitted to the 2D box with built shapes: on the parsed
-support, at the nearest position without overlap, and in or on the other object. The support changes
-only where the picture favours that more clearly than responses are rarely wrong about supports.
+A response may state that a sponge is on the table although its position is in a basket, where it
+would penetrate the basket's floor. Either the position is wrong, and the sponge is next to the
+basket, or the support is wrong. Both hypotheses are fitted to the 2D box with built shapes: on the
+parsed support, at the nearest position without overlap, and in or on the other object. The support
+changes only if the likelihood ratio exceeds the prior odds of the parsed support.
 """
 
 import math
@@ -24,25 +24,25 @@ from .support_fit import SupportFit
 from .tree_checks import INSIDE_WARNS
 from .wireframe import Wireframe
 
-DEEP_M = 0.002
-"""Overlap of built shapes from which on an object cannot be at its parsed position."""
-BESIDE = 0.01
-"""Fraction of a footprint over its support below which the object is not on it at all."""
+MAX_OVERLAP_M = 0.002
+"""Overlap of built shapes above which an object cannot be at its parsed position."""
+MIN_FOOTPRINT = 0.01
+"""Fraction of a footprint over its support below which the object is not on it."""
 LEVEL_M = 0.004
-"""Surfaces within this height count as one."""
+"""Height difference up to which surfaces count as one [m]."""
 BELOW_RIM = 0.1
-"""Depth below an object's top, over the height of the lower of both, from which on a relation is
+"""Depth below the support's top, relative to the lower object's height, above which a relation is
 `in`."""
 POSITIONS = 9
-"""Positions along each side of a square around an object's own."""
-FITTED = 3
-"""Number of positions or heights that are fitted: those with the least unfitted cost."""
+"""Number of positions along each side of a square around an object's position."""
+MAX_FITS = 3
+"""Number of positions or heights to fit: those with the lowest cost before the fit."""
 DIRECTIONS, STEPS = 16, 40
-"""Directions out of another object, and positions along each."""
+"""Number of directions away from another object, and of positions along each."""
 
 
 class _Level(NamedTuple):
-    """A surface in or on another object where an object may rest."""
+    """A surface in or on another object that may support an object."""
 
     support: TreeNode
     relation: Relation
@@ -56,13 +56,13 @@ def other_supports(
     objects: Mapping[str, ObjectSpec],
     surfaces: Mapping[str, Wireframe],
 ) -> dict[str, OtherSupport]:
-    """Return the objects that the picture shows on another support than the parsed one.
+    """Return the new supports of the objects whose parsed support is less likely.
 
     Args:
         parsed: the scene tree before the fit.
-        fitted: the same fitted with built shapes.
+        fitted: the scene tree fitted with built shapes.
         objects: the built objects by name, at any size.
-        surfaces: their visible surfaces, see `fit_problem`.
+        surfaces: visible surfaces of the objects, see `fit_problem`.
     """
     nodes = [node for node in fitted.nodes if not node.environment]
     solids = {node.name: SolidColumns(node, objects[node.name]) for node in nodes}
@@ -77,7 +77,7 @@ def other_supports(
         position = np.array(node.box3d.position[:2])
         levels = [level for c in candidates for level in _levels(node, position, c, solids)]
         levels.sort(key=lambda level: fit.cost_unfitted(level.support.name, *level[1:]))
-        costs = [(_cost_at(fit, level), level) for level in levels[:FITTED]]
+        costs = [(_cost_at(fit, level), level) for level in levels[:MAX_FITS]]
         cost, level = min(costs, key=lambda entry: entry[0], default=(np.inf, None))
         if level is None or cost == np.inf:
             continue
@@ -92,7 +92,7 @@ def other_supports(
 def without_cycles(
     tree: SceneTree, supports: Mapping[str, OtherSupport]
 ) -> dict[str, OtherSupport]:
-    """Leave out changes that close a cycle of supports; the ones with larger gains stay."""
+    """Return the changes without those that close a cycle; larger gains take precedence."""
     parents = {node.name: node.parent for node in tree.nodes}
     kept = {}
     for name, change in sorted(supports.items(), key=lambda entry: -entry[1].gain):
@@ -105,7 +105,7 @@ def without_cycles(
 
 
 def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> SceneTree:
-    """Return a tree in which objects, and what rests on them, are on other supports."""
+    """Return a tree with other supports for some objects, which move with their children."""
     lifts: dict[str, float] = {}
     nodes = {node.name: node for node in tree.nodes}
     for node in tree.top_down():
@@ -125,7 +125,7 @@ def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> Scene
 def _candidates(
     tree: SceneTree, node: TreeNode, solids: Mapping[str, SolidColumns]
 ) -> list[TreeNode]:
-    """Return possible supports of an object in place of its parent; none if the parent is one."""
+    """Return alternative supports of an object; none if its parent is feasible."""
     excluded = {node.name, node.parent}
     for other in tree.top_down():
         excluded |= {other.name} if other.parent in excluded - {node.parent} else set()
@@ -135,20 +135,20 @@ def _candidates(
         if other.name not in excluded and not (other.environment or solids[other.name].articulated)
     ]
     assert node.parent is not None
-    if node.parent in solids and _share_over(node, tree.node(node.parent)) < BESIDE:
+    if node.parent in solids and _share_over(node, tree.node(node.parent)) < MIN_FOOTPRINT:
         return [other for other in others if _share_over(node, other) >= INSIDE_WARNS]
-    solid, still = solids[node.name], np.zeros(3)
-    return [other for other in others if solid.depth(solids[other.name], still) > DEEP_M]
+    solid, no_shift = solids[node.name], np.zeros(3)
+    return [other for other in others if solid.depth(solids[other.name], no_shift) > MAX_OVERLAP_M]
 
 
 def _share_over(node: TreeNode, support: TreeNode) -> float:
-    """Return the fraction of an object's footprint that is over another object's."""
+    """Return the fraction of an object's footprint that is over another object."""
     feet = footprint(upright(node))
     return shared_footprint(support_footprint(support), feet) / polygon_area(feet)
 
 
 def _cost_at(fit: SupportFit, level: _Level) -> float:
-    """Return the cost of an object's fit on a level; infinite if it does not stay over it."""
+    """Return the cost of an object's fit on a level; infinite if the object leaves it."""
     support, relation, z, xy = level
     cost, fitted_xy = fit.cost(support.name, relation, z)
     if _share_over(fit.placed(fitted_xy, z), support) >= INSIDE_WARNS:
@@ -165,7 +165,7 @@ def _cost_as_parsed(
     node = fit.node
     assert node.parent is not None
     parent = fit.fitted.node(node.parent)
-    if node.parent in solids and _share_over(node, parent) < BESIDE:
+    if node.parent in solids and _share_over(node, parent) < MIN_FOOTPRINT:
         nearest = _nearest_over(node, parent)
         levels = _levels(node, nearest, parent, solids)
         costs = (fit.cost(parent.name, each.relation, each.z, nearest)[0] for each in levels)
@@ -178,16 +178,16 @@ def _cost_as_parsed(
         direction = np.array([math.cos(angle), math.sin(angle)])
         for step in np.linspace(0, reach, STEPS):
             shift = np.array([*(step * direction), 0.0])
-            if all(solid.depth(solids[other.name], shift) <= DEEP_M for other in others):
+            if all(solid.depth(solids[other.name], shift) <= MAX_OVERLAP_M for other in others):
                 free.append(position + shift[:2])
                 break
     free.sort(key=lambda xy: fit.cost_unfitted(parent.name, node.relation, z, xy))
-    costs = (fit.cost(parent.name, node.relation, z, xy)[0] for xy in free[:FITTED])
+    costs = (fit.cost(parent.name, node.relation, z, xy)[0] for xy in free[:MAX_FITS])
     return min(costs, default=np.inf)
 
 
 def _nearest_over(node: TreeNode, support: TreeNode) -> Float[np.ndarray, " 2"]:
-    """Return the position [m] nearest to an object's own that is over another object's box."""
+    """Return the nearest position [m] to an object that is over another object's box."""
     box, axes = upright(support), matrix(from_yaw(support.box3d.yaw))[:2, :2]
     half = np.array(box.size[:2]) / 2
     offset = axes.T @ np.subtract(node.box3d.position[:2], box.position[:2])
@@ -202,7 +202,7 @@ def _levels(
 ) -> Iterator[_Level]:
     """Yield the levels in or on another object with the nearest position [m] on each.
 
-    Positions up to half a width around `xy` are tried, as a hole may be a centimetre off.
+    Positions are up to half a width away from `xy`, to tolerate an inaccurate hole position.
     """
     solid, other = solids[node.name], solids[support.name]
     away = np.linspace(-0.5, 0.5, POSITIONS) * min(node.box3d.size[:2])

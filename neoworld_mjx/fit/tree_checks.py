@@ -28,22 +28,22 @@ from .projection import expected_box, outline_of
 from .visible_sides import EDGE, hidden_sides
 
 AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
-"""Agreement of the projected 3D box with the 2D box, see `agreement`."""
+"""Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""
 INSIDE_WARNS, INSIDE_FAILS = 0.6, 0.25
-"""Fraction of a child's footprint that lies in its parent's."""
+"""Minimum fraction of a child's footprint within its parent's."""
 GAP_WARNS, GAP_FAILS = 0.15, 1.0
-"""Gap under an object, over its height."""
+"""Maximum gap under an object, relative to its height."""
 GAP_LEAST_M = 0.01
-"""Smaller gaps are not reported."""
+"""Minimum reported gap [m]."""
 SIZE_FAILS = 2.0
-"""Ratio of the longest edge to the limit of its category's range from which on it is an error."""
+"""Ratio of the longest edge to the limit of its category's range above which it is an error."""
 OVERLAP_WARNS = 0.4
-"""Fraction of the smaller of two boxes inside the other, where neither supports the other."""
+"""Maximum fraction of the smaller of two boxes within the other, if neither supports the other."""
 SAME_WARNS = 0.6
-"""Intersection over union of two boxes, where the larger object may not fill its own: a lamp's
-arm reaches over a cup, a trunk stands under a table."""
+"""Maximum intersection over union of two boxes if the larger object may not fill its box: the arm
+of a lamp may be over a cup, a trunk under a table."""
 TWICE_WARNS = 0.85
-"""Intersection over union of the 2D boxes of two objects with the same label."""
+"""Maximum intersection over union of the 2D boxes of two objects with the same label."""
 
 _ENVIRONMENT = ("floor", "wall", "counter", "countertop", "ground", "ceiling", "worktop")
 
@@ -57,17 +57,17 @@ class SceneIssue(BaseModel):
     node: str
     code: str
     value: float
-    """Measured fraction or ratio, or metres where the code ends in _m."""
+    """Measured fraction or ratio; metres if the code ends in _m."""
     threshold: float
     hint: str
 
     def phrase(self) -> str:
-        """Return one line, with numbers rounded so that they are the same on every machine."""
+        """Return one line, with numbers rounded to be the same on every machine."""
         return f"{self.node}: {self.hint} [{self.code} {self.value:.2g}, bound {self.threshold:g}]"
 
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
-    """Check a parse; return errors first, else in the order of the nodes."""
+    """Check a parse; return errors before warnings, each in the order of the nodes."""
     issues: list[SceneIssue] = []
     for node in tree.nodes:
         issues += _projection(tree, node)
@@ -80,9 +80,9 @@ def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
-    """Return a score of a parse in [0, 1]: the mean of its agreement and of its lack of issues.
+    """Return the score of a parse in [0, 1]: the mean of its agreement and its freedom from issues.
 
-    An object with an error counts 0, one with warnings alone loses a third for each.
+    For the latter, an object with an error counts 0, and each warning costs a third.
     """
     objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
     mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
@@ -96,8 +96,8 @@ def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
 def agreement(tree: SceneTree, node: TreeNode) -> float:
     """Return the agreement of a node's projected 3D box with its 2D box, in [0, 1].
 
-    For a fully visible object it is their intersection over union. The 2D box of a partly hidden
-    one is smaller than the projection, so hidden sides may lie anywhere inside the projection.
+    It is the intersection over union for a fully visible object. Hidden sides of a 2D box may lie
+    anywhere within the projection.
     """
     expected = expected_box(tree.camera, node)
     if expected is None:
@@ -125,7 +125,7 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
 
 
 def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
-    """Return whether every visible side of a projected box is as near as a box can be read."""
+    """Return True if every visible side of a projected box is within the reading error."""
     expected = expected_box(tree.camera, node)
     if expected is None:
         return False
@@ -196,14 +196,14 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     feet = footprint(child)
     inside = shared_footprint(support_footprint(parent), feet) / polygon_area(feet)
     if inside < INSIDE_WARNS:
-        # An object that does not fill its box may stand on a small foot and extend far beyond it.
+        # An object that does not fill its box may stand on a small foot.
         fails = inside < (0.01 if _fills_box_loosely(node) else INSIDE_FAILS)
         hint = f"only {inside:.0%} of its footprint lies in that of its support {parent.name}"
         yield _issue(node, "footprint", inside, INSIDE_WARNS, hint, fails=fails)
     bottom, floor = child.position[2], below.position[2]
     top = floor + below.size[2]
     bound = max(GAP_LEAST_M, GAP_WARNS * min(child.size[2], 1.0))
-    # An object in a hollow rests below its support's top; only slabs must support at their top.
+    # An object may rest in a hollow below its support's top, but a slab supports only at its top.
     slab = parent.slab and parent.box3d.size[2] < 0.2 * min(parent.box3d.size[:2])
     gap, words = 0.0, ""
     if bottom > top + bound:
@@ -243,7 +243,7 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
 
 
 def _fills_box_loosely(node: TreeNode) -> bool:
-    """Return whether an object may leave much of its box empty, by its category."""
+    """Return True if objects of this category may leave much of their box empty."""
     return outline_of(node) in ("loose", "spoon")
 
 
@@ -257,7 +257,7 @@ def _supports(tree: SceneTree, node: TreeNode) -> set[str]:
 
 
 def _edge(tree: SceneTree) -> float:
-    """Return the error [px] with which the side of a box can be read."""
+    """Return the reading error of the side of a box [px]."""
     return EDGE * max(tree.camera.width, tree.camera.height_px)
 
 

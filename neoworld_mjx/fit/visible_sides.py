@@ -9,13 +9,13 @@ from .projection import outline_points, to_world
 
 SIDES = ("left", "top", "right", "bottom")
 EDGE = 0.01
-"""Distance from the picture's edge, over its longer side, within which it may cut off a box."""
+"""Distance from the border within which it may cut a box, over the picture's longer side."""
 COVERED = 1 / 3
-"""Fraction of a side in the box of a named occluder from which on the side counts as hidden."""
+"""Fraction of a side within the box of a named occluder above which the side counts as hidden."""
 COVERED_UNNAMED = 0.6
-"""The same for a nearer object that the response does not name as an occluder."""
-OUT = 0.02
-"""Distance out of the picture, over its longer side, at which an extreme point is cut off."""
+"""Fraction for a nearer object that the response does not name as an occluder."""
+CUT_OFF = 0.02
+"""Distance outside the picture at which an extreme point is cut off, over the longer side."""
 
 
 def hidden_sides(
@@ -23,17 +23,17 @@ def hidden_sides(
 ) -> Bool[np.ndarray, "4"]:
     """Return a mask of the sides of a 2D box (left, top, right, bottom) that may be hidden.
 
-    A side is hidden if it lies at the picture's border, if the point of the 3D outline that would
-    form it lies out of the picture, or if an object in front covers much of it: an occluder that
+    A side is hidden if it lies at the picture's border, if the extreme point of the 3D outline on
+    this side lies outside the picture, or if an object in front covers much of it: an occluder that
     the response names, the container of the object, or a nearer object whose 2D box overlaps. If
-    the object is marked as hidden and nothing explains it, every side counts as hidden.
+    the object is marked as hidden for none of these reasons, every side counts as hidden.
 
     Args:
         tree: the parsed scene, or a fit of it.
         node: the object whose sides are tested.
-        shown: sides that the built shapes show at the parsed positions. Where the extreme point of
-            a side lies in the picture, they decide about occlusion instead of boxes; a side whose
-            extreme point is out of the picture may be the object's own.
+        shown: visible sides of the built shapes at the parsed positions. They replace the boxes in
+            the test for occlusion of each side whose extreme point lies in the picture; the other
+            sides are not hidden for that reason alone.
     """
     camera = tree.camera
     edge = EDGE * max(camera.width, camera.height_px)
@@ -43,18 +43,18 @@ def hidden_sides(
     at_border = outward * (frame - box) <= edge
     hidden = at_border.copy() if shown else at_border | _cut_points(tree, node, at_border)
     if node.cues.cut_sides is not None:
-        # An outline that the response takes for the object's own may still end at the border.
+        # The border may cut a side even if the response does not list it.
         return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
     if shown is not None:
         covered = hidden | _covered_sides(tree, node, box, edge)
         return at_border | np.where(shown.inside, ~shown.own, covered)
-    if node.occluded and not _hiders(node) and not at_border.any():
+    if node.occluded and not _occluders(node) and not at_border.any():
         return np.ones(4, bool)
     return hidden | _covered_sides(tree, node, box, edge)
 
 
-def _hiders(node: TreeNode) -> set[str]:
-    """Return the names of the objects that hide a part of an object by the response."""
+def _occluders(node: TreeNode) -> set[str]:
+    """Return the names of the objects that occlude an object according to the response."""
     names = set(node.occluded_by)
     if node.relation == "in" and node.parent is not None:
         names.add(node.parent)
@@ -65,17 +65,17 @@ def _covered_sides(
     tree: SceneTree, node: TreeNode, box: Float[np.ndarray, "4"], edge: float
 ) -> Bool[np.ndarray, "4"]:
     """Return a mask of the sides of a box that the boxes of possible occluders cover."""
-    names, hidden = _hiders(node), np.zeros(4, bool)
+    names, hidden = _occluders(node), np.zeros(4, bool)
     for other in tree.nodes:
         if other.name == node.name:
             continue
         if other.name in names:
             share = COVERED
-        elif _before(tree, other, node):
+        elif _is_nearer(tree, other, node):
             share = COVERED_UNNAMED
         else:
             continue
-        hidden |= _covered(box, np.array(other.box2d.as_tuple()), edge) >= share
+        hidden |= _covered_fractions(box, np.array(other.box2d.as_tuple()), edge) >= share
     return hidden
 
 
@@ -91,25 +91,25 @@ def _cut_points(
     if depth.min() <= 0:
         return np.ones(4, bool)
     size = np.array([camera.width, camera.height_px], float)
-    slack = OUT * size.max()
+    slack = CUT_OFF * size.max()
     outside = ((pixels < -slack) | (pixels > size + slack)).any(axis=1)
     low, high = pixels.argmin(axis=0), pixels.argmax(axis=0)
     return outside[np.array([*low, *high])]
 
 
-def _before(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
-    """Return whether an object that is neither parent nor child of another one is nearer."""
+def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
+    """Return True if `other` is nearer than `node`, and neither its parent nor its child."""
     if other.environment or node.environment:
         return False
     if other.parent == node.name or node.parent == other.name:
         return False
     eye, axis = tree.camera.position(), tree.camera.axes()[:, 2]
-    far = (other.box3d.corners(other.base_tilt) - eye) @ axis
-    near = (node.box3d.corners(node.base_tilt) - eye) @ axis
-    return bool(far.mean() < near.mean())
+    other_depth = (other.box3d.corners(other.base_tilt) - eye) @ axis
+    node_depth = (node.box3d.corners(node.base_tilt) - eye) @ axis
+    return bool(other_depth.mean() < node_depth.mean())
 
 
-def _covered(
+def _covered_fractions(
     box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"], slack: float
 ) -> Float[np.ndarray, "4"]:
     """Return the fraction of each side of a box that lies in another box, grown by `slack`."""

@@ -1,7 +1,7 @@
-"""Extents of the part of a surface within the picture: its edges, clipped at the picture's border.
+"""Extents of the part of a surface within the picture, from edges clipped at the picture's border.
 
-An object that the border cuts shows less than its outline. Its visible box ends where its edges
-leave the picture, which locates it as exactly as a fully visible outline does.
+The visible box of an object that the border cuts ends where its edges leave the picture, which
+locates the object as accurately as a fully visible outline.
 """
 
 from typing import NamedTuple
@@ -14,21 +14,21 @@ from ..spec import Camera
 from .projection import NEAR_M
 
 MARGIN = 0.15
-"""Largest motion of objects in the picture, over its longer side, that `near_border` allows."""
+"""Maximum motion in the picture that `near_border` allows, over the longer side."""
 
 
 class Wireframe(NamedTuple):
-    """A surface by its points and the edges between them."""
+    """Points of a surface, and the edges between them."""
 
     hull: Float[np.ndarray, "_ 3"]
     """Corners of the convex hull."""
     points: Float[np.ndarray, "n 3"]
     edges: Int[np.ndarray, "e 2"]
-    """Indices of the points that an edge joins."""
+    """Indices of the two points of each edge."""
 
 
 def hull_wireframe(points: Float[np.ndarray, "_ 3"]) -> Wireframe:
-    """Return the convex hull of points; all pairs of them where they lie in a plane."""
+    """Return the convex hull of points; if they are coplanar, all pairs of them."""
     try:
         hull = ConvexHull(points)
     except QhullError:
@@ -51,8 +51,8 @@ def extents_in_picture(
 
     Args:
         camera: the camera.
-        view: the surface's points in the camera's axes, right, down and forward [m].
-        edges: indices of the points that the edges join.
+        view: the surface's points in the camera frame (right, down, forward) [m].
+        edges: indices of the two points of each edge.
 
     Returns:
         None if the surface is out of the picture.
@@ -64,11 +64,11 @@ def extents_in_picture(
     crosses = np.any(depth < 0, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (depth[:, 0] / (depth[:, 0] - depth[:, 1]))[:, None]
-        at = np.where(crosses[:, None], ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), 0.0)
-    ends = np.where((depth < 0)[..., None], at[:, None], ends)
+        crossing = np.where(crosses[:, None], ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), 0.0)
+    ends = np.where((depth < 0)[..., None], crossing[:, None], ends)
     size = np.array([camera.width, camera.height_px], float)
     pixels = ends[..., :2] / np.maximum(ends[..., 2:], NEAR_M) * camera.focal + size / 2
-    # Every line from a to b, from the share `enter` to the share `leave` of its length.
+    # The line from a to b is within the picture from fraction `enter` to `leave` of its length.
     a, b = pixels[:, 0], pixels[:, 1]
     enter, leave = np.zeros(len(a)), np.ones(len(a))
     for axis in range(2):
@@ -82,10 +82,12 @@ def extents_in_picture(
             leave = np.where((inside_b < 0) & (inside_a >= 0), np.minimum(leave, t), leave)
             leave = np.where((inside_a < 0) & (inside_b < 0), -1.0, leave)
     shown = enter <= leave
-    a, way = a[shown], (b - a)[shown]
+    a, direction = a[shown], (b - a)[shown]
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
     covered = corners[[_surrounds(pixels.reshape(-1, 2), corner) for corner in corners]]
-    points = np.concatenate([a + enter[shown, None] * way, a + leave[shown, None] * way, covered])
+    points = np.concatenate(
+        [a + enter[shown, None] * direction, a + leave[shown, None] * direction, covered]
+    )
     if len(points) == 0:
         return None
     return np.concatenate([points.min(axis=0), points.max(axis=0)])
@@ -94,15 +96,15 @@ def extents_in_picture(
 def near_border(
     camera: Camera, view: Float[np.ndarray, "n 3"], edges: Int[np.ndarray, "e 2"]
 ) -> Int[np.ndarray, "k 2"]:
-    """Return the edges that can decide a surface's box in the picture after small motions.
+    """Return the edges that can determine a surface's box in the picture after small motions.
 
-    These are the edges that may meet the border, and those at the extreme points within; a tube
-    has thousands of others.
+    These are the edges that may intersect the border, and those at the extreme points within it. A
+    tube has thousands of others.
 
     Args:
         camera: the camera.
-        view: the surface's points in the camera's axes, right, down and forward [m].
-        edges: indices of the points that the edges join.
+        view: the surface's points in the camera frame (right, down, forward) [m].
+        edges: indices of the two points of each edge.
     """
     size = np.array([camera.width, camera.height_px], float)
     margin = MARGIN * size.max()
@@ -112,7 +114,7 @@ def near_border(
     if inner.sum() > 3:
         try:
             extreme[np.flatnonzero(inner)[ConvexHull(pixels[inner]).vertices]] = True
-        except QhullError:  # In a line.
+        except QhullError:  # The points are collinear.
             extreme |= inner
     ends = pixels[edges]
     far = ((ends < -margin).all(axis=1) | (ends > size + margin).all(axis=1)).any(axis=1)
@@ -123,7 +125,7 @@ def near_border(
 
 
 def _surrounds(points: Float[np.ndarray, "n 2"], spot: Float[np.ndarray, "2"]) -> bool:
-    """Return whether a point lies in the convex hull of others."""
+    """Return True if a point lies in the convex hull of others."""
     if len(points) == 0:
         return False
     angles = np.sort(np.arctan2(points[:, 1] - spot[1], points[:, 0] - spot[0]))
