@@ -69,7 +69,9 @@ class ControlledScene:
         kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         joints = [self.model.joint(j) for j in range(self.model.njnt)]
         return tuple(
-            j.name for j in joints if j.type[0] in kinds and not j.name.startswith(f"{PREFIX}-")
+            joint.name
+            for joint in joints
+            if int(joint.type[0]) in kinds and not joint.name.startswith(f"{PREFIX}-")
         )
 
     @cached_property

@@ -13,7 +13,7 @@ from ..mllm import Panel, open_panel
 from ..parse.photo import Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..step_names import Step
-from .pictures import Pictures
+from .scene_pictures import Pictures
 from .scene_steps import write_metrics
 from .step_context import COMPOSED, TAPE, StepContext, read_tree
 from .steps import STEP_FUNCTIONS

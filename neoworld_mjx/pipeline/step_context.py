@@ -11,7 +11,7 @@ from ..mllm import Panel
 from ..parse.photo import Photo
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree
-from .pictures import Pictures
+from .scene_pictures import Pictures
 
 RESPONSE_TREE = "answered.json"
 """Scene tree of the model's response, before its fit to the 2D boxes."""

@@ -12,7 +12,7 @@ from neoworld_mjx.mllm.requests import Reply, Usage
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.response_bounds import BOUNDS
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
-from neoworld_mjx.program.validate import shown
+from neoworld_mjx.program.validate import formatted
 from neoworld_mjx.spec import SceneTree
 from tests.support import answers
 
@@ -179,4 +179,4 @@ def test_a_list_of_shared_lists_is_shown_short():
     value: list = [1.0] * 6
     for _ in range(15):
         value = [value] * 6
-    assert len(shown(value)) < 1000
+    assert len(formatted(value)) < 1000

@@ -170,6 +170,7 @@ def _header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
         (b"no zip", "no readable arrays"),
         (b"PK\x03\x04" + bytes(100), "no readable arrays"),
     ],
+    ids=["huge", "too long", "negative", "object", "no header", "bomb", "no zip", "cut off"],
 )
 def test_invalid_or_oversized_arrays_are_rejected(tmp_path, data, said):
     path = tmp_path / "a.npz"

@@ -76,16 +76,16 @@ def test_render_accepts_cameras_and_turntables(neoworld, scene_file, tmp_path):
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (("--look-at", 0, 0, 0), "give --eye too"),
-        (("--eye", 1, 0, 1, "--azimuth", 3), "leave out --azimuth"),
-        (("--eye", 1, 0, 1, "--look-at", 1, 0, 1), "the same place"),
+        (("--look-at", 0, 0, 0), "requires --eye"),
+        (("--eye", 1, 0, 1, "--azimuth", 3), "--eye cannot be combined with --azimuth"),
+        (("--eye", 1, 0, 1, "--look-at", 1, 0, 1), "the same point"),
         (("--fovy", 190), "from 2 to 178"),
         (("--elevation", 91), "from -90 to 90"),
         (("--object", "nothing"), "valid are: "),
         (("--open", 2), "from 0 to 1"),
         (("--turntable", "--frames", 1), "from 2 to 360"),
         (("--turntable", "--out", "film.mp4"), ".gif or .webp"),
-        (("--turntable", "--eye", 1, 0, 1), "leave out --eye"),
+        (("--turntable", "--eye", 1, 0, 1), "--turntable cannot be combined with --eye"),
     ],
 )
 def test_conflicting_flags_are_refused_with_one_message(neoworld, scene_file, flags, said):

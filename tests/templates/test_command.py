@@ -63,7 +63,7 @@ def test_a_seed_samples_the_parameters(answer, tmp_path):
         (("drawer_cabinet", "--set", "drawers=40"), "drawers: 40.0 is outside 2 to 5"),
         (("drawer_cabinet", "--set", "drawers"), "NAME=VALUE"),
         (("drawer_cabinet", "--set", "pull=rope"), "valid are: bar, knob"),
-        (("--seed", "3"), "name one of those"),
+        (("--seed", "3"), "name a template"),
         (("drawer_cabinet", "--out", "no/such/folder/x.py"), "cannot write no/such/folder/x.py"),
     ],
 )

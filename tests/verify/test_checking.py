@@ -49,9 +49,9 @@ MESH = (
 )
 BODY = 'def Cube "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]) {{}}\n'
 BROKEN = {
-    "truncated.urdf": ('<robot name="r"><link name="a">', "is not whole XML"),
-    "truncated.xml": ('<mujoco><worldbody><body name="a"', "is not whole XML"),
-    "empty.urdf": ("", "is not whole XML"),
+    "truncated.urdf": ('<robot name="r"><link name="a">', "is not valid XML"),
+    "truncated.xml": ('<mujoco><worldbody><body name="a"', "is not valid XML"),
+    "empty.urdf": ("", "is not valid XML"),
     "missing.urdf": (MESH.format("meshes/no.obj"), "which does not exist"),
     "missing.xml": (
         '<mujoco><asset><mesh name="m" file="no.obj"/></asset><worldbody><body>'
@@ -99,7 +99,7 @@ BROKEN = {
         '<!DOCTYPE m SYSTEM "file:///etc/passwd"><mujoco/>',
         "declares a document type or entities",
     ),
-    "html.xml": ("<html/>", "begins with <html>"),
+    "html.xml": ("<html/>", "the root element is <html>"),
     "refused.xml": ("<mujoco><wonder/></mujoco>", "is refused by MuJoCo"),
     "flipped.urdf": (
         '<robot name="r">' + LINK.format("a") + LINK.format("b")

@@ -9,7 +9,7 @@ from neoworld_mjx.checks.allowance import Allowance
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.pipeline.object_steps import verify_objects
-from neoworld_mjx.pipeline.pictures import Pictures
+from neoworld_mjx.pipeline.scene_pictures import Pictures
 from neoworld_mjx.pipeline.step_context import StepContext
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...render.part_meshes import RGB
-from ...spec import Box2D, Camera
+from ...spec import Box2D, Camera, SceneSpec
 from ...spec.pose import from_matrix
 from .scene_nodes import NEAR_M
 
@@ -142,3 +142,11 @@ def _add_lines(server: Any, name: str, lines: NDArray, rgb: Any, thickness: floa
 
 def _distance(camera: Camera) -> float:
     return min(FAR * max(camera.height, 0.05), FARTHEST_M)
+
+
+def draw_photo_box(server: Any, scene: SceneSpec, name: str) -> None:
+    """Draw the 2D box of the named object only; none if it has no box."""
+    hide_boxes(server)
+    for obj in scene.objects:
+        if obj.name == name and obj.box2d is not None and scene.camera is not None:
+            draw_box(server, scene.camera, obj.name, obj.box2d, CHOSEN)

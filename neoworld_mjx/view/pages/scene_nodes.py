@@ -297,3 +297,32 @@ def bounds_of(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> tuple[
     ]
     vertices = np.concatenate(points)
     return vertices.min(axis=0), vertices.max(axis=0)
+
+
+def light_scene(server: Any) -> None:
+    """Set the vertical axis and the lights of a page; shadows would render the scene twice."""
+    server.scene.set_up_direction("+z")
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
+    server.initial_camera.near = 0.01
+
+
+def add_handle(server: Any, pose: Pose, diagonal: float) -> Any:
+    """Add a handle that moves an object in the plane and turns it about the vertical.
+
+    Args:
+        server: the viser server.
+        pose: initial pose of the handle in the world.
+        diagonal: diagonal of the scene's bounding box [m].
+    """
+    return server.scene.add_transform_controls(
+        "/handle",
+        scale=0.35 * diagonal,
+        active_axes=(True, True, False),
+        disable_sliders=False,
+        depth_test=False,
+        rotation_limits=((0.0, 0.0), (0.0, 0.0), (-1000.0, 1000.0)),
+        position=pose.pos,
+        wxyz=pose.quat,
+    )

@@ -15,14 +15,22 @@ from ...errors import NeoWorldError
 from ...io.files import write_atomic
 from ...run_folder import Result
 from ...spec import Box2D
-from .annotation_drawing import CHOSEN, draw_box, hide_boxes
+from .annotation_drawing import draw_photo_box
 from .joint_sliders import JointSliders
 from .page_html import message
 from .page_jobs import ShowLine, run_job
 from .population import Ghosts, term_chart
 from .rectangle_picker import RectanglePicker
 from .scene_editor import SceneEditor
-from .scene_nodes import SceneNodes, bounds_of, look_at, look_through, part_poses
+from .scene_nodes import (
+    SceneNodes,
+    add_handle,
+    bounds_of,
+    light_scene,
+    look_at,
+    look_through,
+    part_poses,
+)
 from .view_target import ViewTarget, open_target
 
 if TYPE_CHECKING:
@@ -69,13 +77,7 @@ class SceneViewer:
         self._rectangle = RectanglePicker(
             server, lambda: self._target.after.camera, self._set_photo_box
         )
-        server.scene.set_up_direction("+z")
-        server.scene.configure_environment_map(None)
-        server.scene.configure_default_lights(
-            cast_shadow=False
-        )  # With shadows, it renders the scene twice.
-        server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
-        server.initial_camera.near = 0.01
+        light_scene(server)
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Scene"):
             self._build_scene_tab()
@@ -124,7 +126,7 @@ class SceneViewer:
         self._crop.visible = False
         self._text = gui.add_text("Program", "", multiline=True, visible=False)
         self._build = gui.add_button("Rebuild", visible=False)
-        self._build.on_click(lambda _: self._rebuild())
+        self._build.on_click(lambda _: run_job(self._busy, self._signals, self._rebuild))
         self._signals = gui.add_html("")
 
     def _build_search_tab(self) -> None:
@@ -134,7 +136,8 @@ class SceneViewer:
         for control in (self._ghosts_on, self._iteration):
             control.on_update(lambda _: self._show_ghosts())
         gui.add_button(SEARCH).on_click(lambda _: self._search())
-        gui.add_button("Discard edits").on_click(lambda _: self._discard())
+        discard = gui.add_button("Discard edits")
+        discard.on_click(lambda _: run_job(self._busy, self._log, self._discard))
         self._log = gui.add_html("")
         self._ghosts = Ghosts(
             self._server, lambda line: setattr(self._log, "content", message(line))
@@ -331,16 +334,7 @@ class SceneViewer:
             return
         handle, name = self._editor.handle_pose(self._selected), self._selected
         low, high = bounds_of(self._editor.scene, self._nodes.poses)
-        self._handle = self._server.scene.add_transform_controls(
-            "/handle",
-            scale=0.35 * float(np.linalg.norm(high - low)),
-            active_axes=(True, True, False),
-            disable_sliders=False,
-            depth_test=False,
-            rotation_limits=((0.0, 0.0), (0.0, 0.0), (-1000.0, 1000.0)),
-            position=handle.pos,
-            wxyz=handle.quat,
-        )
+        self._handle = add_handle(self._server, handle, float(np.linalg.norm(high - low)))
         self._handle.on_update(lambda event: self._dragged(name, event))
 
     def _dragged(self, name: str, event: Any) -> None:
@@ -371,17 +365,10 @@ class SceneViewer:
 
     def _show_photo_box(self) -> None:
         """Show the box of the selected object if the photograph is visible."""
-        camera = self._editor.scene.camera
-        obj = next((o for o in self._editor.scene.objects if o.name == self._selected), None)
-        shown = obj is not None and self._blend.visible and self._blend.value > 0
-        hide_boxes(self._server)
-        if shown and camera is not None and obj is not None and obj.box2d is not None:
-            draw_box(self._server, camera, obj.name, obj.box2d, CHOSEN)
+        visible = self._blend.visible and self._blend.value > 0
+        draw_photo_box(self._server, self._editor.scene, self._selected if visible else "")
 
-    def _rebuild(self) -> None:
-        run_job(self._busy, self._signals, self._run_rebuild)
-
-    def _run_rebuild(self, show_line: ShowLine) -> None:
+    def _rebuild(self, show_line: ShowLine) -> None:
         from ...program import build
         from .object_facts import signals_of
 
@@ -432,10 +419,7 @@ class SceneViewer:
             self._load()
         self._log.content = message(outcome, bad=not refined.passed)
 
-    def _discard(self) -> None:
-        run_job(self._busy, self._log, self._discard_patch)
-
-    def _discard_patch(self, show_line: ShowLine) -> None:
+    def _discard(self, show_line: ShowLine) -> None:
         old, self._editor.patch = self._editor.patch, LayoutPatch()
         if self._target.run is not None and old.objects:
             self._reload(self._search_again(self._target.run, LayoutPatch()))

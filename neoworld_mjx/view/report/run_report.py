@@ -102,7 +102,7 @@ def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
     elif passed:
         status = f"{status}, valid"
     check = read_json(folder / "compose" / "check.json") or {}
-    moving = [str(entry["phrase"]) for entry in check.get("violated_limits", [])]
+    moving = [str(entry["phrase"]) for entry in check.get("unstable", [])]
     if moving and not (passed and not causes):
         count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
         errors.append(f"Before the search {count} not stay in place: {'; '.join(moving)}")
