@@ -88,8 +88,6 @@ class SceneViewer:
         self._load()
         server.on_client_connect(self._show_home_view)
 
-    # Tabs.
-
     def _build_scene_tab(self) -> None:
         gui = self._server.gui
         self._home_button = gui.add_button("Photo's camera")
@@ -143,8 +141,6 @@ class SceneViewer:
             self._server, lambda line: setattr(self._log, "content", message(line))
         )
         self._charts = gui.add_folder("Rewards")
-
-    # Display.
 
     def _load(self) -> None:
         """Show the current target."""
@@ -239,8 +235,6 @@ class SceneViewer:
         self._editor.set_joint(name, key, value)
         self._nodes.pose(part_poses(self._editor.scene))
 
-    # Free fall.
-
     def _simulation(self) -> "FreeFall | None":
         """Return the simulation of the shown scene, compiled on first use."""
         if self._fall is None:
@@ -291,8 +285,6 @@ class SceneViewer:
             self._status.content = message("Select an object first: click it.")
         elif fall is not None and not fall.push(self._selected, velocity):
             self._status.content = message(f"{self._selected} is fixed.")
-
-    # Objects.
 
     def select(self, name: str) -> None:
         """Show the properties of an object."""
@@ -389,8 +381,6 @@ class SceneViewer:
                 self._load()
         self._text.value = text
         self._signals.content = signals_of(built)
-
-    # Search.
 
     def _show_ghosts(self) -> None:
         iteration = round(self._iteration.value) if self._ghosts_on.value else 0
