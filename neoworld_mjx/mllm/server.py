@@ -12,10 +12,8 @@ from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
 from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
-_IN_WORDS = (
-    "structured output is not supported by the server or for this schema: described in words"
-)
-_UNCOUNTED = "the server gave no token counts: counted at their upper bound"
+_IN_WORDS = "structured output is not supported by the server or for this schema: asked in words"
+_UNCOUNTED = "the server gave no token counts: booked at their upper bound"
 
 
 @dataclass

@@ -303,7 +303,7 @@ def test_missing_token_counts_count_at_their_bound(connect, make):
     panel.ask_sync(make.request())
     books = panel.ledger.to_json()
     assert books["tokens"]["output"] == 700
-    assert "counted at their upper bound" in next(iter(books["fallbacks"]))
+    assert "booked at their upper bound" in next(iter(books["fallbacks"]))
 
 
 @pytest.mark.parametrize("parameter", ["max_tokens", "stream_options"])
