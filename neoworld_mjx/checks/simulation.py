@@ -288,7 +288,7 @@ class Simulation:
 
     def _trajectory(self, scenario: Scenario, state: NDArray, energies: NDArray) -> Trajectory:
         time, qpos, qvel = np.split(state, [1, 1 + self.model.nq], axis=1)
-        good: NDArray = np.isfinite(np.hstack([state, energies])).all(axis=1)
+        good = np.all(np.isfinite(np.hstack([state, energies])), axis=1)
         # MuJoCo fills the rest of a diverged run with its last state, where time stands still.
         good[1:] &= np.diff(time[:, 0]) > 0
         n = int(np.logical_and.accumulate(good).sum())

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from ..config import RefineOptions
+from ..physics.array_types import AnyArray
 from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
 from ..physics.layout import Poses
 from ..physics.model import SceneModel
@@ -169,8 +170,8 @@ def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
     objects, joints = scene.count, len(scene.joint_object)
     start = pad_objects(rollout.start, objects)
 
-    def pad(x: np.ndarray, length: int) -> np.ndarray:
-        return np.moveaxis(pad_axis(np.moveaxis(x, 2, 0), length), 0, 2)
+    def pad(x: AnyArray, length: int) -> np.ndarray:
+        return np.moveaxis(pad_axis(np.moveaxis(np.asarray(x), 2, 0), length), 0, 2)
 
     return Rollout(
         time=rollout.time,

@@ -357,7 +357,7 @@ def evaluate(
     drift = jnp.maximum(drift, placement.settled)
     deepest = jnp.max(deeper(placement.depth), axis=2)
 
-    def total(contribute: Callable[[Term, Array], Array]) -> Any:
+    def total(contribute: Callable[[Term, AnyArray], AnyArray]) -> Any:
         return sum(contribute(term, values[term.name].charged) for term in objective.terms)
 
     fidelity = sum(

@@ -73,7 +73,7 @@ def semantic_score(
         return jnp.sum(jnp.where(v.judged, x, 0.0), axis=1) / jnp.maximum(judged, 1)
 
     # Pair criteria are symmetric arrays [candidate, i, j].
-    def between(x: Array) -> Array:
+    def between(x: AnyArray) -> AnyArray:
         return x[..., :, None] - x[..., None, :]
 
     # Depth ordering: the parsed difference of depth must keep its sign; near ties may be either.
@@ -88,10 +88,10 @@ def semantic_score(
 
     # Relative orientation: direction from one object to the other in the image. Nearly concentric
     # objects have no direction; their offset is compared with their size instead.
-    def direction(b: Array) -> list[Array]:
+    def direction(b: AnyArray) -> list[AnyArray]:
         return [between((b[..., k] + b[..., k + 2]) / 2) for k in range(2)]
 
-    def length(x: Array, y: Array) -> Array:
+    def length(x: AnyArray, y: AnyArray) -> Array:
         return jnp.sqrt(x * x + y * y)
 
     parsed_direction, image_direction = direction(v.boxes), direction(boxes)
@@ -120,7 +120,7 @@ def semantic_score(
     return Semantic(total, jnp.where(v.judged, each, 1.0))
 
 
-def _score(error: Array, tolerance: float) -> Array:
+def _score(error: AnyArray, tolerance: float) -> Array:
     """Map an error to a score: 1 at zero, nearly flat within the noise, 0 from `tolerance` on."""
     rounded = jnp.sqrt(error * error + NOISE * NOISE) - NOISE
     return jnp.clip(1.0 - rounded / (np.hypot(tolerance, NOISE) - NOISE), 0.0, 1.0)

@@ -83,7 +83,7 @@ def test_an_answer_of_too_many_objects_is_one_line():
     data = answers.answer(*(answers.item(f"cup{i}") for i in range(20_000)))
     for text in (json.dumps(data), json.dumps(data | {"objects": data["objects"][:300]})):
         with pytest.raises(
-            InvalidResponse, match=r"at most 1000000 are read|at most 200 are taken"
+            InvalidResponse, match=r"at most 1000000 are read|at most 200 are accepted"
         ):
             read_response(text, ParsedScene)
 
