@@ -75,7 +75,7 @@ def error_signal(code: str, message: str, **details: Any) -> Signal:
 
 
 def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
-    """Return the worst signal of each finding, errors first, otherwise in the given order."""
+    """Return the worst signal of each code and place: errors first, otherwise in order."""
     worst: dict[tuple[object, ...], Signal] = {}
 
     def rank(signal: Signal) -> tuple[bool, float]:

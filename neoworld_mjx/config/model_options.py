@@ -61,8 +61,8 @@ class MLLMOptions(Options):
     )
     max_cost_usd: float | None = option(
         None,
-        "Cost before which the run stops; it can be resumed with a higher limit. null means no "
-        "limit.",
+        "Cost that a run may not exceed: it stops before a call that would, and can be resumed "
+        "with a higher limit. null means no limit.",
         unit="USD",
         gt=0,
     )

@@ -23,7 +23,7 @@ class ParseOptions(Options):
     )
     min_side_px: int = option(
         512,
-        "Minimum length of its longer side: smaller photographs are enlarged by an integer factor.",
+        "Minimum longer side of a photograph: a smaller one is enlarged by an integer factor.",
         unit="px",
         ge=16,
         le=1024,

@@ -87,7 +87,7 @@ def draw_exported(
     """Return pictures "exported" and, if joints move, "opened" of an object read back from URDF.
 
     Args:
-        spec: the exported object, by which tapes identify the pictures.
+        spec: the exported object. Tapes identify pictures by this object.
         read: the object as read back.
         node: its pose in the scene.
         camera: the photo's camera.

@@ -32,7 +32,7 @@ __all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
 
 
 class TermValue(eqx.Module):
-    """Value of a term for every candidate, with its charged and per-object parts."""
+    """Value of a term for every candidate: as stored, as it enters the reward, and by object."""
 
     value: Float[AnyArray, " pop"]
     """Value stored in the history."""

@@ -81,7 +81,7 @@ class ReadPrint:
     def texture_coordinates(self, position: NDArray, visible: NDArray) -> NDArray:
         """Return coordinates [n, 2] on the texture of `print_png`, v upwards.
 
-        Points that are not visible lie in the strip of the plain color.
+        Points that the camera does not see map to the strip of plain color at the edge.
         """
         rows = self.colours.shape[0]
         share = rows / (rows + STRIP)

@@ -149,7 +149,7 @@ class Compared(NamedTuple):
 
 
 def compare(reference: Float[np.ndarray, " pop"], ours: Float[np.ndarray, " pop"]) -> Compared:
-    """Compare verdicts by motion in units of the bounds.
+    """Compare verdicts; a motion is divided by its stability bound, and below 1 is stable.
 
     Only the reference's motion decides which layouts are borderline.
     """

@@ -229,7 +229,7 @@ def _depth(tree: SceneTree, node: TreeNode) -> float:
 
 
 def _extent(node: TreeNode) -> float:
-    """Return the side [m] of the cube of a node's volume."""
+    """Return the edge length [m] of the cube whose volume equals that of the node's box."""
     return float(np.prod(node.box3d.size) ** (1 / 3))
 
 

@@ -22,7 +22,7 @@ LEAST_TURN, TURN = 1.05, 1.4
 
 def open_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
     """Open a joint from its lower limit to at least OPEN of its range."""
-    scene = _alone(template, yaw, {})
+    scene = _scene_with_cup(template, yaw, {})
     goal = JointBetween(object=template, joint=joint, low=OPEN, high=1.05, source=OPENED)
 
     def plan(made: SceneSpec) -> TaskPlan:
@@ -37,10 +37,10 @@ def close_joint(
     template: str, joint: str, hold: Hold, *, yaw: float = 0.0, share: float = 0.6
 ) -> Prepared:
     """Close a joint from a share of its range to at most CLOSED of it."""
-    spec = _alone(template, yaw, {}).object(template).spec
+    spec = _scene_with_cup(template, yaw, {}).object(template).spec
     moving = spec.joint(joint)
     start = moving.lower + share * (moving.upper - moving.lower)
-    scene = _alone(template, yaw, {joint: start})
+    scene = _scene_with_cup(template, yaw, {joint: start})
     goal = JointBetween(object=template, joint=joint, low=-0.1, high=CLOSED, source=CLOSED_SOURCE)
 
     def plan(made: SceneSpec) -> TaskPlan:
@@ -52,7 +52,7 @@ def close_joint(
 
 def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
     """Turn a joint by at least LEAST_TURN, or to the last quarter of its range."""
-    scene = _alone(template, yaw, {})
+    scene = _scene_with_cup(template, yaw, {})
     moving = scene.object(template).spec.joint(joint)
     if moving.type != "continuous":
         return open_joint(template, joint, hold, yaw=yaw)
@@ -80,8 +80,8 @@ def _value(scene: SceneSpec, name: str, joint: str) -> float:
     return value
 
 
-def _alone(template: str, yaw: float, state: dict[str, float]) -> SceneSpec:
-    """Return the object, fixed, next to a cup."""
+def _scene_with_cup(template: str, yaw: float, state: dict[str, float]) -> SceneSpec:
+    """Return a scene of the fixed object and a cup next to it."""
     item = put(template, (0.0, 0.0), yaw=yaw, fixed=True, state=state)
     bare = scene_of(template, item)
     edges = size_of(bare, template)
