@@ -62,13 +62,13 @@ def test_fits_bring_a_crowded_scene_closer_to_the_ground_truth():
     again, _ = refit_tree(fitted, {obj.name: obj.spec for obj in scene.objects})
 
     def errors(tree):
-        things = [node for node in truth.nodes if not node.environment]
+        objects = [node for node in truth.nodes if not node.environment]
         return np.array(
             [
                 np.linalg.norm(
                     np.subtract(tree.node(node.name).box3d.position, node.box3d.position)
                 )
-                for node in things
+                for node in objects
             ]
         )
 

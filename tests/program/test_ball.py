@@ -138,8 +138,8 @@ def test_object_tests_drive_a_ball_joint(lamp):
     assert check.outcome == "FAIL" and check.value > 0.001
     low, high = tests.joint_checks.free["neck"]
     assert low == 0.0 and 0.3 < high < 2.5
-    mended = repair(spec, run_object_tests, first=tests)
-    assert mended.after.passed and mended.tests.spec.joints[0].upper == pytest.approx(high)
+    repaired = repair(spec, run_object_tests, first=tests)
+    assert repaired.after.passed and repaired.tests.spec.joints[0].upper == pytest.approx(high)
 
 
 def test_physics_begins_where_the_state_says_and_stays_in_the_cone(lamp):

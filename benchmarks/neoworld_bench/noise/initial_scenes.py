@@ -52,7 +52,7 @@ def composed_start(
             numbers.
         options: of composition.
         noise: its level.
-        log: to which the errors beside the numbers are added.
+        log: list that receives the errors of the tree.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
     shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()

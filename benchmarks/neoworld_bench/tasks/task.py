@@ -30,7 +30,7 @@ Planner = Callable[[SceneSpec], TaskPlan]
 
 
 class Prepared(NamedTuple):
-    """What a task is made of, computed from its programs."""
+    """Scene, predicate and plan of a task, computed from its programs."""
 
     scene: SceneSpec
     predicate: Predicate
@@ -64,7 +64,7 @@ class ManipulationTask:
 
     @property
     def predicate(self) -> Predicate:
-        """What success is."""
+        """Condition of success."""
         return self.prepared.predicate
 
     @cached_property
