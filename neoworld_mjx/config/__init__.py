@@ -20,18 +20,17 @@ from .object_options import (
 from .run_config import Config, load_config, merged
 from .search_options import (
     CEMOptions,
-    DescentOptions,
     RefineOptions,
     RewardOptions,
     RolloutOptions,
     SemanticOptions,
+    SettleOptions,
 )
 
 __all__ = [
     "CEMOptions",
     "ComposeOptions",
     "Config",
-    "DescentOptions",
     "FileOptions",
     "JointSweepOptions",
     "Language",
@@ -48,6 +47,7 @@ __all__ = [
     "RoleOptions",
     "RolloutOptions",
     "SemanticOptions",
+    "SettleOptions",
     "VerifyOptions",
     "list_options",
     "load_config",

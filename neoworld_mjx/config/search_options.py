@@ -10,6 +10,7 @@ from ..engines import ENGINES_HELP, EngineChoice
 from ..options import Options, PaperDifference, option, static, traced
 
 _PROGRAM, _SHAPE = "changes the program", "sets array shapes"
+_SHARED = "is shared by all candidates of a rollout"
 _EARLY_STOP = "sets the early-stop rule"
 """Reason of options that are traced in the reward, but static if `rollout.early_stop` is on."""
 
@@ -17,11 +18,11 @@ _EARLY_STOP = "sets the early-stop rule"
 class CEMOptions(Options):
     """The Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
 
-    population: int = static(_SHAPE, 256, "Candidates per iteration.", ge=2, le=100_000)
+    population: int = static(_SHAPE, 64, "Candidates per iteration.", ge=2, le=100_000)
     iterations: int = option(8, "Maximum number of iterations.", ge=1, le=10_000)
     elite_ratio: float = static(
         _SHAPE,
-        0.05,
+        0.125,
         "Fraction of candidates that are elites: K = elite_ratio * population.",
         gt=0,
         le=1,
@@ -38,18 +39,25 @@ class CEMOptions(Options):
     sigma_log_scale: float = traced(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
-    sigma_agreeing: float = traced(
-        0.3,
-        "Factor on the initial standard deviations of yaw and scale of objects that neither "
-        "overlap nor move in the initial layout, or whose boxes match the photograph's. 1 if "
-        "`keep_sound` is false.",
-        gt=0,
-        le=1,
+    hold_resting: bool = option(
+        True,
+        "Hold objects that rest where they should in the initial layout, so that only the others, "
+        "and what they support, move. In a sweep, they are fixed only if all runs start at the "
+        "composed scene; otherwise they are free, but not perturbed.",
         difference=PaperDifference(
-            1.0,
-            "If an object's boxes match, its parsed yaw and scale rarely have larger errors.",
-            "heading after the search 1.90 and 2.29 deg, valid 20 and 18 of 20 rendered scenes "
-            "(with 0.25; scenes 0 to 19)",
+            False, "Moving an object that already rests where it should can only make it worse."
+        ),
+    )
+    widest: float = traced(
+        8.0,
+        "Limit of the factor on an object's deviations. The factor doubles in every iteration in "
+        "which the object rests in no candidate; for yaw and scale it is at most 1. The search "
+        "ends if the object rests in no candidate at the limit. 1 disables the rule with `credit: "
+        "scene`.",
+        ge=1,
+        le=1000,
+        difference=PaperDifference(
+            1.0, "An object beside its support is never drawn onto it from too narrow a Gaussian."
         ),
     )
     sigma_floor: float = traced(
@@ -72,38 +80,17 @@ class CEMOptions(Options):
         "Include the mean as a candidate; in the first iteration it is the initial layout.",
         difference=PaperDifference(False, "A valid initial layout should be accepted immediately."),
     )
-    first: int = static(
-        _SHAPE,
-        32,
-        "Population of the first iteration, if smaller than `population`. The first iteration "
-        "mainly identifies the objects that fail in the initial layout. 0 means `population`.",
-        ge=0,
-        difference=PaperDifference(
-            0,
-            "The first iteration mainly identifies the failing objects; fewer candidates suffice.",
-        ),
-    )
-    credit: Literal["auto", "scene", "object", "island"] = static(
+    credit: Literal["scene", "object"] = static(
         _PROGRAM,
-        "auto",
-        "Credit assignment: the reward that selects elites. scene: the reward of the scene. "
-        "object: for each object, the terms that involve it. island: the terms of the objects "
-        "in its contact component. auto: object until the first valid candidate, then scene.",
+        "object",
+        "Reward that selects elites until a candidate is valid. scene: the reward of the scene. "
+        "object: for each object, that of the terms that involve it, among the candidates in which "
+        "it rests.",
         difference=PaperDifference(
             "scene",
-            "Until a candidate is valid, each object learns from the candidates in which it "
-            "does well.",
+            "In a scene of many objects hardly any candidate is good for all of them.",
         ),
     )
-    prune: bool = option(
-        True,
-        "Skip the rollout of candidates that cannot become elites; the elites do not change. "
-        "Requires `normalisation: fixed`, bounded reward terms and no scores by a model.",
-        difference=PaperDifference(
-            False, "Candidates that cannot become elites need no rollout; the elites do not change."
-        ),
-    )
-    batch: int = option(16, "Candidates per rollout batch while pruning.", ge=1)
     stop_by: Literal["best", "elites"] = option(
         "best",
         "Quantity whose gain decides when the search stops. best: the best valid candidate so far. "
@@ -116,50 +103,8 @@ class CEMOptions(Options):
         0.005, "Gain in absolute reward below which an iteration counts towards `patience`.", ge=0
     )
     patience: int = option(
-        2, "Consecutive iterations below `stop_gain` that end the search; 1 is Algorithm 1.", ge=1
+        1, "Consecutive iterations below `stop_gain` that end the search; 1 is Algorithm 1.", ge=1
     )
-    keep_sound: bool = option(
-        True,
-        "Hold objects fixed that neither overlap nor move in the initial layout and that match "
-        "the photograph. If two iterations find no valid candidate they are released, first "
-        "those that the moving objects may touch. Objects whose only problem is a mismatch with "
-        "the photograph move once the others are valid. With custom reward terms, scores by a "
-        "model, or another optimizer, all objects move, as in Algorithm 1.",
-        difference=PaperDifference(
-            False, "Moving an object that already matches the photograph can only make it worse."
-        ),
-    )
-
-
-class DescentOptions(Options):
-    """Gradient descent (Adam) on the differentiable terms, before physics."""
-
-    warm_steps: int = static(
-        _PROGRAM,
-        100,
-        "Steps that move the initial layout towards the photograph's boxes and out of "
-        "penetration; 0 starts the search at the composed scene.",
-        ge=0,
-        difference=PaperDifference(
-            0, "Gradients of boxes and penetration give directions that random draws have to find."
-        ),
-    )
-    project: Literal["never", "needed", "always"] = static(
-        _PROGRAM,
-        "needed",
-        "Move candidates out of penetration: never, always, or until the first valid candidate "
-        "(needed).",
-        difference=PaperDifference(
-            "never", "Almost every random draw of a crowded scene has interpenetrations."
-        ),
-    )
-    project_steps: int = static(
-        _PROGRAM, 6, "Steps that move a candidate out of penetration.", ge=1
-    )
-    rate: float = static(
-        _PROGRAM, 0.2, "Length of a step.", unit="initial standard deviations", gt=0
-    )
-    samples: int = static(_SHAPE, 64, "Surface samples per object in these steps.", ge=8, le=10_000)
 
 
 class RewardOptions(Options):
@@ -236,7 +181,7 @@ class RolloutOptions(Options):
 
     engine: EngineChoice = static(_PROGRAM, "auto", f"{ENGINES_HELP}.")
     duration_s: float = static(
-        "is shared by all candidates of a rollout",
+        _SHARED,
         1.0,
         "Simulated time; 0 evaluates candidates without simulation, and only the final check tests "
         "stability.",
@@ -321,6 +266,38 @@ class SemanticOptions(Options):
     )
 
 
+class SettleOptions(Options):
+    """Settling under guidance: springs hold objects near their placed poses, and fade."""
+
+    enabled: bool = static(
+        _SHARED,
+        True,
+        "Settle the composed scene and every candidate under guidance, and judge and export them at "
+        "rest. Otherwise candidates are judged where their layouts place them.",
+        difference=PaperDifference(
+            False,
+            "Objects that lean, lie in a container or roll rest at a pose that no layout can "
+            "express; only simulation finds it.",
+        ),
+    )
+    duration_s: float = static(_SHARED, 2.0, "Simulated time.", unit="s", gt=0, le=20)
+    rate: float = static(
+        _SHARED,
+        12.0,
+        "Natural frequency of the critically damped springs on position and rotation, in units of "
+        "each object's mass and inertia; an object sags by g / rate^2.",
+        unit="1/s",
+        ge=0,
+        le=50,
+    )
+    fade_s: float = static(
+        _SHARED, 1.4, "Time in which the springs fade linearly to zero.", unit="s", gt=0, le=20
+    )
+    max_speed_m_s: float = static(
+        _SHARED, 2.0, "Limit of an object's speed while it settles.", unit="m/s", gt=0, le=100
+    )
+
+
 class RefineOptions(Options):
     """Step 5, scene refinement: search, rewards, rollouts and the final check."""
 
@@ -331,7 +308,6 @@ class RefineOptions(Options):
         "of a function that builds an optimizer from the scene and `cem`.",
     )
     cem: CEMOptions = CEMOptions()
-    descent: DescentOptions = DescentOptions()
     reward: RewardOptions = RewardOptions()
     rollout: RolloutOptions = RolloutOptions()
     semantic: SemanticOptions = SemanticOptions()
@@ -346,41 +322,14 @@ class RefineOptions(Options):
     max_depth_m: float = traced(
         0.001, "Maximum penetration of a valid candidate and in the final check.", unit="m", gt=0
     )
-    settle: Literal["never", "needed", "always"] = option(
-        "needed",
-        "Let candidates settle before scoring them: never, always, or from the second iteration "
-        "on until a candidate is valid (needed). They settle in a damped simulation as long as "
-        "a rollout; agreement, penetration and drift are then measured from the settled poses. "
-        "Settling counts as drift, and a candidate is invalid if an object settles more than "
-        "15 degrees tilted, a quarter of its size to the side, or a tenth of its size and 1 cm "
-        "above or below its position. Candidates settle in batches of 64, those that agree best "
-        "with the photograph first, until one is valid; after an iteration with a valid "
-        "candidate only the first batch settles and the others are dropped.",
-        difference=PaperDifference(
-            "never",
-            "Objects that lean, lie in a container or roll rest at a tilt that no layout can "
-            "express; only simulation finds it.",
-            "23 of 30 initial scenes valid, 11 without it and without two smaller fixes (n = 30 "
-            "scenes)",
-        ),
-    )
+    settle: SettleOptions = SettleOptions()
     finalists: int = option(
-        16,
-        "Number of best candidates that the final check may try.",
+        4,
+        "Number of best candidates whose final scenes may be checked.",
         ge=1,
         difference=PaperDifference(
             1,
             "The best candidate of the coarse rollouts may fail the finer check while the next "
             "passes.",
-        ),
-    )
-    returns: int = option(
-        8,
-        "Number of final checks spent on returning objects that the search moved unnecessarily "
-        "to their initial poses, if the scene stays valid and agrees equally well with the "
-        "photograph. 0, custom reward terms and scores by a model disable it.",
-        ge=0,
-        difference=PaperDifference(
-            0, "Objects that are correct in the composed scene should not move."
         ),
     )

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..export.write_drives import Drive, drives
-from ..export.write_mjcf import IMPRATIO
 from ..physics.gripper import CLOSED_M, OPENING_M, PREFIX, Gripper, attach_gripper
 from ..physics.layout import Layout
-from ..physics.mjcf import to_mjspec
+from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
 from ..spec import SceneSpec, read_scene

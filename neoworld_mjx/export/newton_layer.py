@@ -12,9 +12,9 @@ from collections.abc import Iterator
 
 from pxr import Sdf, Usd, Vt
 
+from ..physics.mjcf import IMPRATIO
 from ..spec import ObjectSpec, SceneObject, SceneSpec, joint_value
 from ..spec.convex import Piece
-from .write_mjcf import IMPRATIO
 from .write_scene_usd import physics_path
 from .write_usd import new_stage, set_float
 

@@ -5,7 +5,7 @@ inequality of the inertia of thin plates, so this module writes every number aga
 are the files that URDF uses, as other readers of MJCF do not support inline vertices.
 
 The files can be included or attached alongside a robot: they have no settings that would conflict.
-Contacts have elliptic cones and stiff friction, so that resting objects do not creep.
+The physics is that of the search and of the final check (`physics.mjcf`).
 """
 
 import xml.etree.ElementTree as ET
@@ -25,8 +25,6 @@ from .mjcf_looks import add_materials, add_surfaces
 
 HIDDEN_GROUP = 3
 """Geom group of colliders in exported files; viewers show only groups 0 to 2 by default."""
-IMPRATIO = 10.0
-"""Ratio of frictional to normal constraint impedance; at 1 resting cups creep by millimeters."""
 FLOOR_M = 5.0
 """Half the edge of the visible floor [m]; the collider is infinite."""
 SITE_RADIUS_M = 0.005
@@ -56,9 +54,8 @@ def mjcf_text(
     else:
         objects = [(scene.name, scene, "")]
     lowered = lower_geoms(model) if target == "mjx" else frozenset()
-    if target != "mjx":
-        model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        model.option.impratio = IMPRATIO
+    if target == "mjx":
+        model.option.cone, model.option.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
     for geom in model.geoms:
         if geom.group == COLLISION_GROUP:
             geom.group = HIDDEN_GROUP

@@ -26,11 +26,12 @@ def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
     """Return a scene's padded arrays, and the visible parts of its objects."""
     from ..physics.layout import Layout
     from ..physics.model import compile_scene
-    from ..physics.placed import placed_in_chunks
+    from ..physics.placed import measured_in_chunks, poses_in_chunks
     from ..physics.scene_arrays import pad_scene
 
     padded = pad_scene(compile_scene(scene))
-    return padded, placed_in_chunks(padded, Layout.zero(1, padded.count)).visible
+    poses = poses_in_chunks(padded, Layout.zero(1, padded.count))
+    return padded, measured_in_chunks(padded, poses, poses).visible
 
 
 def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:

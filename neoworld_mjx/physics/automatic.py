@@ -10,6 +10,7 @@ import jax
 from ..errors import EngineError
 from .engine import EarlyStop, Engine, Rollout, record_steps
 from .engine_costs import read_costs, scene_class, write_costs
+from .guidance import Guidance
 from .layout import Poses
 from .model import SceneModel, StaticScene
 
@@ -48,6 +49,7 @@ class AutomaticEngine:
         duration: float = 1.0,
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
+        guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate every candidate on the engine of least predicted cost; see `Engine.rollout`."""
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
@@ -71,6 +73,7 @@ class AutomaticEngine:
                         duration=duration,
                         record_every=record_every,
                         early_stop=early_stop,
+                        guidance=guidance,
                     )
                 )
             except EngineError as error:

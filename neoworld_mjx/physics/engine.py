@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .array_types import AnyArray
+from .guidance import Guidance
 from .layout import Poses
 from .model import SceneModel
 from .scene_arrays import SceneArrays
@@ -81,6 +82,8 @@ class Schedule(NamedTuple):
     """Steps between two records."""
     early_stop: EarlyStop | None = None
     """None simulates every candidate to the end."""
+    guidance: Guidance | None = None
+    """Springs that hold free objects at their placed poses; None for a free fall."""
 
 
 class Rollout(eqx.Module):
@@ -131,6 +134,7 @@ class Engine(Protocol):
         duration: float = 1.0,
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
+        guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate every candidate, initially at rest at its snapped pose.
 
@@ -140,6 +144,8 @@ class Engine(Protocol):
             duration: simulated time [s].
             record_every: time between recorded poses [s].
             early_stop: conditions for stopping candidates early; None simulates all to the end.
+            guidance: springs that hold free objects at their placed poses while they fade; None
+                for a free fall.
 
         Returns:
             Poses and a status per candidate; a candidate that fails never raises.
@@ -163,10 +169,11 @@ class BatchEngine(abc.ABC):
         duration: float = 1.0,
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
+        guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`."""
         steps = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
-        return self.simulate(scene, poses, Schedule(*steps, early_stop))
+        return self.simulate(scene, poses, Schedule(*steps, early_stop, guidance))
 
     @abc.abstractmethod
     def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:

@@ -84,8 +84,8 @@ class Arrangement(NamedTuple):
     snapped: Bool[AnyArray, " object"]
     support: Support
     """Stacked over objects."""
-    gap: Float[AnyArray, ""]
-    """Clearance left under a snapped object [m]."""
+    gap: Float[AnyArray, " object"]
+    """Height of a snapped object above the height at which it touches its support [m]."""
 
 
 def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arrangement:
@@ -121,7 +121,7 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
         ancestors=_ancestors(parent),
         snapped=np.array(snapped),
         support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
-        gap=np.array(gap),
+        gap=np.full(len(parent), gap),
     )
 
 
@@ -217,12 +217,12 @@ def _turn(yaw: Any, v: Any, xp: Any) -> Any:
     return xp.stack([x, y, xp.broadcast_to(v[..., 2], x.shape)], axis=-1)
 
 
-def rotation(quat: Float[AnyArray, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
+def rotation(quat: Float[AnyArray, "*batch 4"], xp: Any = jnp) -> Float[AnyArray, "*batch 3 3"]:
     """Convert unit quaternions to rotation matrices."""
-    w, x, y, z = jnp.moveaxis(quat, -1, 0)
+    w, x, y, z = (quat[..., k] for k in range(4))
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)

@@ -5,8 +5,8 @@ MJX has no mj_setConst, so `derived` computes the fields that MuJoCo derives fro
 
 import functools
 import weakref
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
+from .guidance import Guidance, Held, held
 from .layout import Poses
 from .mjx_model import (
     Fields,
@@ -36,6 +37,9 @@ MJX_CHUNK = 8192
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
 """Largest size of a chunk: share of an accelerator's memory, and bytes on a CPU."""
+
+HELD_AXES = Held(bodies=cast(Any, None), springs=cast(Any, 0))
+"""Axes of `Held` for `vmap`: only the springs differ between candidates."""
 
 COMPACT_FROM = 512
 """Least population that moves into smaller programs as its candidates stop. Each program compiles
@@ -81,8 +85,9 @@ class MjxEngine(BatchEngine):
     ) -> Rollout:
         """Simulate to the end in one program."""
         fields, start, bad = prepare(scene, poses)
-        records, every, _ = schedule
-        qpos, dropped = bare_scan(model, fields, start, records, every)
+        records, every = schedule.records, schedule.every
+        guided = schedule.guidance and (schedule.guidance, _held(scene, poses))
+        qpos, dropped = bare_scan(model, fields, start, records, every, *(guided or ()))
         return _rollout(scene, poses, qpos, bad, dropped, records, every)
 
     def _segments(
@@ -91,6 +96,7 @@ class MjxEngine(BatchEngine):
         """Simulate record by record; stopped candidates leave once a smaller program fits."""
         fields, start, bad = prepare(scene, poses)
         data = _begin(model, fields, start)
+        springs = _held(scene, poses) if schedule.guidance else None
         recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACT_FROM else []
@@ -98,7 +104,9 @@ class MjxEngine(BatchEngine):
         for time in range(schedule.records):
             if not len(recorder.active):
                 break
-            data, dropped = _advance(model, fields, data, schedule.every)
+            data, dropped = _advance(
+                model, fields, data, schedule.every, schedule.guidance, springs
+            )
             active = np.searchsorted(rows, recorder.active)
             truncated[recorder.active] |= np.asarray(dropped)[active]
             qpos, qvel, qacc = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))
@@ -109,6 +117,7 @@ class MjxEngine(BatchEngine):
                 fill = np.full(fits[0] - len(keep), keep[0])
                 index = jnp.asarray(np.concatenate([keep, fill]))
                 fields, data = self._spread(_take((fields, data), index))
+                springs = None if springs is None else springs.take(index)
                 rows = np.concatenate([recorder.active, fill * 0 + np.iinfo(int).max])
         finished = recorder.status != int(RolloutStatus.FAILED)
         recorder.status[truncated & finished] = int(RolloutStatus.TRUNCATED)
@@ -164,28 +173,51 @@ def prepare(
     return fields, qpos, unplaceable(poses, jnp)
 
 
-@functools.partial(jax.jit, static_argnames=("records", "every"))
+@eqx.filter_jit
+def _held(scene: SceneModel, poses: Poses) -> Held:
+    return held(scene, poses)
+
+
+@functools.partial(jax.jit, static_argnames=("records", "every", "guidance"))
 def bare_scan(
-    model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
+    model: MjxModel,
+    fields: Fields,
+    qpos: Float[Array, "pop nq"],
+    records: int,
+    every: int,
+    guidance: Guidance | None = None,
+    springs: Held | None = None,
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
-    """Scan `mjx_step`, vmapped over all candidates.
+    """Scan `mjx_step`, vmapped over all candidates, with springs if guidance is given.
 
     Returns:
         The states, and a mask of candidates in which a pair of geoms that may touch was dropped.
     """
 
-    def one(own: Fields, start: Float[Array, " nq"]) -> tuple[Array, Array]:
+    def one(own: Fields, start: Float[Array, " nq"], bodies: Held | None) -> tuple[Array, Array]:
         m = with_fields(model, own)
 
         def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
-            d = mjx_step(m, d, every)
+            d = mjx_step(m, d, every, _pushing(guidance, bodies))
             return d, (d.qpos, pairs_dropped(m, d))
 
         begin = make_data(m).replace(qpos=start)
         qpos, dropped = jax.lax.scan(record, begin, None, length=records)[1]
         return qpos, jnp.any(dropped)
 
-    return jax.vmap(one)(fields, qpos)
+    return jax.vmap(one, in_axes=(0, 0, HELD_AXES))(fields, qpos, springs)
+
+
+def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxData], MjxData] | None:
+    """Return a function that sets the springs' forces, for `mjx_step`; None without guidance."""
+    if guidance is None or bodies is None:
+        return None
+
+    def push(d: MjxData) -> MjxData:
+        applied, qvel = bodies.push(guidance, d.time, d.qpos, d.qvel, jnp)
+        return d.replace(qfrc_applied=applied, qvel=qvel)
+
+    return push
 
 
 @jax.jit
@@ -194,16 +226,21 @@ def _begin(model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"]) -> Mjx
     return jax.vmap(make)(fields, qpos)
 
 
-@functools.partial(jax.jit, static_argnames=("every",), donate_argnames=("data",))
+@functools.partial(jax.jit, static_argnames=("every", "guidance"), donate_argnames=("data",))
 def _advance(
-    model: MjxModel, fields: Fields, data: MjxData, every: int
+    model: MjxModel,
+    fields: Fields,
+    data: MjxData,
+    every: int,
+    guidance: Guidance | None,
+    springs: Held | None,
 ) -> tuple[MjxData, Bool[Array, " pop"]]:
-    def one(own: Fields, d: MjxData) -> tuple[MjxData, Array]:
+    def one(own: Fields, d: MjxData, bodies: Held | None) -> tuple[MjxData, Array]:
         m = with_fields(model, own)
-        d = mjx_step(m, d, every)
+        d = mjx_step(m, d, every, _pushing(guidance, bodies))
         return d, pairs_dropped(m, d)
 
-    return jax.vmap(one)(fields, data)
+    return jax.vmap(one, in_axes=(0, 0, HELD_AXES))(fields, data, springs)
 
 
 @jax.jit

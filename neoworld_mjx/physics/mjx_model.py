@@ -8,6 +8,7 @@ pieces. Here one routine processes the nearest pairs of geoms and fills MJX's co
 import contextlib
 import copy
 import io
+from collections.abc import Callable
 from typing import Any, cast
 
 import equinox as eqx
@@ -93,14 +94,14 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
     Raises:
         EngineError: MJX cannot simulate the model.
     """
-    if mjm.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL:
-        raise EngineError("engine mjx solves pyramidal friction cones; use --engine native")
     pairs, solids = geom_pairs(mjm), geom_solids(mjm)
     bare = copy.copy(mjm)
     # Without colliding geoms, MJX has no pairs to unroll.
     bare.geom_contype[:] = 0
     bare.geom_conaffinity[:] = 0
     bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    # `mjx_solver` solves pyramids, in which stiffer friction would stiffen the normal force.
+    bare.opt.cone, bare.opt.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
     if not np.any(mjm.dof_damping) and not mjm.nu:
         # The integrator then treats nothing implicitly and factors no second matrix.
         off = mujoco.mjtDisableBit.mjDSBL_DAMPER | mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -207,7 +208,12 @@ def make_data(model: MjxModel) -> mjx.Data:
     return data.replace(_impl=impl)
 
 
-def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
+def mjx_step(
+    model: MjxModel,
+    data: mjx.Data,
+    nstep: int = 1,
+    push: Callable[[mjx.Data], mjx.Data] | None = None,
+) -> mjx.Data:
     """Advance one candidate's simulation, as `mjx.step` does. Traceable; for `jax.vmap`.
 
     Args:
@@ -215,11 +221,12 @@ def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
         data: its state.
         nstep: number of time steps. Near geoms are searched in the first one and in every
             `LOOKUP_STEPS`-th after it.
+        push: function that sets the applied forces before each step.
     """
 
     def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
         d, nearest = carry
-        d = mjx.kinematics(model.mjx, d)
+        d = mjx.kinematics(model.mjx, d if push is None else push(d))
         # The condition is the same for all candidates, so vmap keeps it a scalar.
         look = lambda: nearest_pairs(model, d)
         nearest = (

@@ -150,7 +150,7 @@ def compile_scene(
         timestep: time step of rollouts [s].
         samples: number of surface samples of each object for D_pen.
         reach: largest displacement at which objects are still snapped; see `layout.arrange`.
-        gap: clearance under snapped objects [m].
+        gap: clearance under snapped objects without a surface below them [m].
 
     Raises:
         SpecError: `scene` is not a SceneSpec, or MuJoCo cannot compile it.
@@ -168,12 +168,13 @@ def compile_scene(
     # Otherwise MuJoCo resets a diverged simulation to its initial state, which appears stable.
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
+    arrangement = _at_composed_heights(arrange(scene, reach=reach, gap=gap))
     owner = object_of_body(mjm, names)
     joints = np.flatnonzero(mjm.jnt_type != FREE)
     static = StaticScene(
         spec=scene,
         mjm=mjm,
-        arrangement=arrange(scene, reach=reach, gap=gap),
+        arrangement=arrangement,
         names=names,
         root=np.array([mjm.body(name).id for name in names]),
         body_object=owner,
@@ -208,6 +209,16 @@ def compile_scene(
         joint_slides=static.joint_slides,
     )
     return SceneModel(**vars(on_device(arrays)), static=static)
+
+
+def _at_composed_heights(a: Arrangement) -> Arrangement:
+    """Return an arrangement whose zero layout has the composed heights.
+
+    An object that rests on others, is tilted, or has sunk into its support keeps its height above
+    the surface under it.
+    """
+    touch = snapped_heights(a, Layout.zero(1, len(a.parent)))[0] - a.gap
+    return a._replace(gap=np.where(a.snapped, a.z - touch, a.gap))
 
 
 def load_scene(

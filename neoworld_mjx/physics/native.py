@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .array_types import AnyArray
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule
+from .guidance import Held, held
 from .layout import Poses
 from .model import MESH, SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
@@ -55,7 +56,7 @@ class NativeEngine(BatchEngine):
             recorder = Recorder(scene.static, chunk, schedule)
             if scene.static.mjm.nv:
                 batch = open_batch(scene, chunk, self.threads, ring, sleeps=sleeps)
-                _simulate(batch, recorder, schedule.records)
+                _simulate(batch, recorder, schedule, held(scene, chunk, np))
             return recorder.rollout()
 
         size = SLEEPING_CHUNK if sleeps else NATIVE_CHUNK
@@ -142,12 +143,19 @@ def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return mesh, np.repeat(mesh, base.mesh_vertnum), box
 
 
-def _simulate(batch: Batch, recorder: Recorder, records: int) -> None:
+def _simulate(batch: Batch, recorder: Recorder, schedule: Schedule, bodies: Held) -> None:
     """Step a batch from record to record until no candidate is active."""
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
+    applied, guidance = batch.bind("qfrc_applied"), schedule.guidance
+    timestep = float(batch.model.opt.timestep)
     # For a sleeping tree MuJoCo reports gravity as the acceleration.
     tree, asleep = batch.model.dof_treeid, batch.bind("tree_asleep")
-    for time, steps in itertools.product(range(records), recorder.segments()):
+    for time, steps in itertools.product(range(schedule.records), recorder.segments()):
+        if guidance is not None and len(rows := recorder.active):
+            now = float(recorder.steps[rows].max()) * timestep
+            applied[rows], qvel[rows] = bodies.take(rows).push(
+                guidance, now, qpos[rows], qvel[rows]
+            )
         recorder.drop(_step(batch, recorder.active, steps), RolloutStatus.FAILED)
         rows = recorder.active
         if not len(rows):

@@ -18,7 +18,7 @@ from ..traces import stored_trace
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
-from .visibility import Visible, as_parsed, unhidden, visibility
+from .visibility import Visible, as_parsed, visibility
 
 CPU_CHUNK = 16
 """Number of candidates that are measured at once on CPUs, where a single candidate costs as much
@@ -39,9 +39,17 @@ class Placed(eqx.Module):
 
 BALL_EXTENT = 0.03
 """Largest relative difference between a ball's extents."""
-UP, SIDEWAYS, DOWN = float(np.radians(15.0)), 0.25, (0.1, 0.01)
-"""Bounds of settling: tilt [rad]; horizontal shift, relative to the object's size; change of
-height, relative to the object's size plus a constant [m]."""
+TILTED, TOPPLED = float(np.radians(20.0)), float(np.radians(45.0))
+"""Bounds of the change of tilt [rad]: of objects placed upright; and of those placed tilted, which
+lie or lean, and of COMPACT ones, which roll."""
+UPRIGHT = float(np.cos(np.radians(2.0)))
+COMPACT = 0.8
+"""Least ratio of the extents of an object that rolls."""
+SIDEWAYS, DOWN = 0.25, (0.1, 0.01)
+"""Bounds of the horizontal shift of the center, relative to the object's size, and of the change of
+its height, relative to the size plus a constant [m]."""
+SMALL_M = 0.05
+"""Size [m] below which an object may lie in another way than the response placed it."""
 LEAST_SIZE_M = 1e-6
 """Least size of an object [m]."""
 
@@ -51,7 +59,7 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
 
     Depths are those of the canonical colliders; zero between environment supports.
     """
-    turn = rotation(poses.quat)
+    turn = jnp.asarray(rotation(poses.quat))
     pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
     depth = pair_depth(pos, turn, scale, samples, scene.colliders)
     return jnp.where(scene.pair_mask, depth, 0.0)
@@ -80,27 +88,6 @@ _stored_measure = stored_trace(
 )
 
 
-def placed(scene: SceneArrays, layouts: Layout) -> Placed:
-    """Place candidates, and measure penetration and visibility; may be vmapped."""
-    poses = placed_poses(scene, layouts)
-    return Placed(poses, *measured_poses(scene, poses), jnp.zeros(layouts.yaw.shape))
-
-
-@eqx.filter_jit
-def approximated(scene: SceneArrays, poses: Poses) -> Placed:
-    """Approximate measures of candidates, without penetration and occlusion; may be vmapped.
-
-    This costs a hundredth of `measured_poses`, and suffices to select candidates to settle.
-    """
-    count = poses.scale.shape[1]
-    return Placed(
-        poses,
-        jnp.zeros((*poses.scale.shape, count)),
-        unhidden(scene, poses),
-        jnp.zeros(poses.scale.shape),
-    )
-
-
 def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
     """Measure settled candidates; may be vmapped."""
     return Placed(end, *measured_poses(scene, end), settled_by(scene, start, end))
@@ -109,23 +96,31 @@ def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
 def settled_by(
     scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
 ) -> Float[AnyArray, "pop object"]:
-    """Return the displacement of objects by settling, in units of UP, SIDEWAYS and DOWN.
+    """Return the displacement of objects by settling, in units of its bounds.
 
     Beyond 1 an object is no longer where the photograph shows it: it has toppled or fallen off. A
-    ball has no tilt.
+    ball, and an object smaller than SMALL_M, has no tilt.
     """
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
+    center = xp.mean(corners, axis=1)
     # Padded objects have no size.
     size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
     before, after = (_z_axes(quat, xp) for quat in (start.quat, end.quat))
     sine = xp.linalg.norm(xp.cross(before, after), axis=-1)
-    tilt = xp.where(ball, 0.0, xp.arctan2(sine, xp.sum(before * after, axis=-1)))
-    shift = end.pos - start.pos
+    tilt = xp.arctan2(sine, xp.sum(before * after, axis=-1))
+    tilt = xp.where(ball | (size < SMALL_M), 0.0, tilt)
+    first, last = (
+        at.pos + at.scale[..., None] * xp.sum(rotation(at.quat, xp) * center[:, None, :], axis=-1)
+        for at in (start, end)
+    )
+    shift = last - first
     sideways = xp.linalg.norm(shift[..., :2], axis=-1) / (SIDEWAYS * size)
     vertical = xp.abs(shift[..., 2]) / (DOWN[0] * size + DOWN[1])
-    largest = xp.maximum(tilt / UP, xp.maximum(sideways, vertical))
+    rolls = xp.min(box, axis=-1) > COMPACT * xp.max(box, axis=-1)
+    bound = xp.where((before[..., 2] > UPRIGHT) & ~rolls, TILTED, TOPPLED)
+    largest = xp.maximum(tilt / bound, xp.maximum(sideways, vertical))
     return xp.where(xp.asarray(scene.movable), largest, 0.0)
 
 
@@ -135,53 +130,32 @@ def _z_axes(quat: Any, xp: Any) -> Any:
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def poses_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Poses:
-    """Place candidates in chunks; see `placed_in_chunks`."""
-    return _in_chunks(placed_poses, scene, layouts, number)
-
-
-def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Placed:
-    """Compute `placed` in chunks of CPU_CHUNK, so that one program serves all populations.
-
-    Args:
-        scene: the scene's arrays.
-        layouts: the candidates.
-        number: number of candidates to measure; all others get the measures of the first. None
-            measures all.
+def poses_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
+    """Place candidates in chunks of CPU_CHUNK, so that one program serves all populations.
 
     Returns:
         Arrays on the host.
     """
-    poses = poses_in_chunks(scene, layouts, number)
-    unsettled = np.zeros(poses.scale.shape, np.float32)
-    return Placed(poses, *_in_chunks(measured_poses, scene, poses, number), unsettled)
+    return _in_chunks(placed_poses, scene, layouts)
 
 
-def approximated_in_chunks(scene: SceneArrays, layouts: Layout, number: int) -> Placed:
-    """Place candidates and compute `approximated` in chunks; see `placed_in_chunks`."""
-    return _in_chunks(approximated, scene, poses_in_chunks(scene, layouts, number), number)
-
-
-def at_rest_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Compute `placed_at_rest` in chunks; see `placed_in_chunks`."""
+def measured_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
+    """Compute `placed_at_rest` in chunks; see `poses_in_chunks`."""
     settled = settled_by(scene, start, end, np).astype(np.float32)
-    return Placed(end, *_in_chunks(measured_poses, scene, end, None), settled)
+    return Placed(end, *_in_chunks(measured_poses, scene, end), settled)
 
 
 def _in_chunks(
     measure: Callable[[SceneArrays, Any], Out],
     scene: SceneArrays,
     candidates: Any,
-    number: int | None,
 ) -> Out:
     pop = jax.tree.leaves(candidates)[0].shape[0]
-    used = pop if number is None else number
     parts: list[Out] = []
-    for first in range(0, used, CPU_CHUNK):
+    for first in range(0, pop, CPU_CHUNK):
         # The first candidate pads the last chunk.
         rows = np.arange(first, first + CPU_CHUNK)
-        rows = np.where(rows < used, rows, first)
+        rows = np.where(rows < pop, rows, first)
         chunk = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], candidates)
         parts.append(measure(scene, chunk))
-    rows = np.where(np.arange(pop) < used, np.arange(pop), 0)
-    return jax.tree.map(lambda *x: np.concatenate(x)[rows], *jax.device_get(parts))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:pop], *jax.device_get(parts))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..spec.pose import angle_between
 from .engine import Rollout, RolloutStatus, Schedule, unplaceable
+from .guidance import INTERVAL_S
 from .layout import Poses
 from .model import BALL, FREE, SLIDE, StaticScene
 
@@ -28,7 +29,7 @@ class Recorder:
     ) -> None:
         """Start with all candidates active except those masked by `failed` [pop]."""
         self.static, self.start = static, start
-        records, self.every, self.rule = schedule
+        records, self.every, self.rule, self.guidance = schedule
         pop = start.scale.shape[0]
         self.qpos = np.zeros((pop, records, static.mjm.nq), np.float32)
         self.last = np.full(pop, -1, np.int32)
@@ -54,10 +55,12 @@ class Recorder:
             self.drop(failed, RolloutStatus.FAILED)
 
     def segments(self) -> list[int]:
-        """Split the steps between two records at the checks for early stopping."""
-        if self.rule is None:
+        """Split the steps between two records at early-stop checks and updates of forces."""
+        intervals = [] if self.rule is None else [self.rule.interval]
+        intervals += [] if self.guidance is None else [INTERVAL_S]
+        if not intervals:
             return [self.every]
-        interval = self.rule.interval / float(self.static.mjm.opt.timestep)
+        interval = min(intervals) / float(self.static.mjm.opt.timestep)
         count = max(1, min(self.every, round(self.every / interval)))
         return np.diff(np.arange(count + 1) * self.every // count).tolist()
 
@@ -124,7 +127,7 @@ class Recorder:
         self._anchor[rows[left]] = base[left]
         self._since[rows[left]] = self.steps[rows[left]]
         lingers = (self.steps[rows] - self._since[rows]) * timestep >= rule.linger - 1e-9
-        settled |= lingers & (past | self._invalid[rows] | rule.anywhere)
+        settled |= lingers & (past | self._invalid[rows] | (rule.anywhere & (now >= rule.after)))
         self._invalid[rows] |= past & (self.steps[rows] % self.every == 0)
         self.status[rows[settled]] = int(RolloutStatus.SETTLED)
         self.status[rows[drifted]] = int(RolloutStatus.DRIFTED)

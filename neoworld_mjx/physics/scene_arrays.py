@@ -154,7 +154,7 @@ def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
         ancestors=ancestors,
         snapped=pad_axis(a.snapped, objects),
         support=jax.tree.map(lambda x, empty: pad_axis(x, objects, empty), a.support, no_support()),
-        gap=a.gap,
+        gap=pad_axis(a.gap, objects),
     )
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
+from .guidance import Guidance, Held, held
 from .layout import Poses
 from .model import SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
@@ -124,11 +125,15 @@ class WarpEngine(BatchEngine):
             return Recorder(scene.static, poses, schedule).rollout()
         # Powers of two, so that few shapes are compiled and captured.
         padded = 1 << (pop - 1).bit_length()
-        fields, start = _prepare(scene, poses[np.resize(np.arange(pop), padded)])
+        padded_poses = poses[np.resize(np.arange(pop), padded)]
+        fields, start = _prepare(scene, padded_poses)
         for attempt in range(GROWTHS + 1):
             worlds = self.worlds(scene, padded, poses)
             recorder = Recorder(scene.static, poses, schedule)
-            truncated, full = _advance(worlds, fields, np.asarray(start), recorder, schedule)
+            bodies = held(scene, padded_poses, np) if schedule.guidance else None
+            truncated, full = _advance(
+                worlds, fields, np.asarray(start), recorder, schedule, bodies
+            )
             if not full:
                 break
             if attempt == GROWTHS:
@@ -146,6 +151,7 @@ def _advance(
     start: np.ndarray,
     recorder: Recorder,
     schedule: Schedule,
+    bodies: Held | None = None,
 ) -> tuple[np.ndarray, bool]:
     """Simulate until all candidates have stopped or the time is over.
 
@@ -160,7 +166,11 @@ def _advance(
     worlds.load(fields, start[:launched])
     rows = np.concatenate([np.arange(pop), np.full(launched - pop, FILLER)])
     for time in range(schedule.records):
-        worlds.step(schedule.every)
+        if bodies is None or schedule.guidance is None:
+            worlds.step(schedule.every)
+        else:
+            known = bodies.take(np.where(rows == FILLER, recorder.active[0], rows))
+            _guided_steps(worlds, known, schedule.guidance, recorder, time)
         qpos, qvel, qacc, overflow = worlds.read(moving=schedule.early_stop is not None)
         if (overflow & worlds.SHARED).any():
             return truncated, True
@@ -189,6 +199,20 @@ def _advance(
             worlds.compact(active[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
             rows = np.concatenate([recorder.active, np.full(len(fill), FILLER)])
     return truncated, False
+
+
+def _guided_steps(
+    worlds: "Worlds", bodies: Held, guidance: Guidance, recorder: Recorder, record: int
+) -> None:
+    """Step the worlds to the next record, and update the springs' forces on the way."""
+    timestep = float(worlds.static.mjm.opt.timestep)
+    done = record * recorder.every
+    for steps in recorder.segments():
+        qpos, qvel, _, _ = worlds.read()
+        assert qvel is not None
+        worlds.push(*bodies.push(guidance, done * timestep, qpos, qvel))
+        worlds.step(steps)
+        done += steps
 
 
 @eqx.filter_jit

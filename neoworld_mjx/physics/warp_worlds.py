@@ -124,6 +124,7 @@ class Worlds:
             still = np.zeros((len(qpos), self.static.mjm.nv), np.float32)
             self.data.overflow.zero_()
             self.data.time.zero_()
+            self.data.qfrc_applied.zero_()
             self._scrub()
             self._place(np.arange(len(qpos)), qpos, still, still)
 
@@ -161,6 +162,12 @@ class Worlds:
                 self._capture()
             for _ in range(steps):
                 wp.capture_launch(self._graphs[self.count])
+
+    def push(self, applied: np.ndarray, qvel: np.ndarray) -> None:
+        """Set the applied forces and velocities [count, nv] of the worlds in use."""
+        with wp.ScopedDevice(self.device):
+            for into, values in ((self.data.qfrc_applied, applied), (self.data.qvel, qvel)):
+                wp.copy(into[: self.count], wp.array(np.ascontiguousarray(values, np.float32)))
 
     def read(
         self, *, moving: bool = True

@@ -169,7 +169,6 @@ def refine_layout(context: StepContext) -> None:
             "mean_turn_deg": refined.mean_turn_deg,
             "kept": list(refined.kept),
             "rollouts": refined.rollouts,
-            "pruned": refined.pruned,
             "scoring": refined.scoring,
             "layout": {
                 name: np.asarray(getattr(refined.layout, name)[0]).tolist()

@@ -119,7 +119,7 @@ def settle_candidates(
     """Settle the placed candidates of several runs at once; arguments as in `roll_out`."""
     object_count = len(scene.names)
     together, rows = _concatenate(poses, object_count, runs)
-    ends = settle(scene, together, engine, o.rollout.duration_s)
+    ends = settle(scene, together, engine, o.settle)
     return [
         jax.tree.map(
             lambda whole, end, index=index: put(whole, end[index], np.s_[:, :object_count]),

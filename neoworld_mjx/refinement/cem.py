@@ -78,33 +78,28 @@ class CEM(eqx.Module):
             reward: ranks the candidates; those with -inf or NaN are never elites, and if fewer
                 than K candidates are finite only those are used.
             absolute: unused.
-            credit: per-object reward; if given, each object's numbers are fitted to the K
-                candidates that are best for that object.
+            credit: reward of each object; if given, an object's numbers are fitted to the K
+                candidates that are best for it, or not at all if none is finite.
         """
         del absolute
-        elites = elite_count(self.elite_ratio, len(reward))
-        best, weight = elite_rows(reward, elites)
-        total = jnp.maximum(jnp.sum(weight), 1.0)
-        any_finite = jnp.sum(weight) > 0
-
-        count = layouts.yaw.shape[1]
-        rows, weights = jnp.repeat(best[:, None], count, 1), jnp.repeat(weight[:, None], count, 1)
-        if credit is not None:
-            credit = jnp.where(jnp.isfinite(reward)[:, None], credit, -jnp.inf)
-            rows = jnp.argsort(-credit, axis=0, stable=True)[:elites]
-            weights = jnp.isfinite(reward)[rows].astype(jnp.float32)
+        elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]
+        ranks = jnp.repeat(reward[:, None], count, 1) if credit is None else credit
+        rows, weights = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)
+        total = jnp.maximum(jnp.sum(weights, axis=0), 1.0)
+        learns = jnp.sum(weights, axis=0) > 0
 
         def fit(
             leaf: Float[Array, "pop object ..."], old: Array, old_std: Array, sigma: Array
         ) -> tuple[Array, Array]:
             chosen = leaf[rows, jnp.arange(count)]
-            w = (weights / total).reshape(*weights.shape, *(1,) * (leaf.ndim - 2))
+            spread = (1,) * (leaf.ndim - 2)
+            w, learn = (weights / total).reshape(-1, count, *spread), learns.reshape(-1, *spread)
             mean = jnp.sum(chosen * w, axis=0, keepdims=True)
             std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * w, axis=0, keepdims=True))
             keep = self.params.smoothing
             mean = keep * old + (1 - keep) * mean
             std = jnp.maximum(keep * old_std + (1 - keep) * std, self.params.floor * sigma)
-            return jnp.where(any_finite, mean, old), jnp.where(any_finite, std, old_std)
+            return jnp.where(learn, mean, old), jnp.where(learn, std, old_std)
 
         trees = (layouts, state.mean, state.std, self.params.sigma)
         fitted = [fit(*leaves) for leaves in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
@@ -135,28 +130,20 @@ def elite_rows(
     return best, jnp.isfinite(reward[best]).astype(jnp.float32)
 
 
-def initial_sigma(
-    scene: SceneArrays,
-    options: CEMOptions,
-    moves: Bool[np.ndarray, " object"] | None = None,
-    share: Float[np.ndarray, " object"] | None = None,
-) -> Layout:
+def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
     """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
 
     sigma_xy is a fraction of each object's horizontal bounding-box diagonal. Environment supports
-    and objects outside `moves` have zero deviation. Deviations of yaw and log scale are multiplied
-    by `share`. Objects attached to an upright plate, such as a wall, move along it and do
+    have zero deviation. Objects attached to an upright plate, such as a wall, move along it and do
     not turn.
     """
-    free = np.asarray(scene.optimised)
-    moves = (free if moves is None else free & moves).astype(np.float32)
+    moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
     fastened = _fastened_along(scene)
-    shared = moves if share is None else moves * np.asarray(share, np.float32)
     sigma = Layout(
         (xy[:, None] * ~fastened)[None],
-        (np.radians(options.sigma_yaw_deg) * shared * ~fastened.any(axis=1))[None],
-        (options.sigma_log_scale * shared)[None],
+        (np.radians(options.sigma_yaw_deg) * moves * ~fastened.any(axis=1))[None],
+        (options.sigma_log_scale * moves)[None],
     )
     return on_device(sigma)
 

@@ -15,11 +15,11 @@ from ..config import RefineOptions
 from ..errors import ConfigError, choices
 from ..physics.array_types import AnyArray
 from ..physics.engine import Rollout, RolloutStatus, record_steps, unmoved
-from ..physics.layout import Layout, Poses
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import Placed, placed
+from ..physics.placed import Placed
 from ..physics.scene_arrays import SceneArrays
-from ..physics.visibility import Visible, as_parsed
+from ..physics.visibility import as_parsed
 from .rewards import (
     Drift,
     Prior,
@@ -28,13 +28,11 @@ from .rewards import (
     deeper,
     drift_by_object,
     measured_rollout,
-    no_drift,
     penetration,
     semantics,
     term_value,
     try_term,
 )
-from .semantic import box_error
 
 EXTRA_CANDIDATES = 5
 """Number of trial candidates beyond the object count, so that the two axes differ in length."""
@@ -47,17 +45,14 @@ def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
 
 
 TERMS: dict[str, Callable[[RefineOptions], Term]] = {
-    "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, bound="exact", padded=True),
-    "prior": lambda o: Term(
-        "prior", Prior(sigma_of(o)), -o.reward.w_prior, bound="exact", padded=True
-    ),
+    "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, padded=True),
+    "prior": lambda o: Term("prior", Prior(sigma_of(o)), -o.reward.w_prior, padded=True),
     "d_pen": lambda o: Term(
         "d_pen",
         penetration,
         -o.reward.w_pen,
         scale=o.reward.pen_scale_m,
         cap=o.reward.d_pen_cap_m,
-        bound="exact",
         padded=True,
     ),
     "d_drift": lambda o: Term(
@@ -66,7 +61,6 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         -o.reward.w_drift,
         scale=1.0,
         cap=o.reward.d_drift_cap,
-        bound=no_drift,
         padded=True,
     ),
 }
@@ -94,27 +88,15 @@ class Objective(eqx.Module):
     """`fixed` or `iteration`; see `contribution`."""
 
     @property
-    def bounded(self) -> "Objective":
-        """The objective restricted to terms that have a bound, as `place` uses it."""
-        bounded = tuple(term for term in self.terms if term.bound is not None)
-        return dataclasses.replace(self, terms=bounded)
-
-    @property
     def padded(self) -> bool:
         """True if every term accepts a padded scene."""
         return all(term.padded for term in self.terms)
-
-    @property
-    def unbounded(self) -> tuple[str, ...]:
-        """Names of the terms without a bound, which disable pruning."""
-        return tuple(term.name for term in self.terms if term.bound is None)
 
 
 def open_objective(
     options: RefineOptions,
     origin: Layout | None = None,
     terms: Sequence[Term] = (),
-    share: Float[AnyArray, " object"] | None = None,
 ) -> Objective:
     """Build the objective from options.
 
@@ -122,7 +104,6 @@ def open_objective(
         options: weights, scales, caps and bounds, and the names of further terms.
         origin: center of the prior; None is the composed scene.
         terms: terms in addition to those that the options name.
-        share: factor of the prior's deviations of yaw and log scale, per object; None is 1.
 
     Raises:
         ConfigError: a term cannot be found, or two have the same name.
@@ -139,7 +120,7 @@ def open_objective(
     if origin is not None:
         for k, term in enumerate(all_terms):
             if isinstance(term.fn, Prior):
-                all_terms[k] = dataclasses.replace(term, fn=Prior(term.fn.sigma, origin, share))
+                all_terms[k] = dataclasses.replace(term, fn=Prior(term.fn.sigma, origin))
     return Objective(
         terms=tuple(all_terms),
         max_depth=scalar(options.max_depth_m),
@@ -147,14 +128,6 @@ def open_objective(
         angle=scalar(np.radians(options.reward.tilt_scale_deg)),
         normalisation=options.reward.normalisation,
     )
-
-
-def has_builtin_terms_only(objective: Objective) -> bool:
-    """Return whether the objective has only the terms of ALWAYS.
-
-    A user-defined term may reward moving an object that is already feasible.
-    """
-    return all(term.name in ALWAYS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
@@ -243,119 +216,64 @@ def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
     return measured_rollout(still, zero_depth, visible, jnp.zeros(layouts.yaw.shape))
 
 
-class Placement(eqx.Module):
-    """Placed candidates, with the values that are known before a rollout."""
-
-    poses: Poses
-    depth: Float[AnyArray, "pop object object"]
-    """Result of `pair_depths` [m]."""
-    visible: Visible
-    """Visible regions of the objects in the camera image."""
-    values: dict[str, TermValue]
-    """Values of the terms that do not depend on physics."""
-    bound: Float[AnyArray, " pop"]
-    """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
-    box_error: Float[AnyArray, "pop object"]
-    """Error of each object's box in units of the parse noise; see `semantic.box_error`."""
-    settled: Float[AnyArray, "pop object"]
-    """Displacement by settling, as in `Placed`."""
-
-
 class Scores(eqx.Module):
     """Term values, rewards and validity of an iteration's candidates."""
 
     terms: Mapping[str, Float[AnyArray, " pop"]]
-    """Value of every term, by name; NaN for candidates that were not rolled out."""
+    """Value of every term, by name."""
     valid: Bool[AnyArray, " pop"]
     """True if no pair is deeper than max_depth and no object exceeds the stability bounds."""
     status: Int[AnyArray, " pop"]
     """RolloutStatus; FAILED also if a term is not finite."""
     reward: Float[AnyArray, " pop"]
-    """Reward by which Algorithm 1 ranks; -inf for failed and pruned candidates."""
+    """Reward by which Algorithm 1 ranks; -inf for failed candidates."""
     absolute: Float[AnyArray, " pop"]
     """Reward with fixed scales, comparable between iterations; -inf as in `reward`."""
     fidelity: Float[AnyArray, " pop"]
     """Absolute reward without D_pen and D_drift, which the validity bounds limit, but with a cost
     for displacement by settling; -inf as in `reward`."""
     drift: Float[AnyArray, "pop object"]
-    """Largest drift of each object in units of the stability bounds; NaN if pruned."""
+    """Largest drift of each object in units of the stability bounds."""
     depth: Float[AnyArray, "pop object"]
-    """Deepest pair of each object [m]; NaN if pruned."""
+    """Deepest pair of each object [m]."""
+    rested: Bool[AnyArray, "pop object"]
+    """True for objects that are within the bounds of `valid`."""
     credit: Float[AnyArray, "pop object"] | None
     """Per-object reward with fixed normalisation; None if a term has no per-object values."""
-
-
-@eqx.filter_jit
-def place(
-    scene: SceneArrays, layouts: Layout, objective: Objective, known: Placed | None = None
-) -> Placement:
-    """Place candidates; evaluate the terms that need no physics, and the bounds of the others.
-
-    Args:
-        scene: the scene's arrays.
-        layouts: the candidates.
-        objective: terms and bounds.
-        known: result of `placed` for the candidates; computed if None.
-    """
-    candidates = placed(scene, layouts) if known is None else known
-    still = measured_rollout(
-        unmoved(scene, candidates.poses), candidates.depth, candidates.visible, candidates.settled
-    )
-    values, bounds = {}, {}
-    for term in objective.terms:
-        if term.bound == "exact":
-            values[term.name] = term_value(term, term.fn, scene, layouts, still)
-        elif term.bound is not None:
-            bounds[term.name] = term_value(term, term.bound, scene, layouts, still)
-    all_candidates = jnp.ones(layouts.yaw.shape[0], bool)
-    bound = sum(
-        contribution(term, (values | bounds)[term.name].charged, all_candidates, "fixed")
-        for term in objective.terms
-        if term.bound is not None
-    )
-    bound = jnp.where(jnp.isfinite(bound), bound, -jnp.inf)
-    error = box_error(scene, candidates.visible.outlines)
-    return Placement(
-        candidates.poses,
-        candidates.depth,
-        candidates.visible,
-        values,
-        bound,
-        error,
-        candidates.settled,
-    )
 
 
 @eqx.filter_jit
 def evaluate(
     scene: SceneArrays,
     layouts: Layout,
-    placement: Placement,
+    candidates: Placed,
     rollout: Rollout,
     objective: Objective,
+    s_sem: Float[AnyArray, " pop"] | None = None,
 ) -> Scores:
     """Evaluate every term of every candidate, and sum them to the reward.
 
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        placement: result of `place`.
-        rollout: free-fall rollout of the candidates.
+        candidates: their poses, at rest if they were settled, with their measures.
+        rollout: free fall from these poses.
         objective: terms and bounds.
+        s_sem: scores by a model, which replace the geometric ones.
     """
-    measured = measured_rollout(rollout, placement.depth, placement.visible, placement.settled)
+    measured = measured_rollout(rollout, candidates.depth, candidates.visible, candidates.settled)
     values = {
-        term.name: placement.values[term.name]
-        if term.bound == "exact"
-        else term_value(term, term.fn, scene, layouts, measured)
-        for term in objective.terms
+        term.name: term_value(term, term.fn, scene, layouts, measured) for term in objective.terms
     }
+    if s_sem is not None:
+        score = jnp.asarray(s_sem, jnp.float32)
+        values["s_sem"] = TermValue(score, score)
     failed = jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
     finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
     alive = ~jnp.isin(rollout.status, failed) & finite
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
-    drift = jnp.maximum(drift, placement.settled)
-    deepest = jnp.max(deeper(placement.depth), axis=2)
+    drift = jnp.maximum(drift, candidates.settled)
+    deepest = jnp.max(deeper(candidates.depth), axis=2)
 
     def total(contribute: Callable[[Term, AnyArray], AnyArray]) -> Any:
         return sum(contribute(term, values[term.name].charged) for term in objective.terms)
@@ -366,7 +284,7 @@ def evaluate(
         if term.name not in PHYSICAL
     )
     # Settling away from the layout lowers the agreement with the photograph.
-    settled = jnp.sum(placement.settled, axis=1)
+    settled = jnp.sum(candidates.settled, axis=1)
     fidelity += sum(
         absolute_contribution(term, settled) for term in objective.terms if term.name == "d_drift"
     )
@@ -379,9 +297,10 @@ def evaluate(
     credit = None
     if len(shares) == len(objective.terms):
         credit = jnp.where(alive[:, None], sum(shares), -jnp.inf)
+    rested = (drift < 1.0) & (deepest < objective.max_depth) & alive[:, None]
     return Scores(
         terms={name: value.value for name, value in values.items()},
-        valid=jnp.all((drift < 1.0) & (deepest < objective.max_depth), axis=1) & alive,
+        valid=jnp.all(rested, axis=1),
         status=jnp.where(
             finite | (rollout.status == int(RolloutStatus.TRUNCATED)),
             rollout.status,
@@ -392,6 +311,7 @@ def evaluate(
         fidelity=jnp.where(alive, fidelity, -jnp.inf),
         drift=drift,
         depth=deepest,
+        rested=rested,
         credit=credit,
     )
 

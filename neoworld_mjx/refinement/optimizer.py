@@ -10,7 +10,7 @@ from ..config import CEMOptions
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
-from .cem import CEM, draw, initial_sigma, open_cem
+from .cem import draw, initial_sigma, open_cem
 from .cma_es import open_cma_es
 from .objective import imported
 
@@ -42,14 +42,12 @@ class Optimizer(Protocol):
     ) -> Any:
         """Return the state updated with an evaluated population.
 
-        Not called for a first iteration with a smaller population (`refine.cem.first`).
-
         Args:
             state: previous state.
             layouts: the evaluated candidates.
-            reward: ranks the candidates of this population; -inf for failed and pruned ones.
+            reward: ranks the candidates of this population; -inf for failed ones.
             absolute: reward that is comparable between populations.
-            credit: per-object reward, while elites are chosen per object; else None.
+            credit: reward of each object, -inf where it does not rest; None ranks by `reward`.
         """
         ...
 
@@ -83,15 +81,6 @@ OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "random": _open_random,
 }
 """Factories of the optimizers that `refine.optimizer` names, from the scene and `refine.cem`."""
-
-
-def with_sigma(optimizer: Optimizer, sigma: Layout) -> Optimizer:
-    """Replace the initial deviations of CEM and random search; other optimizers are unchanged."""
-    if isinstance(optimizer, CEM):
-        return eqx.tree_at(lambda c: c.params.sigma, optimizer, sigma)
-    if isinstance(optimizer, RandomSearch):
-        return RandomSearch(sigma)
-    return optimizer
 
 
 def open_optimizer(name: str, scene: SceneArrays, options: CEMOptions) -> Optimizer:

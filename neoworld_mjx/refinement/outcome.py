@@ -4,17 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import jax
 import numpy as np
 
-from ..config import RefineOptions
 from ..measure import SceneMeasure, scene_checks
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..spec import SceneSpec
-from .choosing import Chosen
+from .choosing import Winner
 from .objective import Objective
-from .pruning import PRUNED
 from .rounds import NOT_DRAWN, Round, stacked
+from .search_run import SearchResult
 
 
 @dataclass(frozen=True, repr=False)
@@ -22,11 +22,11 @@ class Refined:
     """Winner, final checks and history of a refinement."""
 
     scene: SceneSpec
-    """The winner, snapped exactly."""
+    """The winner at rest."""
     measure: SceneMeasure
     """Final check of the winner."""
     before: SceneMeasure
-    """The same check of the composed scene, snapped exactly."""
+    """The same check of the composed scene at rest."""
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
@@ -49,7 +49,7 @@ class Refined:
     seconds: dict[str, float] = field(default_factory=dict)
     fallbacks: tuple[str, ...] = ()
     kept: tuple[str, ...] = ()
-    """Objects that were feasible in the initial layout and were not moved."""
+    """Objects that rested where they should in the initial layout."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without one."""
 
@@ -59,7 +59,7 @@ class Refined:
         tilt = f"{m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg"
         return (
             f"Refined({self.scene.name}: {'passed' if self.passed else 'did not pass'} the check\n"
-            f"  {self.iterations} iterations, {self.rollouts} rollouts, {self.pruned} pruned, "
+            f"  {self.iterations} iterations, {self.rollouts} rollouts, "
             f"{t:.1f} s on {self.engine}; winner {self.winner}\n"
             f"  depth {m.max_depth_m * 1e3:.2f} mm (was {self.before.max_depth_m * 1e3:.2f} mm), "
             f"moved {tilt}\n"
@@ -70,12 +70,7 @@ class Refined:
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
-        return int(np.sum(~np.isin(self.history["status"], (PRUNED, NOT_DRAWN))))
-
-    @property
-    def pruned(self) -> int:
-        """Number of candidates that were pruned, without a rollout."""
-        return int(np.sum(self.history["status"] == PRUNED))
+        return int(np.sum(self.history["status"] != NOT_DRAWN))
 
 
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
@@ -102,81 +97,70 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
 
 def outcome(
     model: SceneModel,
+    result: SearchResult,
     rounds: list[Round],
-    chosen: Chosen,
-    o: RefineOptions,
+    winner: Winner,
     *,
-    objective: Objective,
-    layout: Layout,
-    before: SceneMeasure,
     engine: str,
     clock: dict[str, float],
     semantic: np.ndarray | None = None,
     scoring: dict[str, Any] | None = None,
     fallbacks: tuple[str, ...] = (),
-    kept: tuple[str, ...] = (),
 ) -> Refined:
     """Assemble the outcome of a refinement.
 
     Args:
         model: the compiled scene.
-        rounds: all iterations.
-        chosen: the winner.
-        o: options of the check.
-        objective: objective of the search.
-        layout: layout of the winner, pop axis of length 1.
-        before: final check of the initial layout.
+        result: the search.
+        rounds: its iterations, with scores that arrived late.
+        winner: the winner.
         engine: name of the physics engine.
         clock: seconds spent, by step.
         semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
         scoring: summary of the semantic scorer.
         fallbacks: descriptions of the fallbacks of earlier steps.
-        kept: objects that the search did not move.
     """
+    o = result.run.options
     moves = np.asarray(model.optimised)
-    logs = np.asarray(layout.log_scale[0])[moves]
-    shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
-    turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
-    t, k = chosen.index
-    if o.settle == "needed" and t >= 0 and rounds[t].rests[k]:
+    count = len(model.names)
+    layout: Layout = jax.tree.map(lambda x: np.asarray(x)[:, :count], winner.layout)
+    logs = layout.log_scale[0][moves]
+    shift = np.linalg.norm(layout.xy[0][moves], axis=-1)
+    turn = np.degrees(np.abs(layout.yaw[0][moves]))
+    if result.stuck:
         fallbacks += (
-            "no candidate was valid as placed, so candidates were settled before they were scored",
+            f"the search ended after {len(rounds)} iterations: in no candidate did "
+            f"{', '.join(result.stuck)} rest where the photograph shows it",
         )
-    if chosen.initial_settled:
+    if not winner.passed:
+        failed = [c.phrase() for c in scene_checks(winner.measure, o) if not c.passed]
+        away = winner.finished.moved_away
+        failed += [f"{name} came to rest away from its place" for name in away]
         fallbacks += (
-            f"no candidate passed the final check in {chosen.tried} tries; the initial scene was "
-            "settled instead",
-        )
-    if not chosen.passed:
-        failed = [c.phrase() for c in scene_checks(chosen.measure, o) if not c.passed]
-        failed += [f"{name} settled away from its place" for name in chosen.moved_away]
-        fallbacks += (
-            f"no candidate passed the final check in {chosen.tried} tries; the closest one is "
+            f"no candidate passed the final check in {winner.tried} tries; the closest one is "
             f"used: {'; '.join(failed)}",
         )
-    if o.cem.prune and objective.unbounded:
-        names = ", ".join(objective.unbounded)
-        fallbacks += (f"every candidate was rolled out, as the reward term {names} has no bound",)
-    history = _history(model, rounds, objective)
+    history = _history(model, rounds, result.problem.objective)
     if semantic is not None:
         history["s_sem_from"] = semantic
+    rests = result.initial.rests(o)
     return Refined(
-        scene=chosen.scene,
-        measure=chosen.measure,
-        before=before,
+        scene=winner.scene,
+        measure=winner.measure,
+        before=winner.before,
         layout=layout,
         history=history,
         engine=engine,
         iterations=len(rounds),
-        winner=chosen.index,
-        finalists_tried=chosen.tried,
+        winner=winner.index,
+        finalists_tried=winner.tried,
         mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
         mean_shift_m=float(shift.mean()) if len(shift) else 0.0,
         mean_turn_deg=float(turn.mean()) if len(turn) else 0.0,
-        passed=chosen.passed,
+        passed=winner.passed,
         seconds=clock,
         fallbacks=fallbacks,
-        kept=kept,
+        kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
         scoring=scoring or {},
     )
 

@@ -7,7 +7,7 @@ user's own, into the reward.
 
 import inspect
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -73,11 +73,6 @@ class Term(eqx.Module):
     """The absolute reward counts value / (value + scale); None counts the value as it is."""
     cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
     """The value is clipped at the cap and normalised; None counts it as it is."""
-    bound: TermFunction | Literal["exact"] | None = None
-    """Function that bounds the value before physics, from a rollout in which nothing moves.
-
-    "exact": the term does not depend on physics. None: no bound; nothing is pruned.
-    """
     padded: bool = eqx.field(static=True, default=False)
     """True if the functions accept a padded scene, and so are compiled once for many scenes.
 
@@ -156,12 +151,6 @@ class Drift(eqx.Module):
         return TermValue(jnp.sum(each, axis=1), jnp.sum(charged, axis=1), charged)
 
 
-def no_drift(scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
-    """Return zero, the lower bound of D_drift before physics."""
-    zero = jnp.zeros(layouts.yaw.shape[:2])
-    return TermValue(zero[:, 0], zero[:, 0], zero)
-
-
 def _settled(rollout: Rollout) -> Any:
     return rollout.settled if isinstance(rollout, MeasuredRollout) else 0.0
 
@@ -177,8 +166,6 @@ class Prior(eqx.Module):
     """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
     origin: Layout | None = None
     """Initial layout, pop axis of length 1; None is the composed scene."""
-    share: Float[AnyArray, " object"] | None = None
-    """Factor of the deviations of yaw and log scale, per object; None is 1."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:
         """Compute the prior."""
@@ -186,8 +173,7 @@ class Prior(eqx.Module):
         if self.origin is not None:
             layouts = jax.tree.map(jnp.subtract, layouts, self.origin)
         xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-        sigma = safe[1:, None] * (1.0 if self.share is None else self.share)
-        each = (xy + (layouts.yaw / sigma[0]) ** 2 + (layouts.log_scale / sigma[1]) ** 2) / 4
+        each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
         each = jnp.where(scene.optimised, each, 0.0)
         total = jnp.sum(each, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
         return TermValue(total, total, each)

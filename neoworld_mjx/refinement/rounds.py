@@ -2,10 +2,7 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool
 
 from ..physics.layout import Layout, Poses
 from .objective import Scores
@@ -15,26 +12,12 @@ NOT_DRAWN = -1
 
 
 class Round(NamedTuple):
-    """One iteration of one run."""
+    """One iteration of one run, without padded objects."""
 
     layouts: Layout
     poses: Poses
-    """Poses of the placed or settled candidates."""
+    """Poses of the candidates: at rest if they were settled, else as placed."""
     scores: Scores
-    rests: Bool[np.ndarray, " pop"]
-    """True if the poses are those of settled candidates."""
-
-    def of_objects(self, count: int) -> "Round":
-        """Remove padded objects; `count` is the number of real ones."""
-
-        def unpad(tree: Any) -> Any:
-            return jax.tree.map(lambda x: np.asarray(x)[:, :count], tree)
-
-        s = self.scores
-        scores = eqx.tree_at(
-            lambda s: (s.drift, s.depth), s, (s.drift[:, :count], s.depth[:, :count])
-        )
-        return Round(unpad(self.layouts), unpad(self.poses), scores, self.rests)
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
@@ -43,6 +26,8 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
     Returns:
         ((iteration, candidate), absolute reward) of each.
     """
+    if not rounds:
+        return []
     valid = stacked([r.scores.valid for r in rounds], False)
     absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
     fidelity = stacked([r.scores.fidelity for r in rounds], -np.inf)

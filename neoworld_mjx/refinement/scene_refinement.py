@@ -1,7 +1,6 @@
 """Refinement of a composed scene: the search of Algorithm 1, and the exact check of its winner."""
 
 import contextlib
-import functools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,17 +15,18 @@ from ..mllm import Panel, Picture
 from ..physics.automatic import AutomaticEngine
 from ..physics.engine import Engine
 from ..physics.layout import Layout
-from ..physics.model import SceneModel, compile_scene
+from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
-from .loop import search
+from .choosing import choose
+from .compiling import compile_for_search
+from .loop import CLOCKS, search
 from .optimizer import Optimizer
 from .outcome import Refined, outcome
-from .reverting import choose_and_revert
 from .rewards import Term
 from .rounds import Round, ranked, stacked
 from .scorer import Mark, SemanticScorer
-from .search_run import SearchResult, SearchRun
+from .search_run import SearchRun
 
 COMPOSED = "compose/scene.json"
 """Path of the composed scene in a run folder."""
@@ -51,10 +51,11 @@ def refine(
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
-    Stops after T iterations, or once some candidate was valid and the best one (or the elites, by
-    `stop_by`) gained less than `stop_gain` for `patience` iterations. The winner is the best valid
-    candidate by absolute reward that also passes an exact check, with its unnecessary moves
-    reverted; if none passes, the candidate closest to passing is returned with `passed` False.
+    The composed scene is settled under guidance. If it passes the final check, it is the result.
+    Otherwise the search perturbs it, for T iterations or until some candidate was valid and the
+    best one (or the elites, by `stop_by`) gained less than `stop_gain` for `patience` iterations.
+    The winner is the best valid candidate that also passes the final check; if none passes, the
+    one closest to passing is returned with `passed` False.
 
     Args:
         scene: the composed scene, compiled or not. A path names a scene.json, or a run folder, of
@@ -79,8 +80,7 @@ def refine(
         TypeError: the scene has another type.
     """
     o = options or RefineOptions()
-    steps = ("compile", "descent", "rollout", "score", "wait", "check")
-    clock: dict[str, float] = dict.fromkeys(steps, 0.0)
+    clock: dict[str, float] = dict.fromkeys(("compile", *CLOCKS, "check"), 0.0)
     if engine is None or isinstance(engine, str):
         engine = _open_engine(engine or o.rollout.engine, o)
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
@@ -117,26 +117,19 @@ def refine(
             if scorer is not None:
                 scorer.close()
         began = time.perf_counter()
-        chosen, layout, before = choose_and_revert(
-            model, rounds, o, result.problem.objective, start, result.checked
-        )
+        winner = choose(model, rounds, o, result.initial, start, result.scene)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,
+            result,
             rounds,
-            chosen,
-            o,
-            objective=result.problem.objective,
-            layout=layout,
-            before=before,
+            winner,
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
             semantic=None if scorer is None else stacked(marks, 0),
             scoring=None if scorer is None else scorer.summary(),
-            fallbacks=_ended_early(model, result)
-            + (tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
+            fallbacks=(tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
             + (() if scorer is None else scorer.fallbacks),
-            kept=_unmoved_names(model, result),
         )
 
 
@@ -147,24 +140,7 @@ def _open_engine(name: str, o: RefineOptions) -> Engine:
 
 def _suits_cores(o: RefineOptions) -> bool:
     """Return whether populations are too small to benefit from an accelerator."""
-    return max(o.cem.population, o.cem.first) <= MAX_CPU_POPULATION
-
-
-def _unmoved_names(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
-    if not result.stages:
-        return ()
-    still = np.asarray(model.optimised) & ~result.stages[0][: len(model.names)]
-    return tuple(model.names[k] for k in np.flatnonzero(still))
-
-
-def _ended_early(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
-    if result.falling is None or not result.falling.any():
-        return ()
-    names = [model.names[k] for k in np.flatnonzero(result.falling)]
-    return (
-        f"the search ended after {len(result.rounds)} iterations: in every candidate "
-        f"{', '.join(names)} fell or slid away, as nothing supports them where they are placed",
-    )
+    return o.cem.population <= MAX_CPU_POPULATION
 
 
 def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOptions) -> SceneModel:
@@ -194,20 +170,6 @@ def read_composed(path: Path) -> SceneSpec:
     """
     composed = path / COMPOSED
     return read_scene(composed if composed.is_file() else path)
-
-
-def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
-    """Compile a scene for a search with these options; the last four results are cached."""
-    reach = max(1 / 3, 6.7 * options.cem.sigma_xy)
-    r = options.rollout
-    return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach)
-
-
-@functools.lru_cache(maxsize=4)
-def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
-    # JAX compiles again for another SceneModel, even if it is equal.
-    spec = SceneSpec.model_validate_json(scene)
-    return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)
 
 
 def _with_late_scores(

@@ -4,8 +4,6 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-
 from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..physics.engine import Engine
@@ -20,9 +18,6 @@ from .plan import Point
 from .run_rows import Row, iteration_rows, row_of_refined, row_of_search, summaries
 from .winners import winners
 
-BATCHES = 4
-"""Maximum number of batches per population on an accelerator."""
-
 
 def search_together(
     case: Case,
@@ -34,7 +29,7 @@ def search_together(
     """Search all runs in one computation."""
     clock: dict[str, float] = {}
     before = compiled().seconds
-    results = search(model, [in_few_batches(run) for run in runs], engine, keep=False, clock=clock)
+    results = search(model, runs, engine, keep=False, clock=clock)
     seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
     shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
     chosen = winners(case.scene, compile_options, model, results)
@@ -44,18 +39,6 @@ def search_together(
         | {"history": iteration_rows(result.summaries)}
         for result, winner in zip(results, chosen, strict=True)
     ]
-
-
-def in_few_batches(run: SearchRun) -> SearchRun:
-    """Return the run with larger batches on an accelerator.
-
-    Pruning then skips slightly fewer candidates; the elites do not change.
-    """
-    if jax.default_backend() == "cpu":
-        return run
-    cem = run.options.cem
-    cem = cem.model_copy(update={"batch": max(cem.batch, -(-cem.population // BATCHES))})
-    return run._replace(options=run.options.model_copy(update={"cem": cem}))
 
 
 def refine_separately(

@@ -11,8 +11,8 @@ from ..io import parquet_files
 from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..refinement.choosing import Winner
 from ..refinement.outcome import Refined, iteration_summary
-from ..refinement.reverting import Winner
 from ..refinement.search_run import SearchResult
 from .cases import Case
 from .plan import plain
@@ -35,7 +35,6 @@ COLUMNS: dict[str, type] = {
     **_TERMS,
     "iterations": int,
     "rollouts": int,
-    "pruned": int,
     "mean_log_scale": float,
     "max_depth_m": float,
     "max_drift_m": float,
@@ -82,7 +81,6 @@ def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
         "passed": refined.passed,
         "iterations": refined.iterations,
         "rollouts": refined.rollouts,
-        "pruned": refined.pruned,
         "seconds": refined.seconds["search"],
         "to_valid_s": None if np.isnan(to_valid) else to_valid,
         "engine": refined.engine,
@@ -93,20 +91,18 @@ def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
 
 def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: Winner) -> Row:
     """Return the columns of one run of a search; the caller adds time and engine."""
-    chosen = winner.chosen
-    t, k = chosen.index
+    t, k = winner.index
     values = None
     if t >= 0:
         scores = result.rounds[t].scores
         values = {name: x[k] for name, x in scores.terms.items()}
         values |= {"valid": scores.valid[k], "absolute": scores.absolute[k]}
     return {
-        "passed": chosen.passed,
+        "passed": winner.passed,
         "iterations": len(result.rounds),
-        "rollouts": result.rollouts,
-        "pruned": result.pruned,
+        "rollouts": sum(len(r.scores.valid) for r in result.rounds),
         **_winner_columns(values, [term.name for term in result.problem.objective.terms]),
-        **_layout_columns(case, model, winner.layout, chosen.measure),
+        **_layout_columns(case, model, winner.layout, winner.measure),
     }
 
 

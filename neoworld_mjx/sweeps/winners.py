@@ -16,12 +16,11 @@ import jax
 import numpy as np
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..progress import report
-from ..refinement.objective import has_builtin_terms_only, open_objective
-from ..refinement.reverting import Winner, choose_and_revert
+from ..refinement.choosing import Winner, choose
+from ..refinement.finishing import Finished
 from ..refinement.rounds import Round
 from ..refinement.scene_refinement import compile_for_search
 from ..refinement.search_run import SearchResult
@@ -33,12 +32,12 @@ process [s]; the first two measured for the example coffee on an AMD EPYC."""
 
 
 class _Job(NamedTuple):
-    """Arguments of `choose_and_revert` for one run."""
+    """Arguments of `choose` for one run."""
 
     options: RefineOptions
     rounds: list[Round]
     start: Layout | None
-    checked: SceneMeasure | None
+    initial: Finished
 
 
 def winners(
@@ -47,7 +46,7 @@ def winners(
     model: SceneModel,
     results: Sequence[SearchResult],
 ) -> list[Winner]:
-    """Choose the winner of every run, and move objects that moved unnecessarily back.
+    """Choose the winner of every run.
 
     Args:
         scene: the composed scene.
@@ -56,14 +55,12 @@ def winners(
         results: the searches of the runs.
     """
     cores = os.cpu_count() or 1
-    # Other processes may lack the definitions of custom reward terms.
-    portable = all(has_builtin_terms_only(result.problem.objective) for result in results)
-    if portable and processes_are_faster(len(results), cores):
+    if processes_are_faster(len(results), cores):
         chosen = choose_in_processes(scene, compile_options, results, min(cores, len(results)))
         if chosen is not None:
             return chosen
     with ThreadPoolExecutor(cores) as pool:
-        return list(pool.map(lambda r: _winner(model, _job(r), r.problem.objective), results))
+        return list(pool.map(lambda r: _winner(model, _job(r)), results))
 
 
 def processes_are_faster(runs: int, cores: int) -> bool:
@@ -112,11 +109,11 @@ def choose_in_processes(
 
 def _job(result: SearchResult) -> _Job:
     start, rounds = jax.tree.map(np.asarray, (result.run.start, list(result.rounds)))
-    return _Job(result.run.options, rounds, start, result.checked)
+    return _Job(result.run.options, rounds, start, result.initial)
 
 
-def _winner(model: SceneModel, job: _Job, objective: Any) -> Winner:
-    return choose_and_revert(model, job.rounds, job.options, objective, job.start, job.checked)
+def _winner(model: SceneModel, job: _Job) -> Winner:
+    return choose(model, job.rounds, job.options, job.initial, job.start)
 
 
 def _choose_share() -> None:
@@ -128,7 +125,7 @@ def _choose_share() -> None:
     keep_compilations()
     scene, compile_options, jobs = pickle.load(sys.stdin.buffer)
     model = compile_for_search(scene, compile_options)
-    out.write(pickle.dumps([_winner(model, job, open_objective(job.options)) for job in jobs]))
+    out.write(pickle.dumps([_winner(model, job) for job in jobs]))
     out.close()
 
 

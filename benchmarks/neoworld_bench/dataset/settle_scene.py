@@ -11,22 +11,22 @@ from pathlib import Path
 
 import numpy as np
 
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.errors import NeoWorldError
 from neoworld_mjx.measure import SceneCheck, measured, scene_checks
-from neoworld_mjx.physics.settling import at_rest
+from neoworld_mjx.physics.settling import settle_scene
 from neoworld_mjx.spec import SceneObject, SceneSpec
 
 from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration
 from .truth_scene import truth_scene
 
-GROUND_TRUTH_PHASES = ((True, 3.0), (False, 2.0), (True, 1.0))
-"""Phases of `at_rest`: sink into place, move freely, settle."""
+GROUND_TRUTH = SettleOptions(duration_s=6.0, fade_s=3.0)
+"""Longer than for candidates, as ground truth is settled once."""
 
 
 def settled(declared: SceneDeclaration) -> tuple[SceneDeclaration, SceneSpec]:
     """Return a declaration with resting poses, and its scene."""
-    scene = at_rest(truth_scene(declared), GROUND_TRUTH_PHASES)
+    scene = settle_scene(truth_scene(declared), GROUND_TRUTH)
     objects = [_posed(item, scene.object(item.name)) for item in declared.objects]
     resting = declared.model_copy(update={"objects": tuple(objects)})
     return resting, truth_scene(resting)

@@ -114,7 +114,10 @@ def photo_rows(
         }
         if runner is not None:
             stages["refined"] = refine(stages["composed"], o, seed=seed, engine=runner).scene
-        checks = {step: measured(snap_exactly(at), o) for step, at in stages.items()}
+        checks = {
+            step: measured(at if step == "refined" else snap_exactly(at), o)
+            for step, at in stages.items()
+        }
         ious = {step: visible_box_iou(at) for step, at in stages.items()}
         trees = {"answer": answer, "fit": fitted}
         boxes = {step: {n.name: n.box3d for n in tree.nodes} for step, tree in trees.items()}

@@ -9,21 +9,25 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import mujoco
 import numpy as np
 
 from neoworld_mjx.config import RefineOptions, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
-from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.exact import snap_exactly, start_state
+from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
-from neoworld_mjx.physics.settling import at_rest
-from neoworld_mjx.refinement.choosing import INITIAL_REST_PHASES
+from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.spec import SceneSpec
 
 from .baselines import algorithm1, with_budget
+
+GRAVITY_S = 3.0
+"""Duration of the fall of the method `gravity` [s]."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,6 @@ def ours(o: RefineOptions) -> RefineOptions:
     return o
 
 
-def gradient(o: RefineOptions) -> RefineOptions:
-    """Return the options of gradient refinement alone: one iteration of two candidates."""
-    cem = {"population": 2, "first": 0, "iterations": 1, "prune": False}
-    return o.model_copy(update={"cem": o.cem.model_copy(update=cem), "settle": "never"})
-
-
 def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
     """Return options with some of them replaced, given as a tree."""
     return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
@@ -61,12 +59,15 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "without_s_sem": {"reward": {"w_sem": 0.0}},
     "without_d_pen": {"reward": {"w_pen": 0.0}},
     "without_d_drift": {"reward": {"w_drift": 0.0}},
-    "no_simulation": {"rollout": {"duration_s": 0.0}, "finalists": 1},
+    "no_simulation": {
+        "rollout": {"duration_s": 0.0},
+        "settle": {"enabled": False},
+        "finalists": 1,
+    },
 }
 """Changes of the refinement's options by ablation, as in configs/ablations/refine.yaml."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
-    "gradient": gradient,
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
 }
@@ -76,12 +77,29 @@ BUDGETED = ("random", "cma_es")
 METHODS = (
     "open_loop",
     "gravity",
+    "guided",
     *(name for name in SEARCHES if name != "ours"),
     *BUDGETED,
     "ours",
 )
 USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
 """Default methods of a run."""
+
+
+def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
+    """Let a scene fall freely for GRAVITY_S."""
+    scene = snap_exactly(composed)
+    model, data = start_state(scene)
+    mujoco.mj_step(model, data, round(GRAVITY_S / model.opt.timestep))
+    return at_state(scene, model, data)
+
+
+SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
+    "open_loop": lambda composed, o: snap_exactly(composed),
+    "gravity": _gravity,
+    "guided": lambda composed, o: settle_scene(composed, o.settle),
+}
+"""Methods without a search: snapped, fallen freely, or settled under guidance."""
 
 
 def outcome_of(
@@ -106,11 +124,9 @@ def outcome_of(
         warm: whether to search once for a single iteration, in which one candidate stands for all,
             before the clock runs, so that its time is without compiling.
     """
-    if method in ("open_loop", "gravity"):
+    if method in SETTLED:
         began = time.perf_counter()
-        scene = snap_exactly(composed)
-        if method == "gravity":
-            scene = at_rest(scene, INITIAL_REST_PHASES)
+        scene = SETTLED[method](composed, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = (
@@ -157,6 +173,7 @@ class OneForAll:
         duration: float = 1.0,
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
+        guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate one candidate; see `Engine.rollout`."""
         one = self.engine.rollout(
@@ -165,6 +182,7 @@ class OneForAll:
             duration=duration,
             record_every=record_every,
             early_stop=early_stop,
+            guidance=guidance,
         )
         repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
         every = jax.tree.map(repeated, one)

@@ -23,8 +23,8 @@ LABELS = {
     "prior": ("prior, sigma²", 1.0),
 }
 """Label with unit of each built-in term, and the factor that converts values to this unit."""
-PRUNED, NOT_DRAWN = 5, -1
-"""Status of a pruned candidate, and of an array entry without a candidate."""
+NOT_DRAWN = -1
+"""Status of an array entry without a candidate."""
 
 History = Mapping[str, NDArray]
 
@@ -117,12 +117,8 @@ def _reward_chart(absolute: NDArray) -> Markup:
 def _valid_chart(history: History) -> Markup:
     if "valid" not in history:
         return elements.missing("history.npz does not contain which candidates are valid.")
-    drawn, pruned = _counts(history)
-    valid = 100.0 * history["valid"].sum(1) / np.maximum(drawn - pruned, 1)
-    lines = [Series("valid of those rolled out", valid, "var(--c3)")]
-    if pruned.any():
-        share = 100.0 * pruned / np.maximum(drawn, 1)
-        lines.append(Series("pruned", share, "var(--c2)", dashed=True))
+    valid = 100.0 * history["valid"].sum(1) / np.maximum(_drawn(history), 1)
+    lines = [Series("valid", valid, "var(--c3)")]
     return line_chart(lines, y_label="candidates, %", limits=(0.0, 100.0))
 
 
@@ -132,27 +128,27 @@ def _term_chart(term: TermHistory, best: NDArray) -> Markup:
     return line_chart([Series("candidate of best reward", chosen), mean], y_label=term.label)
 
 
-def _counts(history: History) -> tuple[NDArray, NDArray]:
-    """Return the numbers of drawn and of pruned candidates, each [iteration]."""
+def _drawn(history: History) -> NDArray:
+    """Return the numbers of drawn candidates, [iteration]."""
     status = history.get("status")
     if status is None:
         iterations, population = history["absolute"].shape
-        return np.full(iterations, population), np.zeros(iterations, int)
-    return np.sum(status != NOT_DRAWN, axis=1), np.sum(status == PRUNED, axis=1)
+        return np.full(iterations, population)
+    return np.sum(status != NOT_DRAWN, axis=1)
 
 
 def _table(history: History, terms: list[TermHistory], chosen: NDArray) -> Markup:
     absolute = history["absolute"]
     best, mean = over_finite(absolute, np.max), over_finite(absolute, np.mean)
-    drawn, pruned = _counts(history)
-    failed = drawn - pruned - np.sum(np.isfinite(absolute), axis=1)
-    heads = ["#iteration", "#best", "#mean", "#drawn", "#pruned", "#valid", "#failed"]
+    drawn = _drawn(history)
+    failed = drawn - np.sum(np.isfinite(absolute), axis=1)
+    heads = ["#iteration", "#best", "#mean", "#drawn", "#valid", "#failed"]
     heads += ["#mean log scale", *(f"#{term.name} of best" for term in terms)]
     rows = []
     for i in range(len(absolute)):
         valid = int(np.sum(history["valid"][i])) if "valid" in history else ""
         scale = f"{np.nanmean(history['log_scale'][i]):+.4f}" if "log_scale" in history else ""
-        counts = [drawn[i], pruned[i], valid, failed[i]]
+        counts = [drawn[i], valid, failed[i]]
         values = [f"{term.values[i, chosen[i]]:.4g}" for term in terms]
         rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", *counts, scale, *values])
     return elements.table(heads, rows)

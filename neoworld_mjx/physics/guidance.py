@@ -1,0 +1,188 @@
+"""Guided settling: springs that hold free objects near their placed poses, and fade.
+
+Contacts and gravity act from the start. The springs and dampers are critically damped, in units of
+each object's mass and inertia, so an object sags by g / rate^2, keeps its place, and comes to rest
+on what it touches. Once they have faded, it stands by itself.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from .array_types import AnyArray
+from .layout import Poses, rotation
+from .model import FREE, SceneModel
+
+INTERVAL_S = 0.02
+"""Time between two updates of the forces by engines that do not update them in every step [s]."""
+LEAST_SINE = 1e-9
+"""Sine below which a rotation is zero."""
+
+
+class Guidance(NamedTuple):
+    """Strength of the springs, and the limit of speed."""
+
+    rate: float = 12.0
+    """Natural frequency of the critically damped springs [1/s]."""
+    fade_s: float = 1.4
+    """Time in which springs and dampers fade linearly to zero [s]."""
+    max_speed: float = 2.0
+    """Limit of the linear speed of free objects [m/s]."""
+
+    def share(self, time: Any, xp: Any = np) -> Any:
+        """Return the share of the springs that is left at a time [s]."""
+        return xp.maximum(0.0, 1.0 - time / self.fade_s)
+
+
+class FreeBodies(NamedTuple):
+    """Free objects of a model at scale 1, as rigid bodies with their joints at the start state."""
+
+    qpos: Int[np.ndarray, "free 7"]
+    """Addresses of their coordinates."""
+    dof: Int[np.ndarray, "free 6"]
+    """Addresses of their velocities."""
+    mass: Float[np.ndarray, " free"]
+    center: Float[np.ndarray, "free 3"]
+    """Centers of mass in the objects' frames [m]."""
+    inertia: Float[np.ndarray, "free 3 3"]
+    """Inertia about the centers of mass, in the objects' frames [kg m^2]."""
+
+
+class Springs(NamedTuple):
+    """Springs of the free objects of candidates; leading axes are those of the candidates."""
+
+    pos: Float[AnyArray, "*pop free 3"]
+    """Targets of the origins [m]."""
+    quat: Float[AnyArray, "*pop free 4"]
+    """Targets of the rotations."""
+    mass: Float[AnyArray, "*pop free"]
+    center: Float[AnyArray, "*pop free 3"]
+    inertia: Float[AnyArray, "*pop free 3 3"]
+
+
+def free_bodies(m: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> FreeBodies:
+    """Return the free objects of a model in a state."""
+    data = mujoco.MjData(m)
+    data.qpos[:] = qpos
+    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_crb):
+        stage(m, data)
+    joints = np.flatnonzero(m.jnt_type == FREE)
+    bodies = m.jnt_bodyid[joints]
+    dof = m.jnt_dofadr[joints][:, None] + np.arange(6)
+    full = np.zeros((m.nv, m.nv))
+    if m.nv:
+        mujoco.mj_fullM(m, data, full)
+    mass = m.body_subtreemass[bodies]
+    turn = data.xmat[bodies].reshape(-1, 3, 3)
+    center = np.einsum("kji,kj->ki", turn, data.subtree_com[bodies] - data.xpos[bodies])
+    about_origin = full[dof[:, 3:, None], dof[:, None, 3:]]
+    cross = np.cross(np.eye(3), center[:, None, :])
+    shift = mass[:, None, None] * np.einsum("kij,klj->kil", cross, cross)
+    return FreeBodies(
+        m.jnt_qposadr[joints][:, None] + np.arange(7), dof, mass, center, about_origin - shift
+    )
+
+
+def springs(
+    bodies: FreeBodies, start: Any, scale: Any = 1.0, mass: Any = None, xp: Any = np
+) -> Springs:
+    """Return the springs of candidates from their placed coordinates.
+
+    Args:
+        bodies: the free objects at scale 1.
+        start: placed coordinates of the free objects [pop, free, 7], the targets.
+        scale: scales of the free objects [pop, free], or 1.
+        mass: their masses [pop, free]; None for scale 1.
+        xp: array module.
+    """
+    mass = xp.broadcast_to(bodies.mass, start.shape[:-1]) if mass is None else mass
+    size = xp.broadcast_to(xp.asarray(scale), mass.shape)
+    inertia = bodies.inertia * (size**2 * mass / bodies.mass)[..., None, None]
+    return Springs(start[..., :3], start[..., 3:], mass, bodies.center * size[..., None], inertia)
+
+
+class Held(NamedTuple):
+    """Free objects of candidates with their springs; its methods take the candidates' states."""
+
+    bodies: FreeBodies
+    springs: Springs
+
+    def push(
+        self, guidance: Guidance, time: Any, qpos: Any, qvel: Any, xp: Any = np
+    ) -> tuple[Any, Any]:
+        """Return `qfrc_applied` [pop, nv] of the springs at a time [s], and the limited `qvel`."""
+        b = self.bodies
+        moving = qvel[..., b.dof]
+        force = guidance.share(time, xp) * forces(
+            self.springs, guidance.rate, qpos[..., b.qpos], moving, xp
+        )
+        moving = limited(moving, guidance.max_speed, xp)
+        if xp is np:
+            applied, velocity = np.zeros_like(qvel), np.array(qvel)
+            applied[..., b.dof], velocity[..., b.dof] = force, moving
+            return applied, velocity
+        return jnp.zeros_like(qvel).at[..., b.dof].set(force), qvel.at[..., b.dof].set(moving)
+
+    def take(self, rows: Any) -> "Held":
+        """Take candidates along the leading axis."""
+        return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
+
+
+def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
+    """Return the springs of placed candidates of a scene."""
+    static = scene.static
+    m = static.mjm
+    bodies = free_bodies(m, static.start)
+    owner = static.jnt_object[m.jnt_type == FREE]
+    scale = poses.scale[:, owner]
+    own = (static.body_object == owner[:, None]) * m.body_mass
+    mass = xp.sum(own * scale[..., None] ** static.powers.body_mass, axis=-1)
+    start = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
+    return Held(bodies, springs(bodies, start, scale, mass, xp))
+
+
+def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
+    """Return the generalized forces of unfaded springs on free objects, [pop, free, 6].
+
+    Args:
+        s: the springs.
+        rate: natural frequency [1/s].
+        qpos: coordinates [pop, free, 7].
+        qvel: velocities [pop, free, 6]: linear in the world, angular in the object's frame.
+        xp: array module.
+    """
+    turn, target = rotation(qpos[..., 3:], xp), rotation(s.quat, xp)
+    spin = qvel[..., 3:]
+    center = qpos[..., :3] + _apply(turn, s.center, xp)
+    velocity = qvel[..., :3] + _apply(turn, xp.cross(spin, s.center), xp)
+    missing = s.pos + _apply(target, s.center, xp) - center
+    force = s.mass[..., None] * (rate**2 * missing - 2 * rate * velocity)
+    # Rotation vector, in the object's frame, from the present to the target rotation.
+    relative = xp.einsum("...ji,...jk->...ik", turn, target)
+    axis = xp.stack(
+        [
+            relative[..., 2, 1] - relative[..., 1, 2],
+            relative[..., 0, 2] - relative[..., 2, 0],
+            relative[..., 1, 0] - relative[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    sine = xp.sqrt(xp.sum(axis**2, axis=-1) + LEAST_SINE**2) / 2
+    cosine = (xp.trace(relative, axis1=-2, axis2=-1) - 1) / 2
+    turning = axis / 2 * (xp.arctan2(sine, cosine) / sine)[..., None]
+    torque = _apply(s.inertia, rate**2 * turning - 2 * rate * spin, xp)
+    local = xp.einsum("...ji,...j->...i", turn, force)
+    return xp.concatenate([force, torque + xp.cross(s.center, local)], axis=-1)
+
+
+def limited(qvel: Any, max_speed: float, xp: Any = np) -> Any:
+    """Return velocities [pop, free, 6] with the linear speed limited."""
+    speed = xp.sqrt(xp.sum(qvel[..., :3] ** 2, axis=-1, keepdims=True))
+    return qvel * xp.minimum(1.0, max_speed / xp.maximum(speed, 1e-12))
+
+
+def _apply(matrix: Any, vector: Any, xp: Any) -> Any:
+    return xp.einsum("...ij,...j->...i", matrix, vector)

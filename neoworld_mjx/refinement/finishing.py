@@ -1,0 +1,156 @@
+"""The final scene of a layout: at rest in C MuJoCo, and checked."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..config import RefineOptions
+from ..measure import SceneMeasure, measured, passes, scene_checks
+from ..physics.exact import snap_exactly
+from ..physics.layout import Layout, Poses
+from ..physics.model import SceneModel
+from ..physics.placed import settled_by
+from ..physics.settling import moved, settle_scene
+from ..spec import SceneSpec, world_poses
+from ..spec.pose import pose
+
+RELEASES = 2
+"""Number of times that a scene which fails its final check is taken from where it came to rest
+there, such as a potato that settled on an unstable side."""
+
+
+class Finished(NamedTuple):
+    """A layout's final scene with its check."""
+
+    scene: SceneSpec
+    measure: SceneMeasure
+    moved_away: tuple[str, ...]
+    """Objects that rest farther from their placed poses than the bounds of `settled_by`."""
+    passed: bool
+    """True if the scene passes the final check and nothing moved away."""
+
+    def rests(self, o: RefineOptions) -> Bool[np.ndarray, " object"]:
+        """Return a mask of the objects that overlap nothing, are stable, and did not move away."""
+        m = self.measure
+        pairs = [*m.depths_m.items(), *m.settled_depths_m.items()]
+        deep = {n for pair, depth in pairs if depth > o.max_depth_m for n in pair.split("|")}
+        unstable = {
+            name
+            for name, drift in m.drift_m.items()
+            if m.diverged or not (drift < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg)
+        }
+        turned = {j for j, turn in m.joint_turn_deg.items() if not turn < o.max_tilt_deg}
+        turned |= {j for j, slide in m.joint_slide_m.items() if not slide < o.max_drift_m}
+        unstable |= {joint.split("-", 1)[0] for joint in turned}
+        faulty = deep | unstable | set(self.moved_away)
+        return np.array([item.name not in faulty for item in self.scene.objects])
+
+    def badness(self, o: RefineOptions) -> float:
+        """Return how far the scene is from passing: 0 if it passes.
+
+        The excess of every measure over its bound, in units of the bound and at most 10 each, and 1
+        for every object that moved away.
+        """
+        over = [c.value / c.threshold - 1 for c in scene_checks(self.measure, o) if not c.passed]
+        return sum(min(max(excess, 0.0) + 0.1, 10.0) for excess in over) + len(self.moved_away)
+
+
+def finish(
+    model: SceneModel,
+    layouts: Layout,
+    k: int,
+    o: RefineOptions,
+    rest: Poses | None = None,
+    searched: SceneModel | None = None,
+) -> Finished:
+    """Return a candidate's final scene: settled exactly, or snapped if settling is disabled.
+
+    Args:
+        model: the compiled scene.
+        layouts: the candidates, padded or not.
+        k: index of the candidate.
+        o: options of settling and of the check.
+        rest: resting poses of the candidates, from which the exact settling starts; None for the
+            placed poses.
+        searched: the scene of the candidates, in which objects may be held; None for `model`.
+    """
+    placed = (searched or model).apply(layouts, k, rest)
+    placed = placed.model_copy(
+        update={
+            "objects": tuple(
+                item.model_copy(update={"fixed_base": own.fixed_base})
+                for item, own in zip(placed.objects, model.spec.objects, strict=True)
+            )
+        }
+    )
+    if not o.settle.enabled:
+        scene = snap_exactly(placed)
+        measure = measured(scene, o)
+        return Finished(scene, measure, (), passes(measure, o))
+    start = placed if rest is None else _moved_to(model, placed, rest, k)
+    scene = settle_scene(start, o.settle)
+    measure = measured(scene, o)
+    release = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
+    for _ in range(RELEASES):
+        if passes(measure, o) or measure.diverged:
+            break
+        scene = settle_scene(scene, release)
+        measure = measured(scene, o)
+    size = np.asarray(layouts.log_scale)[k, : len(model.names)]
+    away = moved_away(model, placed, scene, size)
+    return Finished(scene, measure, away, passes(measure, o) and not away)
+
+
+def _moved_to(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> SceneSpec:
+    pos, quat = (np.asarray(x)[k].astype(float) for x in (rest.pos, rest.quat))
+    ends = {
+        model.names[n]: pose(pos[n], quat[n])
+        for n in np.flatnonzero(np.asarray(model.movable)[: len(model.names)])
+    }
+    return moved(placed, ends)
+
+
+def moved_away(
+    model: SceneModel,
+    start: SceneSpec,
+    end: SceneSpec,
+    log_scale: Float[np.ndarray, " object"],
+) -> tuple[str, ...]:
+    """Return the objects that settled farther than the bounds of `settled_by`.
+
+    Args:
+        model: the compiled scene.
+        start: the placed scene.
+        end: the settled scene.
+        log_scale: log scales of the layout [object].
+    """
+    size = np.exp(log_scale)[None]
+    far = settled_by(model, resting_poses(start, size), resting_poses(end, size), np)[0] > 1.0
+    return tuple(model.names[n] for n in np.flatnonzero(far))
+
+
+def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
+    """Return a composed scene in which what rests where it should is fixed at its resting pose.
+
+    The other objects, and what they support, stay free at their composed poses. A search of this
+    scene is as much faster as fewer objects move.
+    """
+    free: set[str] = set()
+    objects = []
+    for item, end, rests in zip(
+        composed.objects, initial.scene.objects, initial.rests(o), strict=True
+    ):
+        if item.static or (rests and item.parent not in free):
+            objects.append(end.model_copy(update={"fixed_base": not item.environment}))
+        else:
+            free.add(item.name)
+            objects.append(item)
+    return composed.model_copy(update={"objects": tuple(objects)})
+
+
+def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Poses:
+    """Return the poses of a scene's objects, as those of a single candidate."""
+    poses = list(world_poses(scene).values())
+    pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
+    return Poses(pos, quat, scale, pos[..., 2])
