@@ -26,6 +26,7 @@ RUN_BY = {
     "docs/how-to/simulate-with-mjx.md": "tests/notebooks/test_mjx_loop.py",
     "docs/how-to/write-a-reward.md": "tests/notebooks/test_howto.py",
     "docs/how-to/semantic-scores.md": "tests/refinement/test_scorer.py",
+    "docs/how-to/write-your-own-search.md": "tests/notebooks/test_own_search.py",
     "docs/programs.md": "tests/program/test_guide.py",
 }
 """Pages whose blocks another test runs."""
@@ -101,6 +102,23 @@ def test_every_python_block_is_run_somewhere_or_says_why_not(page, monkeypatch, 
 def test_no_page_is_listed_that_is_gone():
     names = {_name(page) for page in PAGES if BLOCK.search(page.read_text(encoding="utf-8"))}
     assert RUN_BY.keys() | NOT_RUN.keys() <= names
+
+
+def test_the_code_of_algorithm_1_is_in_the_files_that_its_table_names():
+    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    table = page.split("| line | paper |")[1].split("\n\n")[0]
+    checked = 0
+    for row in table.splitlines()[2:]:
+        places, code = row.strip("| ").rpartition(" | ")[::2]
+        files = re.findall(r"`([\w/]+\.py)", places)
+        folders = ("neoworld_mjx/refinement", "neoworld_mjx")
+        paths = [ROOT / folder / file for file in files for folder in folders]
+        text = "".join(path.read_text(encoding="utf-8") for path in paths if path.exists())
+        lines = [line.strip() for line in text.splitlines()]
+        for snippet in re.findall(r"`([^`]+)`", code):
+            assert snippet in lines, f"no line of {files}: {snippet}"
+            checked += 1
+    assert checked >= 14
 
 
 @pytest.mark.slow
