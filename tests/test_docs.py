@@ -104,23 +104,6 @@ def test_no_page_is_listed_that_is_gone():
     assert RUN_BY.keys() | NOT_RUN.keys() <= names
 
 
-def test_the_code_of_algorithm_1_is_in_the_files_that_its_table_names():
-    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
-    table = page.split("| line | paper |")[1].split("\n\n")[0]
-    checked = 0
-    for row in table.splitlines()[2:]:
-        places, code = row.strip("| ").rpartition(" | ")[::2]
-        files = re.findall(r"`([\w/]+\.py)", places)
-        folders = ("neoworld_mjx/refinement", "neoworld_mjx")
-        paths = [ROOT / folder / file for file in files for folder in folders]
-        text = "".join(path.read_text(encoding="utf-8") for path in paths if path.exists())
-        lines = [line.strip() for line in text.splitlines()]
-        for snippet in re.findall(r"`([^`]+)`", code):
-            assert snippet in lines, f"no line of {files}: {snippet}"
-            checked += 1
-    assert checked >= 14
-
-
 @pytest.mark.slow
 def test_the_python_of_the_readme_runs(monkeypatch, tmp_path, capsys):
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("o*"))

@@ -16,8 +16,8 @@ RECIPES = dict(
 )
 BLOCK = re.compile(r'```(?:python|yaml) title="([\w.]+)"\n(.*?)```', re.S)
 SEARCH = {
-    "cem": {"population": 8, "iterations": 2, "first": 0, "patience": 9},
-    "descent": {"warm_steps": 0, "project": "never"},
+    "cem": {"population": 8, "iterations": 2, "patience": 9, "hold_resting": False},
+    "settle": {"enabled": False},
     "rollout": {"duration_s": 0.2, "engine": "native"},
     "check_duration_s": 0.1,
     "finalists": 1,
@@ -116,9 +116,16 @@ def test_the_architecture_page_names_what_there_is():
         ]
         assert len(files) == 1, file
         assert re.search(rf"(def|class) {member or name}\b", files[0].read_text()), (file, name)
-    table = text.partition("## Algorithm 1")[2]
-    for code in re.findall(r"\| `([^`|]+)` \|$|; `([^`|]+)` \|$", table, re.M):
-        line = next(filter(None, code))
-        if "..." not in line:
-            sources = (p.read_text() for p in (root / "neoworld_mjx" / "refinement").glob("*.py"))
-            assert any(line in source for source in sources), line
+    table = text.split("| line | paper |")[1].split("\n\n")[0]
+    checked = 0
+    for row in table.splitlines()[2:]:
+        _, _, places, code = row.split("|")[1:-1]
+        files = re.findall(r"`([\w/]+\.py)", places)
+        folders = (root / "neoworld_mjx" / "refinement", root / "neoworld_mjx")
+        paths = [folder / file for file in files for folder in folders]
+        source = "".join(path.read_text(encoding="utf-8") for path in paths if path.exists())
+        lines = [line.strip() for line in source.splitlines()]
+        for snippet in re.findall(r"`([^`]+)`", code):
+            assert snippet in lines, (files, snippet)
+            checked += 1
+    assert checked >= 14

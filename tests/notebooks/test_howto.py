@@ -10,8 +10,9 @@ import numpy as np
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.physics.placed import measured_in_chunks
 from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.objective import evaluate, open_objective, place
+from neoworld_mjx.refinement.objective import evaluate, open_objective
 from tests.support import scenes
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-a-reward.md"
@@ -32,11 +33,12 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
     options = load_config(tmp_path / "square.yaml").refine
     scene = compile_scene(scenes.blocks())
     layouts = jax.device_put(scenes.noisy_layouts(scene, 4))
-    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
+    poses = scene.place(layouts)
+    rollout = NativeEngine().rollout(scene, poses, duration=0.1)
+    placed = measured_in_chunks(scene, poses, poses)
 
     def scored(of):
-        objective = open_objective(of)
-        return evaluate(scene, layouts, place(scene, layouts, objective), rollout, objective)
+        return evaluate(scene, layouts, placed, rollout, open_objective(of))
 
     plain = options.model_copy(update={"reward": options.reward.model_copy(update={"terms": {}})})
     with_term, without = scored(options), scored(plain)
@@ -50,8 +52,8 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_rewards", raising=False)
     call = _blocks("python")[1]
-    small = '{"terms": {"my_rewards:square": 1.0}}, "cem": {"population": 16, "iterations": 1}'
-    call = call.replace('{"terms": {"my_rewards:square": 1.0}}', small)
+    small = '"cem": {"hold_resting": False, "population": 16, "iterations": 1}'
+    call = call.replace('"cem": {"hold_resting": False}', small)
     space = {"scene": scenes.blocks()}
     exec(call, space)
     assert space["refined"].history["reward"].shape == (1, 16)
