@@ -43,6 +43,8 @@ class Figure(BaseModel):
     rows: list[list[str]] = Field(default_factory=list)
     notes: str = ""
     """Markdown after the table."""
+    superseded: str = ""
+    """What has changed since the measurement, if it has not been repeated."""
 
 
 class Page(BaseModel):
@@ -87,6 +89,7 @@ def _front_page(contents: Contents) -> str:
             f"## {figure.title}",
             f"{figure.device}. n: {figure.n}. "
             f"[Conditions and notes](benchmarks/{home}.md#{anchor(figure.title)}).",
+            *_superseded(figure),
             _table(figure),
         ]
     parts.append("## All figures")
@@ -149,7 +152,7 @@ def markdown(figure: Figure) -> str:
         f"**n:** {figure.n}",
         f"**Recorded:** {date}",
     ]
-    parts = [f"## {figure.title}", "  \n".join(conditions)]
+    parts = [f"## {figure.title}", "  \n".join(conditions), *_superseded(figure)]
     if figure.text:
         parts.append(figure.text.strip())
     if figure.columns:
@@ -157,6 +160,10 @@ def markdown(figure: Figure) -> str:
     if figure.notes:
         parts.append(figure.notes.strip())
     return "\n\n".join(parts)
+
+
+def _superseded(figure: Figure) -> list[str]:
+    return [f"**Superseded:** {figure.superseded}"] if figure.superseded else []
 
 
 def _table(figure: Figure) -> str:

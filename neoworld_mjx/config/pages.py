@@ -45,13 +45,12 @@ list. `python -m neoworld_mjx.config --write` generates the page from the declar
 `neoworld_mjx/config/`.
 
 Three differences have no option: MuJoCo replaces Isaac Sim; valid candidates rank before invalid
-ones of higher reward, those closer to the photograph first; and the returned layout is snapped
-exactly onto its supports before the final check.
+ones of higher reward, those closer to the photograph first; and the returned scene is settled, or
+snapped exactly onto its supports if settling is disabled, before the final check.
 
-The last column gives measurements with the default and with the paper's value. Rollouts and seconds
-are means over [ablations](benchmarks/refinement.md#what-each-part-of-refinement-does) that change
-only this option. Composed scenes are those of `python -m benchmarks composing`. An empty cell means
-that the effect was not measured.
+The last column gives measurements with the default and with the paper's value. Composed scenes are
+those of `python -m benchmarks composing`. An empty cell means that the effect was not measured; the
+plans `configs/ablations/refine.yaml` and `differences.yaml` measure the options of the search.
 
 | option | default | paper | reason | effect |
 |---|---|---|---|---|
@@ -60,7 +59,7 @@ _ABLATIONS = {
     "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
     "configs/ablations/differences.yaml": "benchmarks/figures/differences_ablation.yaml",
 }
-"""Plans of ablations, and their results."""
+"""Plans of ablations, and their results, once they are measured."""
 _EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
 """Columns of the ablations' results that the page of differences shows."""
 
@@ -83,7 +82,8 @@ def differences_page(root: Path) -> str:
     """
     effects: dict[tuple[str, Any], str] = {}
     for plan, results in _ABLATIONS.items():
-        effects |= _ablated(_read(root / plan)["variants"], _read(root / results))
+        if (root / results).is_file():
+            effects |= _ablated(_read(root / plan)["variants"], _read(root / results))
     text = [_DIFFERENCES_HEAD]
     for option in list_options(Config):
         if option.difference is not None:
