@@ -67,7 +67,7 @@ plan = {
     "seeds": [0, 1, 2],
     "base": {
         "refine": {
-            "cem": {"population": 24, "iterations": 4, "keep_sound": False, "stop_by": "elites"},
+            "cem": {"population": 24, "iterations": 4, "hold_resting": False, "stop_by": "elites"},
             "rollout": {"engine": "native"},
         }
     },
