@@ -22,11 +22,9 @@ from neoworld_mjx.spec import SceneSpec
 log = logging.getLogger(__name__)
 
 SEARCH = {
-    "cem": {"population": 8, "first": 0, "iterations": 1, "elite_ratio": 0.5},
-    "descent": {"warm_steps": 0, "project": "never"},
+    "cem": {"population": 8, "iterations": 1, "elite_ratio": 0.5},
     "rollout": {"engine": "native", "samples_per_object": 64},
     "finalists": 1,
-    "returns": 0,
 }
 """Short search that repairs few scenes, so that both verdicts occur."""
 

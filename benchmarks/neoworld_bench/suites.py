@@ -18,7 +18,7 @@ MethodName = Literal[
     "ours",
     "open_loop",
     "gravity",
-    "gradient",
+    "guided",
     "no_simulation",
     "without_s_sem",
     "without_d_pen",
@@ -181,7 +181,7 @@ class Photos:
 @dataclass(frozen=True, kw_only=True)
 class SceneSet(NoisyRuns):
     """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes:
-    the search, gravity alone, gradient refinement alone, no simulation, Algorithm 1.
+    the search, gravity alone, settling under guidance alone, no simulation, Algorithm 1.
     """
 
     scenes: tuple[str, ...] = ()
@@ -190,7 +190,7 @@ class SceneSet(NoisyRuns):
         "ours",
         "open_loop",
         "gravity",
-        "gradient",
+        "guided",
         "no_simulation",
         "algorithm1",
     )
@@ -252,7 +252,7 @@ class TaskSuccess(NoisyRuns):
 
     task: tuple[str, ...] = ()
     """Names of tasks; all 84 by default."""
-    method: tuple[MethodName, ...] = ("ours", "open_loop", "gravity", "gradient", "no_simulation")
+    method: tuple[MethodName, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
     """Methods, as in `bench run scenes`."""
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.

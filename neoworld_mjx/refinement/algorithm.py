@@ -143,7 +143,7 @@ def propose(
 def _factors(factor: Float[Array, " object"]) -> Layout:
     """Return the factors of a layout's numbers; only positions get more than their deviation."""
     least = jnp.minimum(factor, 1.0)[None]
-    return Layout(factor[None, :, None], least, least)
+    return Layout(jnp.tile(factor[None, :, None], 2), least, least)
 
 
 @eqx.filter_jit

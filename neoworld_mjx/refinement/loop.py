@@ -137,9 +137,12 @@ def _searched(
     scene: SceneModel, runs: Sequence[SearchRun], initials: Sequence[Finished]
 ) -> SceneModel:
     """Return the scene to search: with what rests held, if the runs agree on it."""
-    o, first = runs[0].options, initials[0]
-    shared = all(run.start is None for run in runs) and all(i is first for i in initials)
-    if not (o.cem.hold_resting and shared) or first.passed or not first.rests(o).any():
+    first = initials[0]
+    shared = all(run.start is None and run.options.cem.hold_resting for run in runs)
+    shared &= all(initial is first for initial in initials)
+    # As in a sweep's compiled scene, objects reach as far as the widest deviation takes them.
+    o = max((run.options for run in runs), key=lambda o: o.cem.sigma_xy)
+    if not shared or first.passed or not first.rests(o).any():
         return scene
     return compile_for_search(held(scene.spec, first, o), o)
 

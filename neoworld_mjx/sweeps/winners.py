@@ -20,9 +20,9 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..progress import report
 from ..refinement.choosing import Winner, choose
+from ..refinement.compiling import compile_for_search
 from ..refinement.finishing import Finished
 from ..refinement.rounds import Round
-from ..refinement.scene_refinement import compile_for_search
 from ..refinement.search_run import SearchResult
 from ..spec import SceneSpec
 
@@ -38,6 +38,8 @@ class _Job(NamedTuple):
     rounds: list[Round]
     start: Layout | None
     initial: Finished
+    searched: SceneSpec
+    """Scene of the candidates, in which objects may be held."""
 
 
 def winners(
@@ -60,7 +62,7 @@ def winners(
         if chosen is not None:
             return chosen
     with ThreadPoolExecutor(cores) as pool:
-        return list(pool.map(lambda r: _winner(model, _job(r)), results))
+        return list(pool.map(lambda r: _winner(model, _job(r), r.scene), results))
 
 
 def processes_are_faster(runs: int, cores: int) -> bool:
@@ -109,11 +111,11 @@ def choose_in_processes(
 
 def _job(result: SearchResult) -> _Job:
     start, rounds = jax.tree.map(np.asarray, (result.run.start, list(result.rounds)))
-    return _Job(result.run.options, rounds, start, result.initial)
+    return _Job(result.run.options, rounds, start, result.initial, result.scene.spec)
 
 
-def _winner(model: SceneModel, job: _Job) -> Winner:
-    return choose(model, job.rounds, job.options, job.initial, job.start)
+def _winner(model: SceneModel, job: _Job, searched: SceneModel) -> Winner:
+    return choose(model, job.rounds, job.options, job.initial, job.start, searched)
 
 
 def _choose_share() -> None:
@@ -125,7 +127,8 @@ def _choose_share() -> None:
     keep_compilations()
     scene, compile_options, jobs = pickle.load(sys.stdin.buffer)
     model = compile_for_search(scene, compile_options)
-    out.write(pickle.dumps([_winner(model, job) for job in jobs]))
+    searched = lambda job: compile_for_search(job.searched, compile_options)
+    out.write(pickle.dumps([_winner(model, job, searched(job)) for job in jobs]))
     out.close()
 
 

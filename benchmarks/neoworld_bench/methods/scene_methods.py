@@ -82,7 +82,7 @@ METHODS = (
     *BUDGETED,
     "ours",
 )
-USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
+USUAL = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
 """Default methods of a run."""
 
 

@@ -9,7 +9,7 @@ from neoworld_mjx.sweeps.intervals import DRAWS, ratio_interval
 
 from ..methods.scene_runs import SceneRow
 
-BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
+BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "no_simulation": 0.7}
 """Maximum valid rates of simple methods; above them the data set is too easy."""
 MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "valid_rate": lambda r: r.valid,
