@@ -272,8 +272,8 @@ class SettleOptions(Options):
     enabled: bool = static(
         _SHARED,
         True,
-        "Settle the composed scene and every candidate under guidance, and judge and export them at "
-        "rest. Otherwise candidates are judged where their layouts place them.",
+        "Settle the composed scene and every candidate under guidance, and judge and export them "
+        "at rest. Otherwise candidates are judged where their layouts place them.",
         difference=PaperDifference(
             False,
             "Objects that lean, lie in a container or roll rest at a pose that no layout can "

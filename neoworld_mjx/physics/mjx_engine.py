@@ -39,7 +39,7 @@ MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
 """Largest size of a chunk: share of an accelerator's memory, and bytes on a CPU."""
 
 HELD_AXES = Held(bodies=cast(Any, None), springs=cast(Any, 0))
-"""Axes of `Held` for `vmap`: only the springs differ between candidates."""
+"""Axes of `Held` for `vmap`: only the springs differ between candidates. A free fall has none."""
 
 COMPACT_FROM = 512
 """Least population that moves into smaller programs as its candidates stop. Each program compiles
@@ -205,7 +205,7 @@ def bare_scan(
         qpos, dropped = jax.lax.scan(record, begin, None, length=records)[1]
         return qpos, jnp.any(dropped)
 
-    return jax.vmap(one, in_axes=(0, 0, HELD_AXES))(fields, qpos, springs)
+    return jax.vmap(one, in_axes=(0, 0, springs and HELD_AXES))(fields, qpos, springs)
 
 
 def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxData], MjxData] | None:
@@ -240,7 +240,7 @@ def _advance(
         d = mjx_step(m, d, every, _pushing(guidance, bodies))
         return d, pairs_dropped(m, d)
 
-    return jax.vmap(one, in_axes=(0, 0, HELD_AXES))(fields, data, springs)
+    return jax.vmap(one, in_axes=(0, 0, springs and HELD_AXES))(fields, data, springs)
 
 
 @jax.jit

@@ -89,17 +89,40 @@ def finish(
         measure = measured(scene, o)
         return Finished(scene, measure, (), passes(measure, o))
     start = placed if rest is None else _moved_to(model, placed, rest, k)
-    scene = settle_scene(start, o.settle)
-    measure = measured(scene, o)
-    release = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
-    for _ in range(RELEASES):
-        if passes(measure, o) or measure.diverged:
-            break
-        scene = settle_scene(scene, release)
-        measure = measured(scene, o)
     size = np.asarray(layouts.log_scale)[k, : len(model.names)]
-    away = moved_away(model, placed, scene, size)
+    finished = _checked(model, placed, settle_scene(start, o.settle), size, o)
+    for _ in range(RELEASES):
+        if passes(finished.measure, o) or finished.measure.diverged:
+            break
+        lying = _released(finished, o)
+        finished = _checked(model, placed, settle_scene(lying, o.settle), size, o)
+    return finished
+
+
+def _checked(
+    model: SceneModel,
+    placed: SceneSpec,
+    scene: SceneSpec,
+    log_scale: Float[np.ndarray, " object"],
+    o: RefineOptions,
+) -> Finished:
+    measure = measured(scene, o)
+    away = moved_away(model, placed, scene, log_scale)
     return Finished(scene, measure, away, passes(measure, o) and not away)
+
+
+def _released(finished: Finished, o: RefineOptions) -> SceneSpec:
+    """Return a scene whose failing objects lie where they come to rest in a free fall."""
+    free = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
+    end = settle_scene(finished.scene, free)
+    poses = world_poses(end)
+    fails = ~finished.rests(o)
+    ends = {
+        item.name: poses[item.name]
+        for item, failing in zip(end.objects, fails, strict=True)
+        if failing and not item.static
+    }
+    return moved(finished.scene, ends)
 
 
 def _moved_to(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> SceneSpec:
@@ -130,22 +153,32 @@ def moved_away(
     return tuple(model.names[n] for n in np.flatnonzero(far))
 
 
-def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
-    """Return a composed scene in which what rests where it should is fixed at its resting pose.
-
-    The other objects, and what they support, stay free at their composed poses. A search of this
-    scene is as much faster as fewer objects move.
+def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, " object"]:
+    """Return a mask of the objects that a search frees: those that do not rest where they should,
+    their movable supports, and what all of these support.
     """
-    free: set[str] = set()
-    objects = []
-    for item, end, rests in zip(
-        composed.objects, initial.scene.objects, initial.rests(o), strict=True
-    ):
-        if item.static or (rests and item.parent not in free):
-            objects.append(end.model_copy(update={"fixed_base": not item.environment}))
-        else:
+    items = scene.objects
+    free = {item.name for item, at_rest in zip(items, rests, strict=True) if not at_rest}
+    free |= {item.parent for item in items if item.name in free and item.parent is not None}
+    free -= {item.name for item in items if item.static}
+    for item in items:  # parents come before their children
+        if item.parent in free and not item.static:
             free.add(item.name)
-            objects.append(item)
+    return np.array([item.name in free for item in items])
+
+
+def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
+    """Return a composed scene in which objects that are not `freed` are fixed at their resting
+    poses.
+
+    The freed objects stay at their composed poses. A search of this scene is as much faster as
+    fewer objects move.
+    """
+    free = freed(composed, initial.rests(o))
+    objects = [
+        item if is_free else end.model_copy(update={"fixed_base": not item.environment})
+        for item, end, is_free in zip(composed.objects, initial.scene.objects, free, strict=True)
+    ]
     return composed.model_copy(update={"objects": tuple(objects)})
 
 

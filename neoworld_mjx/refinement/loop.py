@@ -25,8 +25,8 @@ from .algorithm import converged, initial_state, open_problem, propose, update
 from .batching import map_runs, take, tile_of
 from .compiling import compile_for_search
 from .evaluation import Evaluation
-from .finishing import Finished, finish, held
-from .objective import Scores, open_objective, try_terms
+from .finishing import Finished, finish, freed, held
+from .objective import Scores, has_builtin_terms_only, open_objective, try_terms
 from .optimizer import Optimizer
 from .outcome import iteration_summary
 from .rewards import Term
@@ -36,6 +36,9 @@ from .search_run import SearchResult, SearchRun
 
 PADDED = ("cem", "random")
 """Optimizers that accept a padded scene."""
+FREED = 0.3
+"""Initial factor of the deviations of objects that rest, but support objects that do not, or stand
+on them."""
 CLOCKS = ("propose", "settle", "rollout", "score", "wait")
 """Parts of a search whose time is measured."""
 
@@ -77,12 +80,13 @@ def search(
     objective = open_objective(o, terms=terms)
     try_terms(scene, objective, o)
     initials = _initial_scenes(scene, runs, progress)
-    searched = _searched(scene, runs, initials)
+    plain = optimizer is None and scorer is None and has_builtin_terms_only(objective)
+    searched = _searched(scene, runs, initials) if plain else scene
     padded = objective.padded and optimizer is None and o.optimizer in PADDED
     arrays = pad_scene(searched) if padded else searched
     tile = tile_of(len(runs), o.cem.population)
     evaluation = Evaluation(searched, arrays, engine, o, len(runs), tile, clock, began)
-    results = _opened(evaluation, runs, initials, terms, optimizer)
+    results = _opened(evaluation, runs, initials, terms, optimizer, plain=plain)
     for t in range(max(run.options.cem.iterations for run in runs)):
         live = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
         if not live:
@@ -153,32 +157,43 @@ def _opened(
     initials: Sequence[Finished],
     terms: Sequence[Term],
     optimizer: Optimizer | None,
+    *,
+    plain: bool,
 ) -> list[SearchResult]:
-    """Initialize every run, with its initial layout as the first iteration."""
+    """Initialize every run, with its initial layout as the first iteration.
+
+    With user-defined terms, another optimizer or scores by a model (not `plain`), every object
+    moves, and a scene that passes is searched, too.
+    """
     scene, arrays, results = evaluation.scene, evaluation.arrays, []
     for run, initial in zip(runs, initials, strict=True):
         o = run.options
         start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
         origin = on_device(pad_objects(start, arrays.count))
         problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
-        state = initial_state(problem, _factors(arrays.count, initial, o))
-        result = SearchResult(run, problem, state, scene, initial)
+        state = initial_state(
+            problem, _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
+        )
+        result = SearchResult(run, problem, state, scene, initial, plain)
         if o.settle.enabled:
             result.rounds.append(evaluation.initial(result))
             result.summaries.append(_summary(result.rounds[0].scores))
-            result.finished = initial.passed
+            result.finished = initial.passed and plain
             if initial.passed:
                 result.first_valid_s = time.perf_counter() - evaluation.began
         results.append(result)
     return results
 
 
-def _factors(count: int, initial: Finished, o: RefineOptions) -> Float[np.ndarray, " object"]:
-    """Return the initial factor of each object's deviations: 0 for those that are held."""
+def _factors(
+    count: int, initial: Finished, holds: bool, o: RefineOptions
+) -> Float[np.ndarray, " object"]:
+    """Return the initial factor of each object's deviations: less for those that rest."""
     factors = np.ones(count, np.float32)
-    if o.cem.hold_resting:
+    if holds:
         rests = initial.rests(o)
-        factors[: len(rests)][rests] = 0.0
+        free = freed(initial.scene, rests)
+        factors[: len(rests)] = np.where(rests, np.where(free, FREED, 0.0), 1.0)
     return factors
 
 

@@ -130,6 +130,14 @@ def open_objective(
     )
 
 
+def has_builtin_terms_only(objective: Objective) -> bool:
+    """Return whether the objective has only the terms of ALWAYS.
+
+    A user-defined term may reward moving an object that already rests where it should.
+    """
+    return all(term.name in ALWAYS for term in objective.terms)
+
+
 def named_terms(options: RefineOptions) -> list[Term]:
     """Return the terms of `refine.reward.terms`: built-in ones by name, others by import path.
 

@@ -117,7 +117,15 @@ def refine(
             if scorer is not None:
                 scorer.close()
         began = time.perf_counter()
-        winner = choose(model, rounds, o, result.initial, start, result.scene)
+        winner = choose(
+            model,
+            rounds,
+            o,
+            result.initial,
+            start,
+            result.scene,
+            accept_initial=result.accept_initial,
+        )
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,

@@ -33,6 +33,8 @@ class SearchResult:
     """The scene of the candidates, in which objects may be held; see `finishing.held`."""
     initial: Finished
     """The initial layout at rest, with its final check."""
+    accept_initial: bool
+    """True if the initial layout is the result if it passes."""
     rounds: list[Round] = field(default_factory=list)
     summaries: list[dict[str, Any]] = field(default_factory=list)
     """Summary of each iteration; see `outcome.iteration_summary`."""

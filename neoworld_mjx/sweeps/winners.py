@@ -40,6 +40,7 @@ class _Job(NamedTuple):
     initial: Finished
     searched: SceneSpec
     """Scene of the candidates, in which objects may be held."""
+    accept_initial: bool
 
 
 def winners(
@@ -111,11 +112,21 @@ def choose_in_processes(
 
 def _job(result: SearchResult) -> _Job:
     start, rounds = jax.tree.map(np.asarray, (result.run.start, list(result.rounds)))
-    return _Job(result.run.options, rounds, start, result.initial, result.scene.spec)
+    return _Job(
+        result.run.options, rounds, start, result.initial, result.scene.spec, result.accept_initial
+    )
 
 
 def _winner(model: SceneModel, job: _Job, searched: SceneModel) -> Winner:
-    return choose(model, job.rounds, job.options, job.initial, job.start, searched)
+    return choose(
+        model,
+        job.rounds,
+        job.options,
+        job.initial,
+        job.start,
+        searched,
+        accept_initial=job.accept_initial,
+    )
 
 
 def _choose_share() -> None:
