@@ -13,9 +13,11 @@ from neoworld_mjx.physics.automatic import AutomaticEngine
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.settling import with_drag
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.settling import with_held_joints
 from neoworld_mjx.refinement import scene_refinement
 from neoworld_mjx.refinement.scene_refinement import refine
+from tests.support import scenes
 
 
 @pytest.fixture(autouse=True)
@@ -30,18 +32,20 @@ class Timed:
         self.name, self.clock, self.fixed, self.each = name, clock, fixed, each
         self.sizes = []
 
-    def rollout(self, scene, poses, *, duration=1.0, record_every=0.1, early_stop=None):
+    def rollout(self, scene, poses, **options):
         pop = poses.scale.shape[0]
         self.sizes.append(pop)
         self.clock[0] += self.fixed + self.each * pop
         return unmoved(scene, poses)
 
 
-def test_a_scene_with_drag_counts_as_started_with_its_scene(blocks_model, clock):
+def test_a_scene_with_held_joints_counts_as_started_with_its_scene(clock):
+    scene = compile_scene(scenes.furnished(), samples=16)
+    assert with_held_joints(scene).static is not scene.static
     warp, mjx = Timed("warp", clock, 20.0, 0.001), Timed("mjx", clock, 0.0, 0.001)
     engine = AutomaticEngine({"warp": warp, "mjx": mjx})
-    engine.rollout(blocks_model, place(blocks_model, 8))
-    engine.rollout(with_drag(blocks_model), place(blocks_model, 8))
+    engine.rollout(scene, place(scene, 8))
+    engine.rollout(with_held_joints(scene), place(scene, 8))
     assert (len(warp.sizes), len(mjx.sizes)) == (2, 0)
 
 
@@ -171,8 +175,8 @@ def test_jax_leaves_memory_to_warp(monkeypatch, installed, expected):
     [
         ({}, "native"),
         ({"population": 4096}, "auto"),
-        ({"prune": False, "population": 1024}, "auto"),
-        ({"prune": False}, "native"),
+        ({"population": 256}, "native"),
+        ({"population": 257}, "auto"),
     ],
 )
 def test_a_refinement_of_few_candidates_runs_on_the_cpu(monkeypatch, cem, opened):
