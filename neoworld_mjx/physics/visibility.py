@@ -117,14 +117,6 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
     )
 
 
-def unhidden(scene: SceneArrays, poses: Poses) -> Visible:
-    """Return the visible part of each object without occlusion."""
-    whole = outlines(scene, poses)
-    border = jnp.tile(scene.photo.half_size, 2)
-    boxes = jnp.clip(whole.boxes, -border, border)
-    return Visible(boxes, whole.inside, jnp.abs(whole.boxes) <= border, whole)
-
-
 def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
     """Remove rotations of round objects about their own axis, which are invisible."""
     w, x, y, z = jnp.moveaxis(poses.quat, -1, 0)

@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.physics.mjx_model import put_compiled
 from neoworld_mjx.physics.mjx_solver import Rows, exact_step, newton
+from tests.support import scenes
 
 XML = """
 <mujoco>
@@ -105,10 +106,14 @@ def test_an_ascending_line_gives_no_step():
     assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
 
 
-def test_elliptic_cones_are_refused():
-    model = mujoco.MjModel.from_xml_string(XML.replace('"pyramidal"', '"elliptic"'))
-    with pytest.raises(EngineError, match="pyramidal"):
-        put_compiled(model, model.qpos0)
+def test_a_scenes_elliptic_cones_become_pyramids_of_equal_impedances():
+    model = to_mjspec(scenes.blocks()).compile()
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and model.opt.impratio == 10
+    lowered = put_compiled(model, model.key("start").qpos).mjx.opt
+    assert lowered.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert float(lowered.impratio) == 1
+    # The scene's own model, which other engines simulate, stays as it was.
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and model.opt.impratio == 10
 
 
 def test_importing_without_warp_prints_nothing():

@@ -44,7 +44,7 @@ def test_a_sleeping_object_settles_and_wakes_on_contact():
     scene = compile_scene(scenes.blocks())
     still = jax.tree.map(np.array, scene.place(Layout.zero(2, len(scene.names))))
     block, ball = scene.names.index("high"), scene.names.index("ball")
-    still.pos[1, ball] = still.pos[1, block] + np.float32([0.03, 0.0, 0.3])
+    still.pos[1, ball] = still.pos[1, block] + np.float32([0.03, 0.0, 0.8])
     rule = EarlyStop(drift=1e3, tilt=1e3, linger=1e3)
     early = NativeEngine().rollout(scene, still, early_stop=rule)
     full = NativeEngine().rollout(scene, still)

@@ -75,7 +75,10 @@ def test_model_fields_equal_a_recompiled_scene(make):
 
 @pytest.mark.parametrize("make", [scenes.furnished, scenes.lamp])
 def test_one_step_equals_mj_step_on_the_recompiled_model(make):
-    scene = compile_scene(make())
+    # Sunk by 0.1 mm: where surfaces just touch, rounding decides whether there is a contact.
+    spec = make()
+    objects = [o if o.static else o.model_copy(update={"z": o.z - 1e-4}) for o in spec.objects]
+    scene = compile_scene(spec.model_copy(update={"objects": tuple(objects)}))
     layouts = random_layout(scene, 4)
     poses = scene.place_exactly(layouts)
     batch = open_batch(scene, poses)

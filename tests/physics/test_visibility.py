@@ -9,7 +9,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.outline import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.physics.visibility import raster, unhidden, visibility
+from neoworld_mjx.physics.visibility import raster, visibility
 from neoworld_mjx.render import render
 from neoworld_mjx.spec import Box, Cylinder, Material, SceneObject
 from tests.support import scenes
@@ -66,18 +66,12 @@ def test_boxes_and_shares_match_a_rendered_image(photographed, picture):
     assert share[: len(pixels)][np.array(pixels) == 0].max(initial=0.0) < 0.05
     assert share[np.flatnonzero(~judged)].max() == 0.0
     assert share[shown].min() < 0.8 and share[shown].max() > 0.99
-    # The guess is right where nothing hides an object, and never smaller than what is seen.
-    guess = unhidden(scene, scene.place(Layout.zero(1, scene.count)))
-    whole = shown & np.asarray(seen.own_sides[0]).all(axis=1)
-    assert whole.any()
-    np.testing.assert_allclose(guess.boxes[0][whole], seen.boxes[0][whole], atol=0.01)
-    grown = np.asarray(guess.boxes[0] - seen.boxes[0]) * np.array([-1, -1, 1, 1])
-    assert grown[shown].min() > -0.01
 
 
 def test_an_occluder_reduces_the_share_and_cuts_the_box():
     far = scenes.single("far", (Box(size=(0.1, 0.2, 0.1)), (0, 0, 0)))
-    near = scenes.single("near", (Box(size=(0.02, 0.2, 0.4)), (0, 0, 0)))
+    # Its top is below the camera, not in the camera's plane.
+    near = scenes.single("near", (Box(size=(0.02, 0.2, 0.39)), (0, 0, 0)))
     spec = scenes.on_table((far, (0, 0), 0.0, {}), (near, (-0.2, 0), 0.0, {}))
     scene = compile_scene(spec, samples=64)
     xy = np.zeros((3, 3, 2), np.float32)

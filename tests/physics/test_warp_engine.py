@@ -99,7 +99,9 @@ def test_candidates_end_as_in_native(engine, blocks, rule):
         assert np.array_equal(ours.steps, theirs.steps)
     else:
         # States come back at records alone, so rest is seen later than in native.
-        assert np.all(ours.steps >= theirs.steps) and ours.steps.max() < 200
+        assert np.all(ours.steps >= theirs.steps)
+        assert np.array_equal(ours.steps < 200, theirs.steps < 200)
+        assert np.mean(ours.steps < 200) > 0.9
     finite = np.arange(24) != 5
     gap = np.abs(np.asarray(ours.pos - theirs.pos))[finite].max(axis=(1, 2, 3))
     assert np.median(gap) < 1e-4
