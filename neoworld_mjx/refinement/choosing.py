@@ -57,9 +57,9 @@ def choose(
     """Choose the best valid candidate that also passes the final check.
 
     The check is finer and longer than a rollout. The initial layout wins if it passes, unless
-    `accept_initial` is False, as for user-defined terms. If neither it nor one of the best `finalists` passes, the one closest
-    to passing is returned, so that a search never makes a scene worse; without settling, the best
-    candidates alone are compared, as in Algorithm 1.
+    `accept_initial` is False, as for user-defined terms. If neither it nor one of the best
+    `finalists` passes, the one closest to passing is returned, so that a search never makes a scene
+    worse; without settling, the best candidates alone are compared, as in Algorithm 1.
 
     Args:
         model: the compiled scene.

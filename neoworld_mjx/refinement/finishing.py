@@ -155,16 +155,13 @@ def moved_away(
 
 def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, " object"]:
     """Return a mask of the objects that a search frees: those that do not rest where they should,
-    their movable supports, and what all of these support.
+    and what they support.
     """
-    items = scene.objects
-    free = {item.name for item, at_rest in zip(items, rests, strict=True) if not at_rest}
-    free |= {item.parent for item in items if item.name in free and item.parent is not None}
-    free -= {item.name for item in items if item.static}
-    for item in items:  # parents come before their children
-        if item.parent in free and not item.static:
+    free: set[str] = set()
+    for item, at_rest in zip(scene.objects, rests, strict=True):  # parents come first
+        if not item.static and (not at_rest or item.parent in free):
             free.add(item.name)
-    return np.array([item.name in free for item in items])
+    return np.array([item.name in free for item in scene.objects])
 
 
 def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:

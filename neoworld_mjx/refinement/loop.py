@@ -25,7 +25,7 @@ from .algorithm import converged, initial_state, open_problem, propose, update
 from .batching import map_runs, take, tile_of
 from .compiling import compile_for_search
 from .evaluation import Evaluation
-from .finishing import Finished, finish, freed, held
+from .finishing import Finished, finish, held
 from .objective import Scores, has_builtin_terms_only, open_objective, try_terms
 from .optimizer import Optimizer
 from .outcome import iteration_summary
@@ -36,9 +36,6 @@ from .search_run import SearchResult, SearchRun
 
 PADDED = ("cem", "random")
 """Optimizers that accept a padded scene."""
-FREED = 0.3
-"""Initial factor of the deviations of objects that rest, but support objects that do not, or stand
-on them."""
 CLOCKS = ("propose", "settle", "rollout", "score", "wait")
 """Parts of a search whose time is measured."""
 
@@ -188,12 +185,11 @@ def _opened(
 def _factors(
     count: int, initial: Finished, holds: bool, o: RefineOptions
 ) -> Float[np.ndarray, " object"]:
-    """Return the initial factor of each object's deviations: less for those that rest."""
+    """Return the initial factor of each object's deviations: 0 for those that rest, if held."""
     factors = np.ones(count, np.float32)
     if holds:
         rests = initial.rests(o)
-        free = freed(initial.scene, rests)
-        factors[: len(rests)] = np.where(rests, np.where(free, FREED, 0.0), 1.0)
+        factors[: len(rests)][rests] = 0.0
     return factors
 
 
