@@ -102,11 +102,11 @@ def test_the_run_folder_contains_the_documented_files(example_run):
     assert scene.object("spoon").parent == "saucer"
     with np.load(out / "refine" / "history.npz") as history:
         iterations = answer["iterations"]
-        assert history["xy"].shape == (iterations, 256, 4, 2)
-        # The first iteration is small; its first candidate is the start, near the composed layout.
-        assert np.abs(history["xy"][0, 0]).max() < 0.05
-        assert (history["status"][0, 32:] == -1).all()
-        assert history["valid"].any()
+        # The composed scene is the first candidate; as it passes, there are no others.
+        assert iterations == 1
+        assert history["xy"].shape == (1, 1, 4, 2)
+        assert not history["xy"].any()
+        assert history["valid"].all()
     report = (out / "report.html").read_text()
     assert "http://" not in report.replace("http://www.w3.org", "")
     assert "https://" not in report

@@ -30,7 +30,7 @@ from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
 """Terminal speed of the fall; the drag prevents bouncing and sliding past the resting pose."""
-MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 4.0, 0.002, 0.1
+MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 8.0, 0.002, 0.1
 STILL_M_S, CREEP_M_S = 5e-4, 0.003
 """Speeds of an object's ends: below the first it is at rest; below the second at the time limit,
 only its contacts creep, which on a slope never stops."""

@@ -122,7 +122,7 @@ def test_a_stick_that_penetrates_its_cup_settles_inside(x):
 
 
 def test_snapping_does_not_move_a_settled_stick():
-    cup, stick = in_cup((0.0, 0.0), 45)
+    cup, stick = in_cup((0.0, 0.0), 38)
     rested = settle(cup, stick)
     assert rested is not None
     table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)

@@ -14,6 +14,7 @@ import numpy as np
 from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import EngineError, choices
 from neoworld_mjx.physics.engine import EarlyStop
+from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.physics.model import FREE, SceneModel, compile_scene
@@ -99,7 +100,8 @@ def agreement(
         if name not in AGREEMENT:
             raise EngineError(f"scene: {choices(name, list(AGREEMENT))}")
         make, noise = AGREEMENT[name]
-        scene = compile_scene(make())
+        # With a clearance: rounding would decide whether objects at zero distance touch.
+        scene = compile_scene(snap_exactly(make()))
         drawn = noisy_layouts(scene, layouts, seed=seed, noise=noise)
         poses = scene.place_exactly(drawn)
         reference = naive_loop(scene, drawn, poses).motion
