@@ -1,31 +1,55 @@
-"""Coming to rest with drag: populations on an engine, and one scene exactly."""
+"""Guided settling: populations on an engine, and one scene exactly."""
 
 import jax
 import numpy as np
 import pytest
 
+from neoworld_mjx.config import SettleOptions
+from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import placed_at_rest
-from neoworld_mjx.physics.settling import FALL_M_S, HEADING, at_rest, moved, settle, with_drag
-from neoworld_mjx.spec import Box, HollowBox, world_poses
-from neoworld_mjx.spec.pose import from_axis_angle, pose
+from neoworld_mjx.physics.placed import (
+    DOWN,
+    SIDEWAYS,
+    TILTED,
+    TOPPLED,
+    placed_at_rest,
+    settled_by,
+)
+from neoworld_mjx.physics.settling import moved, settle, settle_scene, with_held_joints
+from neoworld_mjx.spec import Box, Sphere, world_poses
+from neoworld_mjx.spec.pose import from_axis_angle, pose, quat_mul
 from tests.support import scenes
 
-TILT = tuple(from_axis_angle([1, 0, 0], 0.06).tolist())
+OPTIONS = SettleOptions()
 
 
-def tilted():
-    """A slab that stands on its edge by 3.4 degrees, and a block half over its edge."""
+def tilt_of(item):
+    """Angle between an object's z axis and the vertical [deg]."""
+    _, x, y, _ = item.base_tilt
+    return np.degrees(2 * np.arcsin(np.hypot(x, y)))
+
+
+def tilted(degrees=3.4):
+    """A slab that stands on its edge, and a block."""
     slab = scenes.single("slab", (Box(size=(0.1, 0.1, 0.02)), (0, 0, 0)))
     block = scenes.single("block", (Box(size=(0.04, 0.04, 0.06)), (0, 0, 0)))
-    scene = scenes.on_table((slab, (0, 0), 0.0, {}), (block, (0.0, 0.2), 0.0, {}))
-    objects = [
-        item.model_copy(update={"base_tilt": TILT}) if item.name == "slab" else item
-        for item in scene.objects
-    ]
-    return scene.model_copy(update={"objects": tuple(objects)})
+    tilt = tuple(from_axis_angle([1, 0, 0], np.radians(degrees)).tolist())
+    return scenes.on_table(
+        (slab, (0, 0), 0.0, {"base_tilt": tilt}), (block, (0.0, 0.2), 0.0, {}), name="tilted"
+    )
+
+
+def overlapping():
+    """Two turned blocks that overlap by 1 cm."""
+    block = lambda name: scenes.single(name, (Box(size=(0.06, 0.06, 0.06)), (0, 0, 0)))
+    return scenes.on_table(
+        (block("one"), (0.0, 0.0), 0.3, {}),
+        (block("two"), (0.0, 0.055), 0.3, {}),
+        name="overlapping",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +61,17 @@ def settled():
     layouts = Layout(layouts.xy, layouts.yaw, jax.device_put(logs))
     start = jax.tree.map(np.array, model.place(layouts))
     start.pos[2, model.names.index("slab")] = np.nan
-    return model, start, settle(model, start, NativeEngine(), 1.0)
+    return model, start, settle(model, start, NativeEngine(), OPTIONS)
 
 
-def test_a_tilted_slab_lies_flat_and_a_block_stays(settled):
+def test_a_tilted_slab_comes_flat_and_a_block_stays(settled):
     model, start, end = settled
     slab, block = model.names.index("slab"), model.names.index("block")
     up = 1 - 2 * (end.quat[:2, slab, 1] ** 2 + end.quat[:2, slab, 2] ** 2)
     assert (np.degrees(np.arccos(np.clip(up, -1, 1))) < 0.3).all()
     assert np.abs(end.pos[:2, block] - start.pos[:2, block]).max() < 5e-4
     np.testing.assert_array_equal(end.scale, start.scale)
+    np.testing.assert_array_equal(end.height, start.height)
 
 
 def test_a_candidate_that_fails_stays_where_it_was_placed(settled):
@@ -55,59 +80,162 @@ def test_a_candidate_that_fails_stays_where_it_was_placed(settled):
     np.testing.assert_array_equal(end.quat[2], start.quat[2])
 
 
-def test_settling_is_measured_by_tilt_and_height(settled):
+def test_settling_is_measured_in_units_of_its_bounds(settled):
     model, start, end = settled
     at = placed_at_rest(model, *(jax.tree.map(lambda x: x[:1], p) for p in (start, end)))
     by = dict(zip(model.names, np.asarray(at.settled)[0], strict=True))
-    assert by["table"] == 0.0
-    assert by["slab"] == pytest.approx(0.06 / np.radians(15), rel=0.05)
-    assert by["block"] < 0.05
+    assert by["table"] == 0.0 and by["block"] < 0.05
+    # The slab was placed tilted, but moves less in height than in angle.
+    assert by["slab"] == pytest.approx(np.radians(3.4) / TOPPLED, rel=0.05)
 
 
-def test_terminal_speed_with_drag_is_independent_of_size(settled):
-    model, _, _ = settled
-    dragged = with_drag(model)
-    assert with_drag(model).static is dragged.static
-    logs = np.tile(np.float32([[-0.3], [0.3]]), (1, len(model.names)))
-    layouts = Layout.zero(2, len(model.names))
-    poses = model.place(Layout(layouts.xy, layouts.yaw, jax.device_put(logs)))
-    poses = jax.tree.map(np.array, poses)
-    poses.pos[:, :, 2] += np.float32([0.0, 3.0, 3.0])[: len(model.names)]
-    fall = NativeEngine().rollout(dragged, poses, duration=0.4, record_every=0.2)
-    speed = (fall.pos[:, 0] - fall.pos[:, 1])[..., 2] / 0.2
-    np.testing.assert_allclose(speed[:, 1:], FALL_M_S, rtol=0.02)
+def test_native_and_mjx_settle_candidates_at_the_same_places():
+    model = compile_scene(overlapping(), samples=16)
+    xy = np.zeros((4, 3, 2), np.float32)
+    xy[:, 2, 1] = [0.0, 0.002, 0.004, 0.03]
+    layouts = Layout(xy, np.zeros((4, 3), np.float32), np.zeros((4, 3), np.float32))
+    start = jax.tree.map(np.array, model.place(layouts))
+    start.pos[3, 1, 2] += 0.05  # one falls on the table
+    ours, theirs = (
+        settle(model, start, engine, OPTIONS) for engine in (NativeEngine(), MjxEngine())
+    )
+    way = np.linalg.norm(ours.pos - start.pos, axis=-1)
+    assert way[:3, 1:].max() > 0.003 and way[3, 1] > 0.04
+    assert np.linalg.norm(ours.pos - theirs.pos, axis=-1).max() < 1e-3
+    cosine = np.abs(np.sum(ours.quat * theirs.quat, axis=-1))
+    assert np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))).max() < 0.5
 
 
-def test_a_settled_scene_is_exact():
-    scene = at_rest(tilted(), ((True, 0.5), (False, 0.3)))
-    assert scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
+def test_overlapping_blocks_come_apart_and_keep_their_headings():
+    before = overlapping()
+    assert scene_measure(before, duration=0.01).max_depth_m > 0.004
+    after = settle_scene(before, OPTIONS)
+    measure = scene_measure(after)
+    assert measure.max_depth_m < 1e-3 and measure.max_drift_m < 1e-3
+    for name in ("one", "two"):
+        a, b = before.object(name), after.object(name)
+        assert abs(a.yaw - b.yaw) < np.radians(1.0)
+        assert np.hypot(*np.subtract(a.xy, b.xy)) < 0.012
+        assert tilt_of(b) < 0.05
+
+
+@pytest.mark.parametrize("degrees", [0.1, 3.4, 8.0])
+def test_a_settled_slab_lies_flat_however_little_it_was_tilted(degrees):
+    scene = settle_scene(tilted(degrees), OPTIONS)
+    flat = tilt_of(scene.object("slab"))
+    assert flat < 0.02
     ends = world_poses(scene)
     assert ends["slab"].pos[2] == pytest.approx(ends["block"].pos[2], abs=5e-4)
 
 
-def test_an_object_pushed_aside_keeps_its_heading():
-    bin_ = scenes.single("bin", (HollowBox(size=(0.13, 0.11, 0.06), wall=0.006), (0, 0, 0)))
-    block = scenes.single("block", (Box(size=(0.06, 0.05, 0.05)), (0, 0, 0)))
-    scene = scenes.on_table((bin_, (0, 0), 0.0, {}), (block, (0.035, 0.02), 0.3, {}))
-    rest = at_rest(scene, ((True, 0.5), (False, 0.5)))
-    way = np.subtract(rest.object("block").xy, scene.object("block").xy)
-    # A corner of it was 8 mm in the wall; without that drag it turned by 5.5 degrees.
-    assert np.linalg.norm(way) > 0.005
-    assert abs(rest.object("block").yaw - 0.3) < np.radians(0.5)
-    assert abs(rest.object("bin").yaw) < np.radians(0.5)
+def test_a_tilt_that_is_no_error_remains():
+    """A slab that leans on a block keeps a tilt of 0.1 degrees: nothing is rounded to upright."""
+    slab = scenes.single("slab", (Box(size=(0.1, 0.1, 0.02)), (0, 0, 0)))
+    shim = scenes.single("shim", (Box(size=(0.02, 0.1, 0.0017)), (0, 0, 0)))
+    tilt = tuple(from_axis_angle([0, 1, 0], -np.radians(1.0)).tolist())
+    scene = scenes.on_table(
+        (shim, (0.045, 0.0), 0.0, {"fixed_base": True}),
+        (slab, (0.0, 0.0), 0.0, {"base_tilt": tilt}),
+    )
+    rest = settle_scene(scene, OPTIONS).object("slab")
+    assert tilt_of(rest) == pytest.approx(np.degrees(np.arctan2(0.0017, 0.085)), abs=0.15)
 
 
-def test_populations_keep_headings_too(settled):
-    model, _, _ = settled
-    static = with_drag(model).static
-    for name in ("slab", "block"):
-        about = static.mjm.dof_damping[static.mjm.body(name).dofadr[0] + np.arange(3, 6)]
-        np.testing.assert_allclose(about[2], HEADING * about[:2], rtol=1e-12)
+def test_joints_stay_while_their_object_settles():
+    before = scenes.furnished()
+    lifted = [
+        item.model_copy(update={"z": item.z + 0.02}) if item.name == "cabinet" else item
+        for item in before.objects
+    ]
+    before = before.model_copy(update={"objects": tuple(lifted)})
+    after = settle_scene(before, OPTIONS)
+    assert after.object("cabinet").joint_state == before.object("cabinet").joint_state
+    assert world_poses(before)["cabinet"].pos[2] - world_poses(after)["cabinet"].pos[2] > 0.015
+
+
+def test_held_joints_do_not_move_in_a_free_fall():
+    model = compile_scene(scenes.lamp(), samples=16)
+    poses = model.place_exactly(Layout.zero(1, len(model.names)))
+    held = NativeEngine().rollout(with_held_joints(model), poses, duration=1.0)
+    free = NativeEngine().rollout(model, poses, duration=1.0)
+    assert held.joint_shift.max() < 2e-3 < 1e-2 < free.joint_shift.max()
+    assert with_held_joints(model).static is with_held_joints(model).static
+
+
+def test_springs_hold_an_object_in_the_air_until_they_fade():
+    ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
+    floating = scenes.on_table((ball, (0.0, 0.0), 0.0, {"z": 0.14}))
+    height = lambda scene: world_poses(scene)["ball"].pos[2]
+    strong = SettleOptions(rate=12.0, duration_s=1.5, fade_s=20.0)
+    sag = height(floating) - height(settle_scene(floating, strong))
+    assert sag == pytest.approx(9.81 / 12.0**2 / (1 - 1.5 / 20), rel=0.03)
+    fall = height(floating) - height(settle_scene(floating, OPTIONS))
+    assert fall == pytest.approx(0.1, abs=5e-4)
+
+
+SIZE = float(np.linalg.norm([0.1, 0.1, 0.02]))
+
+
+@pytest.mark.parametrize(
+    ("shift", "degrees", "expected"),
+    [
+        ((SIDEWAYS * SIZE, 0.0, 0.0), 0.0, 1.0),
+        ((0.0, -0.5 * SIDEWAYS * SIZE, 0.0), 0.0, 0.5),
+        ((0.0, 0.0, -(DOWN[0] * SIZE + DOWN[1])), 0.0, 1.0),
+        ((0.0, 0.0, 2 * (DOWN[0] * SIZE + DOWN[1])), 0.0, 2.0),
+        ((0.0, 0.0, 0.0), 20.0, 1.0),
+        ((0.0, 0.0, 0.0), -5.0, 0.25),
+    ],
+)
+def test_displacement_is_in_units_of_the_bounds(shift, degrees, expected):
+    model = compile_scene(tilted(0.0), samples=16)
+    start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, 3)))
+    end = jax.tree.map(np.array, start)
+    slab = model.names.index("slab")
+    end.pos[0, slab] += shift
+    turn = np.array(from_axis_angle((1, 0, 0), np.radians(degrees)))
+    end.quat[0, slab] = quat_mul(turn, end.quat[0, slab])
+    # About the center, so that a rotation does not shift it.
+    if degrees:
+        half = np.array([0.0, 0.0, 0.01])
+        end.pos[0, slab] += half - from_z(turn, 0.01)
+    found = settled_by(model, start, end, np)[0]
+    assert found[slab] == pytest.approx(expected, rel=0.02)
+    assert found[model.names.index("table")] == 0.0 == found[model.names.index("block")]
+
+
+def from_z(turn, height):
+    w, x, y, z = turn
+    return height * np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def test_objects_placed_tilted_may_turn_farther_and_balls_at_will():
+    ball = scenes.single("ball", (Sphere(radius=0.05), (0, 0, 0)))
+    upright = compile_scene(tilted(0.0), samples=16)
+    leaning = compile_scene(tilted(5.0), samples=16)
+    round_ = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})), samples=16)
+    turn = np.array(from_axis_angle((1, 0, 0), np.radians(20.0)))
+    shares = []
+    for model in (upright, leaning, round_):
+        start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, len(model.names))))
+        end = jax.tree.map(np.array, start)
+        center = np.asarray(model.corners[1]).mean(axis=0)
+        end.quat[0, 1] = quat_mul(turn, start.quat[0, 1])
+        end.pos[0, 1] += pose((0, 0, 0), start.quat[0, 1]).apply(center)
+        end.pos[0, 1] -= pose((0, 0, 0), end.quat[0, 1]).apply(center)
+        shares.append(settled_by(model, start, end, np)[0, 1])
+    assert shares[0] == pytest.approx(1.0, rel=1e-3)
+    assert shares[1] == pytest.approx(TILTED / TOPPLED, rel=1e-3)
+    assert shares[2] < 1e-3
 
 
 def test_children_move_with_their_parent():
-    scene = tilted()
+    scene = scenes.blocks()
     end = pose([0.3, 0.1, 0.5])
-    there = moved(scene, {"slab": end})
-    np.testing.assert_allclose(world_poses(there)["slab"].pos, [0.3, 0.1, 0.5], atol=1e-12)
-    np.testing.assert_allclose(world_poses(there)["block"].pos, world_poses(scene)["block"].pos)
+    there = moved(scene, {"low": end})
+    before, after = world_poses(scene), world_poses(there)
+    np.testing.assert_allclose(after["low"].pos, [0.3, 0.1, 0.5], atol=1e-12)
+    np.testing.assert_allclose(after["ball"].pos, before["ball"].pos)
+    relative = lambda at: at["low"].inverse().then(at["high"])
+    np.testing.assert_allclose(relative(after).pos, relative(before).pos, atol=1e-12)
+    np.testing.assert_allclose(relative(after).quat, relative(before).quat, atol=1e-12)
