@@ -31,7 +31,7 @@ from .optimizer import Optimizer
 from .outcome import iteration_summary
 from .rewards import Term
 from .rounds import Round, best_first
-from .scorer import SemanticScorer
+from .scorer import Mark, SemanticScorer
 from .search_run import SearchResult, SearchRun
 
 PADDED = ("cem", "random")
@@ -104,6 +104,7 @@ def search(
             round_ = evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k])
             r.rounds.append(round_ if keep else _finalists(round_, r.run.options))
             r.summaries.append(_summary(scores[k]))
+            r.rollouts += len(scores[k].valid)
             if progress is not None:
                 progress(_line(r, scores[k]))
             r.finished = converged(r.problem, state)
@@ -175,6 +176,8 @@ def _opened(
         if o.settle.enabled:
             result.rounds.append(evaluation.initial(result))
             result.summaries.append(_summary(result.rounds[0].scores))
+            result.marks.append(np.array([Mark.GEOMETRIC], np.int8))
+            result.rollouts = 1
             result.finished = initial.passed and plain
             if initial.passed:
                 result.first_valid_s = time.perf_counter() - evaluation.began
@@ -259,10 +262,15 @@ def _summary(scores: Scores) -> dict[str, Any]:
     return iteration_summary(values, list(host.terms))
 
 
+def _drawn(r: SearchResult) -> int:
+    """Return the number of iterations without the initial layout."""
+    return len(r.rounds) - r.run.options.settle.enabled
+
+
 def _line(r: SearchResult, scores: Scores) -> str:
     best = float(np.asarray(scores.absolute).max())
     return (
-        f"iteration {len(r.rounds)}/{r.run.options.cem.iterations}: best {best:.3f}, "
+        f"iteration {_drawn(r)}/{r.run.options.cem.iterations}: best {best:.3f}, "
         f"elites {float(r.state.elite_mean):.3f}, {float(np.mean(scores.valid)):.0%} valid"
     )
 
@@ -272,9 +280,9 @@ def _update_progress(
 ) -> None:
     """Report the iteration, the rate of candidates and the longest remaining time."""
     seconds = time.perf_counter() - began
-    done = sum(len(r.rounds) for r in results)
+    done = sum(map(_drawn, results))
     total = sum(run.options.cem.iterations for run in runs)
-    candidates = sum(len(round_.scores.absolute) for r in results for round_ in r.rounds)
+    candidates = sum(r.rollouts for r in results)
     update_progress(
         done=done,
         of=total,

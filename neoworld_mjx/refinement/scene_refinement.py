@@ -192,12 +192,13 @@ def _with_late_scores(
             change[k] = late.value - float(s_sem[k])
             marks[k] = Mark.SCORED
     scores = eqx.tree_at(
-        lambda s: (s.terms["s_sem"], s.reward, s.absolute),
+        lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.fidelity),
         round_.scores,
         (
             jnp.asarray(s_sem + change),
             round_.scores.reward + weight * change,
             round_.scores.absolute + weight * change,
+            round_.scores.fidelity + weight * change,
         ),
     )
     return round_._replace(scores=scores)

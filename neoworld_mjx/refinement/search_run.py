@@ -36,6 +36,8 @@ class SearchResult:
     accept_initial: bool
     """True if the initial layout is the result if it passes."""
     rounds: list[Round] = field(default_factory=list)
+    rollouts: int = 0
+    """Number of candidates that were rolled out, kept or not."""
     summaries: list[dict[str, Any]] = field(default_factory=list)
     """Summary of each iteration; see `outcome.iteration_summary`."""
     first_valid_s: float = float("nan")

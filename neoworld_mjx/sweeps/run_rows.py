@@ -100,7 +100,7 @@ def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: W
     return {
         "passed": winner.passed,
         "iterations": len(result.rounds),
-        "rollouts": sum(len(r.scores.valid) for r in result.rounds),
+        "rollouts": result.rollouts,
         **_winner_columns(values, [term.name for term in result.problem.objective.terms]),
         **_layout_columns(case, model, winner.layout, winner.measure),
     }

@@ -7,7 +7,6 @@ from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.cem import open_cem
-from neoworld_mjx.refinement.feasibility import InitialFeasibility, deviation_share
 from neoworld_mjx.refinement.objective import open_objective
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
@@ -26,11 +25,9 @@ def put(path, value):
 
 
 def traced(options):
-    gain = np.float32(options.cem.stop_gain)
-    agreeing = InitialFeasibility(np.ones(2, bool), np.zeros(2, bool), np.array([0.0, 9.0]))
-    share = deviation_share(agreeing, options.cem)
+    gain, widest = np.float32(options.cem.stop_gain), np.float32(options.cem.widest)
     return eqx.filter(
-        (open_objective(options), open_cem(MODEL, options.cem), gain, share), eqx.is_array_like
+        (open_objective(options), open_cem(MODEL, options.cem), gain, widest), eqx.is_array_like
     )
 
 
@@ -82,17 +79,15 @@ OTHERS = {
     "optimizer": "random",
     "cem.population": 8,
     "cem.elite_ratio": 0.5,
-    "cem.first": 7,
     "cem.zero_candidate": False,
-    "cem.credit": "object",
-    "settle": "always",
+    "cem.credit": "scene",
+    "cem.patience": 3,
+    "settle.enabled": False,
     "reward.normalisation": "iteration",
-    "descent.project": "always",
     "rollout.engine": "native",
     "rollout.early_stop": False,
-    "cem.prune": False,
     "cem.stop_by": "elites",
-    "cem.keep_sound": False,
+    "cem.hold_resting": False,
 }
 """Of options without a number to change a little."""
 

@@ -15,8 +15,8 @@ from tests.support.scenes import stored_scene
 SCENE = Case("two", stored_scene("crowded_2"))
 BASE = {
     "refine": {
-        "cem": {"population": 8, "first": 0, "iterations": 2, "elite_ratio": 0.25},
-        "descent": {"warm_steps": 0, "project": "never"},
+        "cem": {"population": 8, "iterations": 2, "elite_ratio": 0.25, "hold_resting": False},
+        "settle": {"enabled": False},
         "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 64},
         "check_duration_s": 0.2,
         "finalists": 2,
@@ -101,7 +101,7 @@ def test_the_table_sums_points_up(swept):
 def test_the_notebook_runs_in_small_form():
     base = """{
         "refine": {
-            "cem": {"population": 24, "iterations": 4, "keep_sound": False, "stop_by": "elites"},
+            "cem": {"population": 24, "iterations": 4, "hold_resting": False, "stop_by": "elites"},
             "rollout": {"engine": "native"},
         }
     }"""
@@ -175,13 +175,13 @@ def test_an_interrupted_sweep_resumes(tmp_path, monkeypatch):
 
 
 def test_an_ablation_reports_differences(tmp_path):
-    variants = {"not pruned": {"refine.cem.prune": False}, "elsewhere": {SIGMA: 60}}
+    variants = {"not held": {"refine.cem.hold_resting": True}, "elsewhere": {SIGMA: 60}}
     requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
     result = ablate(requests, tmp_path / "a", cases=[SCENE])
     rows = read_runs(tmp_path / "a" / "results.parquet")
-    assert [row["variant"] for row in rows[::2]] == ["base", "not pruned", "elsewhere"]
+    assert [row["variant"] for row in rows[::2]] == ["base", "not held", "elsewhere"]
     same, other = result.differences
-    assert (same["point"], same["n"]) == ("not pruned", 2)
+    assert (same["point"], same["n"]) == ("not held", 2)
     assert same["reward"]["mean"] == 0
     assert other["reward"]["mean"] == pytest.approx(
         np.mean([rows[4 + k]["reward"] - rows[k]["reward"] for k in (0, 1)])
