@@ -13,13 +13,13 @@ from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.physics.placed import placed_at_rest
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.refinement.objective import (
     contribution,
     evaluate,
     named_terms,
     open_objective,
-    place,
 )
 from neoworld_mjx.spec import Box
 from tests.support import scenes
@@ -80,7 +80,9 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
 
 def scored(scene, layouts, rollout, **reward):
     objective = open_objective(RefineOptions(reward=RewardOptions(**reward)))
-    return evaluate(scene, layouts, place(scene, layouts, objective), rollout, objective)
+    poses = scene.place(layouts)
+    candidates = placed_at_rest(scene, poses, poses)
+    return evaluate(scene, layouts, candidates, rollout, objective)
 
 
 def test_iteration_normalisation_maps_valid_rollouts_to_zero_to_one():
