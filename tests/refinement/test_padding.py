@@ -21,6 +21,7 @@ from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.batching import pad_rollout
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.objective import evaluate, open_objective
+from neoworld_mjx.spec import Box
 from tests.support import scenes
 
 
@@ -77,6 +78,16 @@ def test_padded_equals_unpadded(scene):
     np.testing.assert_array_equal(first.rested, np.asarray(second.rested)[:, : scene.count])
 
 
+def toppling(scene):
+    """The scene with a plate that tips over the edge of a block, so that it is searched."""
+    block = scenes.single("base", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
+    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    added = scenes.on_table(
+        (block, (0.2, -0.3), 0.0, {}), (plate, (0.06, 0.0), 0.0, {"parent": "base", "z": 0.06})
+    ).objects[1:]
+    return scene.model_copy(update={"objects": scene.objects + added})
+
+
 def test_a_second_scene_compiles_nothing(monkeypatch):
     # Eviction from the in-process cache would be counted as a compilation.
     monkeypatch.setattr(model, "free_memory_maps", lambda: False)
@@ -97,8 +108,8 @@ def test_a_second_scene_compiles_nothing(monkeypatch):
             else None
         )
     )
-    refine(scenes.furnished(), options, engine="native")
-    assert len(programs) <= 12, programs
+    first = refine(toppling(scenes.furnished()), options, engine="native")
+    assert first.iterations > 1 and len(programs) <= 12, programs
     programs.clear()
-    refine(scenes.blocks(), options, engine="native")
-    assert not programs
+    second = refine(toppling(scenes.blocks()), options, engine="native")
+    assert second.iterations > 1 and not programs
