@@ -9,16 +9,14 @@ from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement.algorithm import ask, update
+from neoworld_mjx.refinement.algorithm import propose, update
 from neoworld_mjx.refinement.batching import map_runs
 from neoworld_mjx.refinement.evaluation import Evaluation
-from neoworld_mjx.refinement.loop import _opened, search
-from neoworld_mjx.refinement.objective import evaluate, place
-from neoworld_mjx.refinement.reverting import choose_and_revert
+from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _opened, search
+from neoworld_mjx.refinement.objective import evaluate
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.sweeps import winners as module
-from neoworld_mjx.sweeps.group_runs import in_few_batches
 from neoworld_mjx.sweeps.run_rows import summaries
 from neoworld_mjx.sweeps.winners import choose_in_processes, processes_are_faster, winners
 from tests.support.scenes import noisy_layouts, stored_scene
@@ -30,15 +28,15 @@ INITIAL = {"xy": 0.08, "yaw": math.radians(20.0), "log_scale": 0.12}
 def options(w_drift=1.0, *, population=24, iterations=4, **more):
     cem = {
         "population": population,
-        "first": 0,
         "iterations": iterations,
         "elite_ratio": 0.25,
-        "prune": False,
+        "hold_resting": False,
+        "patience": 4,
     } | more.pop("cem", {})
     return RefineOptions.model_validate(
         {
             "cem": cem,
-            "descent": {"warm_steps": 0, "project": "never"} | more.pop("descent", {}),
+            "settle": {"enabled": False} | more.pop("settle", {}),
             "reward": {"w_drift": w_drift, **more},
             "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 64},
             "check_duration_s": 0.2,
@@ -63,18 +61,15 @@ def same_as_alone(model, runs):
     alone = []
     for run, result in zip(runs, found, strict=True):
         one = refine(model, run.options, seed=run.seed, start=run.start, engine=ENGINE)
-        chosen, layout, _ = choose_and_revert(
-            model, result.rounds, run.options, result.problem.objective, run.start
-        )
+        (chosen,) = winners(model.spec, run.options, model, [result])
         t, k = chosen.index
         scores = result.rounds[t].scores
         # Sums of all candidates, of which only those that may win are kept.
         assert result.summaries == summaries(one.history)
         assert (len(result.rounds), result.rollouts) == (one.iterations, one.rollouts)
-        assert result.pruned == one.pruned
         ended = (t, chosen.tried, chosen.passed)
         assert ended == (one.winner[0], one.finalists_tried, one.passed)
-        for a, b in zip(jax.tree.leaves(layout), jax.tree.leaves(one.layout), strict=True):
+        for a, b in zip(jax.tree.leaves(chosen.layout), jax.tree.leaves(one.layout), strict=True):
             np.testing.assert_array_equal(a, b)
         assert chosen.measure == one.measure
         for name in ("reward", "absolute"):
@@ -88,33 +83,61 @@ def same_as_alone(model, runs):
 def test_runs_in_one_computation_equal_separate_refinements(model):
     runs = started(model, [options(0.25), options(4.0, cem={"sigma_xy": 0.03})], (0, 1))
     alone = same_as_alone(model, runs)
-    # Else there would be nothing to confuse; two may have returned to one start.
+    # Otherwise there would be nothing to confuse.
     assert len({np.asarray(one.layout.xy).tobytes() for one in alone}) >= 3
     assert any(one.winner[0] > 0 for one in alone)
 
 
-def test_stopping_and_pruning_do_not_affect_other_runs(model):
-    pruning = {"prune": True, "batch": 8}
+def test_stopping_does_not_affect_other_runs(model):
     settings = [
-        options(cem={"stop_gain": 1e3, "patience": 1, **pruning}),
-        options(cem={"iterations": 2, **pruning}),
-        options(cem={"stop_gain": 0.0, **pruning}, w_prior=0.0),
+        options(cem={"stop_gain": 1e3, "patience": 1}),
+        options(cem={"iterations": 2}),
+        options(cem={"stop_gain": 0.0}, w_prior=0.0),
     ]
     alone = same_as_alone(model, started(model, settings, (0, 1)))
     assert len({one.iterations for one in alone}) > 1
-    assert len({one.pruned for one in alone}) > 1
 
 
-def test_valid_and_invalid_runs_equal_separate_refinements(model):
-    # What is valid already is no longer moved apart before it comes to rest; the others are.
-    o = options(
-        population=8, iterations=3, cem={"stop_gain": 0.0}, descent={"project": "needed"}
-    ).model_copy(update={"settle": "always"})
+def test_settled_and_searched_runs_equal_separate_refinements(model):
+    o = options(population=8, iterations=3, settle={"enabled": True, "duration_s": 1.5})
     noisy = noisy_layouts(model, 1, seed=0, **INITIAL)
-    deep = Layout(np.zeros_like(noisy.xy), noisy.yaw, noisy.log_scale + 0.4)
-    alone = same_as_alone(model, [SearchRun(o, 0, noisy), SearchRun(o, 1, deep)])
-    first = [bool(one.history["valid"][0].any()) for one in alone]
-    assert first == [True, False]
+    off_its_box = np.zeros_like(noisy.xy)
+    off_its_box[0, model.names.index("upper_2")] = (-0.12, 0.0)
+    away = Layout(off_its_box, noisy.yaw, noisy.log_scale)
+    alone = same_as_alone(model, [SearchRun(o, 0, noisy), SearchRun(o, 1, away)])
+    assert [one.iterations > 1 for one in alone] == [False, True]
+
+
+@pytest.fixture(scope="module")
+def beside():
+    """Six objects, one of them beside the box that should carry it."""
+    scene = stored_scene("crowded_6")
+    objects = [
+        item.model_copy(update={"xy": (-0.09, 0.0)}) if item.name == "upper_2" else item
+        for item in scene.objects
+    ]
+    scene = scene.model_copy(update={"objects": tuple(objects)})
+    return compile_for_search(scene, options())
+
+
+def test_held_objects_are_those_of_separate_refinements(beside):
+    settings = [
+        options(w, population=8, iterations=2, cem={"hold_resting": True}, settle={"enabled": True})
+        for w in (0.5, 2.0)
+    ]
+    alone = same_as_alone(beside, [SearchRun(o, 0) for o in settings])
+    assert all(0 < len(one.kept) < 6 and one.iterations > 1 for one in alone)
+
+
+def test_objects_are_free_for_a_run_that_holds_none(beside):
+    held, free = (
+        options(population=8, iterations=1, cem={"hold_resting": hold}, settle={"enabled": True})
+        for hold in (True, False)
+    )
+    results = search(beside, [SearchRun(held, 0), SearchRun(free, 0)], ENGINE)
+    assert all(result.scene is beside for result in results)
+    still = [np.ptp(np.asarray(r.rounds[1].layouts.xy), axis=0).max(axis=1) == 0 for r in results]
+    assert still[0].sum() > 1 and still[1].sum() == 1, "the table does not move"
 
 
 @pytest.mark.slow
@@ -122,11 +145,11 @@ def test_valid_and_invalid_runs_equal_separate_refinements(model):
     "more",
     [
         {"cem": {"credit": "object", "zero_candidate": False, "smoothing": 0.3}},
-        {"cem": {"credit": "island", "sigma_xy": 0.08}},
+        {"cem": {"credit": "scene", "widest": 1.0, "sigma_xy": 0.08}},
         {"normalisation": "iteration", "w_prior": 0.0},
-        {"cem": {"first": 8}, "descent": {"warm_steps": 5, "project": "always"}},
+        {"population": 8, "cem": {"hold_resting": True}, "settle": {"enabled": True}},
     ],
-    ids=["object", "island", "iteration", "descent"],
+    ids=["object", "scene", "iteration", "settle"],
 )
 def test_other_programs_are_as_alone_too(model, more):
     runs = started(model, [options(0.5, **more), options(2.0, **more)], (0, 1))
@@ -135,20 +158,20 @@ def test_other_programs_are_as_alone_too(model, more):
 
 def test_vmap_over_tiles_agrees_up_to_rounding(model):
     runs = started(model, [options(0.5), options(2.0)], (0, 1))[:3]
-    clock = dict.fromkeys(("descent", "rollout", "score"), 0.0)
-    evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), 1, clock, 0.0)
-    opened = _opened(evaluation, runs, (), None, may_fix_objects=True, progress=None)
+    clock = dict.fromkeys(CLOCKS, 0.0)
+    initials = _initial_scenes(model, runs, None)
     result = {}
     # Three runs in tiles of two: the second tile is filled up.
     for tile in (1, 2):
+        evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), tile, clock, 0.0)
+        opened = _opened(evaluation, runs, initials, (), None, plain=True)
         rows = [(r.problem, r.state, np.asarray(r.run.seed, np.uint32), 24) for r in opened]
-        layouts = map_runs(ask, model, rows, tile)
-        rows = [(z, r.problem.objective) for z, r in zip(layouts, opened, strict=True)]
-        placements = map_runs(place, model, rows, tile)
-        rollouts = [ENGINE.rollout(model, p.poses, duration=0.2) for p in placements]
+        layouts = map_runs(propose, model, rows, tile)
+        placed = [jax.device_get(p) for p in evaluation.place(layouts)]
+        rollouts = [ENGINE.rollout(model, p.poses, duration=0.2) for p in placed]
         rows = [
             (z, p, rollout, r.problem.objective)
-            for z, p, rollout, r in zip(layouts, placements, rollouts, opened, strict=True)
+            for z, p, rollout, r in zip(layouts, placed, rollouts, opened, strict=True)
         ]
         scores = map_runs(evaluate, model, rows, tile)
         rows = [(r.problem, r.state, z, s) for r, z, s in zip(opened, layouts, scores, strict=True)]
@@ -184,25 +207,27 @@ def test_32_points_and_4_seeds_compile_once_and_are_as_alone(model):
     same_as_alone(model, runs)
 
 
-def test_an_accelerator_gets_a_quarter_of_a_population_at_once(monkeypatch):
-    run = SearchRun(options(cem={"population": 70, "batch": 4}), 0)
-    assert in_few_batches(run).options.cem.batch == 4
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert in_few_batches(run).options.cem.batch == 18
-    few = run._replace(options=options(cem={"population": 70, "batch": 32}))
-    assert in_few_batches(few).options.cem.batch == 32
-
-
 def test_processes_choose_the_winners_that_threads_choose(model):
     results = search(model, started(model, [options(2.0)], (0, 1, 2)), ENGINE, keep=False)
     threads = winners(model.spec, options(), model, results)
     processes = choose_in_processes(model.spec, options(), results, 2)
     assert processes is not None
     for one, other in zip(threads, processes, strict=True):
-        assert one.chosen == other.chosen
+        assert (one.index, one.tried, one.measure) == (other.index, other.tried, other.measure)
         assert one.before == other.before
         for a, b in zip(jax.tree.leaves(one.layout), jax.tree.leaves(other.layout), strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_processes_know_held_objects(beside):
+    o = options(population=8, iterations=2, cem={"hold_resting": True}, settle={"enabled": True})
+    results = search(beside, [SearchRun(o, seed) for seed in (0, 1)], ENGINE, keep=False)
+    assert results[0].scene is not beside
+    threads = winners(beside.spec, o, beside, results)
+    processes = choose_in_processes(beside.spec, o, results, 1)
+    assert processes is not None
+    for one, other in zip(threads, processes, strict=True):
+        assert (one.index, one.measure) == (other.index, other.measure)
 
 
 def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
@@ -212,7 +237,7 @@ def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
     monkeypatch.setattr(module, "processes_are_faster", lambda runs, cores: True)
     monkeypatch.setattr(sys, "executable", "/bin/false")
     (winner,) = winners(model.spec, options(), model, results)
-    assert winner.chosen.tried > 0
+    assert winner.tried > 0
     assert lines == [
         "a process of final checks failed (exit status 1); checking in threads instead"
     ]
