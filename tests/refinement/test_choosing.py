@@ -1,64 +1,128 @@
-"""Order in which candidates are checked as the winner."""
+"""The order in which final scenes are checked, and that a search never makes a scene worse."""
 
 import jax
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement import choosing
 from neoworld_mjx.refinement.choosing import choose
+from neoworld_mjx.refinement.finishing import finish
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 
 OPTIONS = RefineOptions(finalists=3, check_duration_s=0.5)
+UNSETTLED = OPTIONS.model_copy(update={"settle": SettleOptions(enabled=False)})
 FALLS, STANDS = 0.06, 0.03
 """Offsets of the plate's center from that of its support [m], whose edge is at 0.05."""
-
-
-def searched(plate_x, valid):
-    """A plate on a block, and an iteration with the plate at each of `plate_x`, best first."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
-    on_low = {"parent": "low", "z": 0.06}
-    model = compile_scene(
-        scenes.on_table((low, (0, 0), 0.0, {}), (plate, (0.0, 0.0), 0.0, on_low), name="plate")
-    )
-    pop, count = len(plate_x), len(model.names)
-    xy = np.zeros((pop, count, 2), np.float32)
-    xy[:, model.names.index("plate"), 0] = plate_x
-    layouts = Layout(xy, np.zeros((pop, count), np.float32), np.zeros((pop, count), np.float32))
-    poses = jax.tree.map(np.asarray, model.place(layouts))
-    better = -np.arange(pop, dtype=np.float32)
-    still = np.zeros((pop, count), np.float32)
-    scores = Scores(
-        {}, np.array(valid), np.zeros(pop, np.int32), better, better, better, still, still, None
-    )
-    return model, [Round(layouts, poses, scores, np.zeros(pop, bool))]
-
-
 NEAR = [FALLS + 1e-4 * k for k in range(6)]
 
 
-def test_positions_that_failed_the_check_are_skipped():
-    chosen = choose(*searched([*NEAR, STANDS], [True] * 7), OPTIONS)
-    assert chosen.passed and chosen.index == (0, 6) and chosen.tried == 2
+@pytest.fixture(scope="module")
+def models():
+    """A plate on a block, composed where it falls and where it stands."""
+    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
+    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    on_low = {"parent": "low", "z": 0.06}
+    return {
+        x: compile_scene(
+            scenes.on_table((low, (0, 0), 0.0, {}), (plate, (x, 0.0), 0.0, on_low), name="plate")
+        )
+        for x in (FALLS, 0.0)
+    }
 
 
-@pytest.mark.parametrize(
-    ("plate_x", "valid"),
-    [([*NEAR, STANDS], [True] * 6 + [False]), (NEAR, [True] * 6)],
-    ids=["not valid", "nowhere else"],
-)
-def test_otherwise_candidates_are_checked_in_order_of_fidelity(plate_x, valid):
-    start = searched(plate_x, valid)[1][0].layouts[:1]
-    chosen = choose(*searched(plate_x, valid), OPTIONS, start)
-    assert not chosen.passed and chosen.index[1] in (0, 1, 2, -1)
-    assert chosen.tried == OPTIONS.finalists
+def searched(model, plate_x, valid):
+    """The initial layout, and an iteration with the plate at each of `plate_x`, best first."""
+    composed = model.spec.object("plate").xy[0]
+    rounds = []
+    for at, is_valid in (([composed], [False]), (plate_x, valid)):
+        pop, count = len(at), len(model.names)
+        xy = np.zeros((pop, count, 2), np.float32)
+        xy[:, model.names.index("plate"), 0] = np.subtract(at, composed)
+        zero = np.zeros((pop, count), np.float32)
+        layouts = Layout(xy, zero, zero)
+        poses = jax.tree.map(np.asarray, model.place(layouts))
+        better = -np.arange(pop, dtype=np.float32)
+        rested = np.ones((pop, count), bool)
+        scores = Scores(
+            {}, np.array(is_valid), np.zeros(pop, np.int32), better, better, better, zero, zero,
+            rested, None,
+        )  # fmt: skip
+        rounds.append(Round(layouts, poses, scores))
+    initial = finish(model, rounds[0].layouts, 0, OPTIONS)
+    return model, rounds, OPTIONS, initial
 
 
-def test_the_best_passing_candidate_wins():
-    chosen = choose(*searched([STANDS, 0.0], [True, True]), OPTIONS)
-    assert chosen.passed and chosen.index == (0, 0) and chosen.tried == 1
+def test_an_initial_layout_that_passes_wins_over_better_candidates(models):
+    chosen = choose(*searched(models[0.0], [STANDS], [True]))
+    assert chosen.passed and chosen.index == (0, 0) and chosen.tried == 0
+    assert not np.asarray(chosen.layout.xy).any()
+
+
+def test_it_is_ranked_as_a_candidate_if_objects_may_move_for_other_reasons(models):
+    model, rounds, o, initial = searched(models[0.0], [STANDS], [True])
+    chosen = choose(model, rounds, o, initial, accept_initial=False)
+    assert chosen.passed and chosen.index == (1, 0) and chosen.tried == 1
+
+
+@pytest.mark.parametrize("plate_x", [[STANDS, 0.0], [FALLS, STANDS], [FALLS, FALLS, STANDS]])
+def test_the_first_candidate_that_passes_wins(models, plate_x):
+    chosen = choose(*searched(models[FALLS], plate_x, [True] * len(plate_x)))
+    first = plate_x.index(STANDS)
+    assert chosen.passed and chosen.index == (1, first) and chosen.tried == first + 1
+    assert chosen.before.max_drift_m > chosen.measure.max_drift_m
+    plate = chosen.scene.object("plate").xy[0]
+    assert plate == pytest.approx(STANDS, abs=2e-3)
+
+
+def test_no_more_finalists_are_checked_than_the_options_say(models):
+    chosen = choose(*searched(models[FALLS], [*NEAR, STANDS], [True] * 7))
+    assert not chosen.passed and chosen.tried == OPTIONS.finalists
+
+
+def test_invalid_candidates_are_checked_after_valid_ones(models):
+    chosen = choose(*searched(models[FALLS], [FALLS, STANDS], [False, True]))
+    assert chosen.passed and chosen.index == (1, 1) and chosen.tried == 1
+
+
+def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
+    model, rounds, o, initial = searched(models[FALLS], NEAR[:3], [True] * 3)
+    assert not initial.passed
+    badness = {}
+
+    def graded(model, layouts, k, *rest):
+        """The candidates' final scenes are as bad as told."""
+        measure = initial.measure.model_copy(update={"max_drift_m": worst[k], "s_stab": False})
+        measure = measure.model_copy(update={"max_depth_m": 0.0, "settled_depth_m": 0.0})
+        found = initial._replace(measure=measure, moved_away=(), passed=False)
+        badness[k] = found.badness(o)
+        return found
+
+    monkeypatch.setattr(choosing, "finish", graded)
+    worst = [5.0, 6.0, 7.0]
+    drifts = initial.measure.model_copy(
+        update={"max_drift_m": 0.05, "max_tilt_deg": 0.0, "max_depth_m": 0.0}
+    )
+    initial = initial._replace(
+        measure=drifts.model_copy(update={"settled_depth_m": 0.0}), moved_away=()
+    )
+    chosen = choose(model, rounds, o, initial)
+    assert min(badness.values()) > chosen.finished.badness(o) == initial.badness(o) > 0
+    assert chosen.index == (0, 0) and chosen.finished is initial
+    worst = [5.0, 0.02, 0.03]
+    chosen = choose(model, rounds, o, initial)
+    assert chosen.index == (1, 1) and chosen.finished.badness(o) < initial.badness(o)
+
+
+def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models):
+    model, rounds, _, _ = searched(models[FALLS], NEAR, [True] * 6)
+    initial = finish(model, rounds[0].layouts, 0, UNSETTLED)
+    chosen = choose(model, rounds[1:], UNSETTLED, initial)
+    assert not chosen.passed and chosen.index[0] == 0 and chosen.tried == 3
+    nothing = choose(model, [], UNSETTLED, initial)
+    assert nothing.index == (-1, -1) and nothing.finished is initial
