@@ -22,6 +22,7 @@ from .exact import start_state
 from .guidance import INTERVAL_S, Guidance, Held, free_bodies, springs
 from .layout import Poses
 from .model import FREE, SceneModel, StaticScene, is_rotational
+from .recorder import DIVERGED
 
 HOLD_RATE = 1e5
 """Damping of joints while objects settle, in units of their inertia [1/s]: under gravity they move
@@ -104,6 +105,8 @@ def hold_joints(model: mujoco.MjModel) -> None:
 def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) -> SceneSpec:
     """Return a scene with every movable object at rest, settled under guidance in C MuJoCo.
 
+    A simulation that diverges returns the scene as it was placed.
+
     Args:
         scene: the scene; its joints keep their positions.
         o: duration, springs and limit of speed.
@@ -112,6 +115,7 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
     model, data = start_state(scene, timestep)
     if not model.nv:
         return scene
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     hold_joints(model)
     bodies = free_bodies(model, data.qpos)
     held = Held(bodies, springs(bodies, data.qpos[bodies.qpos]))
@@ -121,6 +125,8 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
             guided, step * timestep, data.qpos, data.qvel
         )
         mujoco.mj_step(model, data, every)
+        if not np.all(np.abs(data.qpos) < DIVERGED):
+            return scene
     return at_state(scene, model, data)
 
 

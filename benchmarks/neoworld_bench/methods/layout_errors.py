@@ -118,7 +118,7 @@ def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
         return math.degrees(abs(polar[0] - polar[1]))
     turns = np.arange(0.0, 2 * math.pi - 1e-9, period)
     cosines = [float(rotate(from_yaw(turn), up) @ true) for turn in turns]
-    return math.degrees(math.acos(min(1.0, max(cosines))))
+    return math.degrees(math.acos(min(1.0, max(-1.0, *cosines))))
 
 
 def _carried(
