@@ -7,86 +7,136 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import CEMOptions, DescentOptions, RefineOptions, RolloutOptions
+from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions, SettleOptions
 from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.physics.engine import Guidance
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
+from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import loop, refine
-from neoworld_mjx.spec import Box
+from neoworld_mjx.refinement import Term, refine
+from neoworld_mjx.refinement.loop import search
+from neoworld_mjx.refinement.search_run import SearchRun
+from neoworld_mjx.spec import Box, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
 
+UNSETTLED = SettleOptions(enabled=False)
+
+
+def block(name, size=(0.06, 0.06, 0.06)):
+    return scenes.single(name, (Box(size=size), (0, 0, 0)))
+
+
+def toppling():
+    """A plate whose center is 1 cm beyond its support's edge, and a tower that stands."""
+    on_low = {"parent": "low", "z": 0.06}
+    return scenes.on_table(
+        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, on_low),
+        (block("base"), (0.0, -0.25), 0.2, {}),
+        (block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
+        name="toppling",
+    )
+
 
 def clashing():
-    """Three boxes, two of them interpenetrating and one half over the edge of another."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    side = scenes.single("side", (Box(size=(0.08, 0.08, 0.08)), (0, 0, 0)))
-    high = scenes.single("high", (Box(size=(0.05, 0.05, 0.05)), (0, 0, 0)))
+    """Two boxes that interpenetrate, and one half over the edge of another."""
     return scenes.on_table(
-        (low, (0, 0), 0.0, {}),
-        (side, (0.0, 0.082), 0.1, {}),
-        (high, (0.049, 0.0), 0.3, {"parent": "low", "z": 0.06}),
+        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (block("side", (0.08, 0.08, 0.08)), (0.0, 0.082), 0.1, {}),
+        (block("high", (0.05, 0.05, 0.05)), (0.049, 0.0), 0.3, {"parent": "low", "z": 0.06}),
         name="clashing",
     )
 
 
-def options(population=32, iterations=6, steps=50):
-    return RefineOptions(
-        cem=CEMOptions(population=population, iterations=iterations),
-        rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=64),
+def unreachable():
+    """A picture that hangs in the air, and a box."""
+    picture = {"relation": "attached", "z": 0.8}
+    return scenes.on_table(
+        (block("box"), (0.0, 0.1), 0.0, {}),
+        (block("picture", (0.02, 0.2, 0.2)), (0.0, -0.2), 0.0, picture),
+        name="unreachable",
     )
 
 
-@pytest.mark.parametrize(
-    "engine",
-    [
-        pytest.param(NativeEngine(), id="native"),
-        # tests/physics compares its validity with that of the native engine.
-        pytest.param(MjxEngine(), id="mjx", marks=pytest.mark.slow),
-    ],
-)
-def test_an_invalid_scene_becomes_valid(engine):
-    result = refine(clashing(), options(), seed=1, engine=engine)
+def options(population=32, iterations=6, steps=100, **cem):
+    return RefineOptions(
+        cem=CEMOptions(population=population, iterations=iterations, **cem),
+        rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=64),
+        check_duration_s=0.5,
+    )
+
+
+def unsettled(*args, **cem):
+    return options(*args, **cem).model_copy(update={"settle": UNSETTLED})
+
+
+ENGINES = [
+    pytest.param(NativeEngine(), id="native"),
+    # tests/physics compares its validity with that of the native engine.
+    pytest.param(MjxEngine(), id="mjx", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_object_that_topples_is_moved_onto_its_support(engine):
+    result = refine(toppling(), options(), seed=1, engine=engine)
     assert result.engine == engine.name
-    before, after = result.before, result.measure
-    assert before.s_pen == 1
-    assert before.max_depth_m > 0.005
-    assert result.passed
-    assert after.s_pen == 0
-    assert after.s_stab is True
-    assert after.movable == 3
-    assert after.max_depth_m < 1e-3
-    plain = options().model_copy(update={"descent": DescentOptions(warm_steps=0)})
-    tried = refine(clashing(), plain, seed=1, engine=engine).history
-    assert not tried["xy"][0, 0].any()  # without a warm start the zero layout comes first
-    assert tried["absolute"].max() > tried["absolute"][0, 0] + 0.2
-    assert result.history["absolute"][0].max() > tried["absolute"][0].max()
-    again = scene_measure(result.scene)
-    assert again == after
+    assert not result.before.s_stab or "plate" not in result.kept
+    assert result.passed and result.measure.s_stab and result.measure.movable == 4
+    assert result.winner[0] > 0
+    assert set(result.kept) == {"low", "base", "top"}
+    assert scene_measure(result.scene, duration=0.5) == result.measure
+    poses = world_poses(result.scene)
+    assert poses["plate"].pos[2] == pytest.approx(0.06, abs=1e-3)
+    assert abs(poses["plate"].pos[0] - poses["low"].pos[0]) < 0.055
 
 
-def test_a_smaller_first_population_does_not_update_the_optimizer():
-    means = {}
-    for first in (8, 32):
-        o = options(32, 2)
-        cem = o.cem.model_copy(update={"first": first})
-        tried = refine(clashing(), o.model_copy(update={"cem": cem}), seed=1).history
-        assert np.sum(tried["status"][0] >= 0) == first
-        means[first] = [tried["xy"][t, 0] for t in (0, 1)]  # The mean is the first candidate.
-    np.testing.assert_array_equal(*means[8])
-    assert np.abs(np.subtract(*means[32])).max() > 1e-4
+def test_what_rests_is_held_where_it_rests():
+    result = refine(toppling(), options(), seed=1, engine="native")
+    names = result.history["object_names"].tolist()
+    held = [names.index(name) for name in ("low", "base", "top")]
+    for field in ("xy", "yaw", "log_scale"):
+        values = np.nan_to_num(result.history[field])
+        assert not values[:, :, held].any()
+        assert np.abs(values[1:, :, names.index("plate")]).max() > 0.001
+    free = refine(toppling(), options(hold_resting=False), seed=1, engine="native")
+    assert np.nanmax(np.abs(free.history["xy"][1][:, held])) > 0.001
+
+
+def test_overlapping_objects_come_apart_without_a_search():
+    scene = clashing()
+    assert scene_measure(scene, duration=0.1).max_depth_m > 0.005
+    result = refine(scene, options(), engine="native")
+    assert result.passed and result.rollouts == 1 and result.winner == (0, 0)
+    assert result.measure.max_depth_m < 1e-3
+
+
+@pytest.mark.parametrize("scene", [scenes.blocks(), scenes.furnished()], ids=["blocks", "cabinet"])
+def test_a_scene_that_passes_needs_no_iteration(scene):
+    lines = []
+    o = options(32, 4).model_copy(update={"check_duration_s": 2.0})
+    result = refine(scene, o, engine="native", progress=lines.append)
+    assert result.passed and result.iterations == 1 and result.rollouts == 1
+    assert result.winner == (0, 0) and result.finalists_tried == 0
+    assert isinstance(result.layout, Layout)
+    assert not any(np.asarray(leaf).any() for leaf in (result.layout.xy, result.layout.yaw))
+    moving = [item.name for item in scene.objects if not item.environment]
+    assert list(result.kept) == moving
+    assert lines == [f"all {len(moving)} objects rest where they were placed"]
+    assert math.isfinite(result.measure.max_drift_m)
 
 
 def test_the_same_seed_gives_the_same_bits():
-    first = refine(clashing(), options(32, 3), seed=5)
-    second = refine(clashing(), options(32, 3), seed=5)
-    other = refine(clashing(), options(32, 3), seed=6)
+    first = refine(toppling(), options(32, 3), seed=5)
+    second = refine(toppling(), options(32, 3), seed=5)
+    other = refine(toppling(), options(32, 3), seed=6)
     assert first.scene.to_json() == second.scene.to_json()
     for name, values in first.history.items():
         same = np.array_equal(values, second.history[name], equal_nan=values.dtype.kind == "f")
         assert same, name
-    assert not np.array_equal(first.history["xy"], other.history["xy"])
+    assert not np.array_equal(first.history["xy"], other.history["xy"], equal_nan=True)
 
 
 class Stubborn:
@@ -100,96 +150,124 @@ class Stubborn:
 
 
 def test_failure_of_every_candidate_is_reported():
-    never = options(32, 2).model_copy(update={"settle": "never"})
-    result = refine(clashing(), never, engine=Stubborn())
-    assert not result.passed
-    assert result.winner == (-1, -1)
-    assert result.fallbacks
-    assert result.mean_log_scale == 0.0
+    result = refine(toppling(), unsettled(32, 2), engine=Stubborn())
+    assert not result.passed and result.winner == (-1, -1)
+    assert result.fallbacks and result.mean_log_scale == 0.0
+    result = refine(toppling(), options(32, 2), engine=Stubborn())
+    assert not result.passed and result.winner == (0, 0)
+    assert any("plate came to rest away from its place" in line for line in result.fallbacks)
 
 
-def test_a_valid_scene_keeps_its_layout():
-    result = refine(scenes.blocks(), options(32, 4))
-    assert result.passed
-    assert math.isfinite(result.measure.max_drift_m)
-    assert isinstance(result.layout, Layout)
-    assert result.history["valid"][0, 0]
+def test_a_search_in_which_an_object_never_rests_ends_and_names_it():
+    lines = []
+    result = refine(unreachable(), options(64, 8), engine="native", progress=lines.append)
+    # Factors 1, 2, 4 and 8, then no more.
+    assert not result.passed and result.iterations == 1 + 4
+    (line,) = [text for text in result.fallbacks if "ended after" in text]
+    assert "picture" in line and "box" not in line
+    assert lines[0] == "1 of 2 objects do not rest: picture"
+    k = result.history["object_names"].tolist().index("picture")
+    spread = np.nanstd(result.history["xy"][1:, :, k], axis=(1, 2))
+    np.testing.assert_allclose(spread[1:] / spread[:-1], 2.0, rtol=0.25)
 
 
-def tipping():
-    """A plate that overhangs too far: it does not penetrate, but tips over in a rollout."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
-    on_low = {"parent": "low", "z": 0.06}
-    return scenes.on_table((low, (0, 0), 0.0, {}), (plate, (0.06, 0.0), 0.0, on_low), name="tips")
+def test_a_narrower_limit_ends_the_search_earlier():
+    result = refine(unreachable(), options(16, 8, widest=2.0), engine="native")
+    assert result.iterations == 1 + 2
+
+
+@pytest.mark.parametrize("stop_by", ["best", "elites"])
+def test_both_convergence_rules_stop_the_search(stop_by):
+    result = refine(toppling(), options(stop_by=stop_by, stop_gain=10.0), seed=1, engine="native")
+    assert 1 < result.iterations < 7
 
 
 def test_without_simulation_only_the_final_check_detects_a_fall():
-    scene = tipping()
-    options = RefineOptions(
-        cem=CEMOptions(population=32, iterations=2, sigma_xy=1e-4, sigma_yaw_deg=0.1),
-        rollout=RolloutOptions(duration_s=0.0, samples_per_object=64),
-        descent=DescentOptions(warm_steps=0),
-    )
-    result = refine(scene, options, seed=0)
+    o = unsettled(32, 2, 0, sigma_xy=1e-4, sigma_yaw_deg=0.1, hold_resting=False)
+    result = refine(toppling(), o, seed=0)
     assert not result.passed and not result.measure.s_stab
     assert np.nanmax(result.history["d_drift"]) < 1e-6
-    simulated = options.model_copy(
-        update={"rollout": RolloutOptions(duration_s=0.5, samples_per_object=64)}
+    o = unsettled(32, 2, 125, sigma_xy=1e-4, sigma_yaw_deg=0.1, hold_resting=False)
+    assert np.nanmin(refine(toppling(), o, seed=0).history["d_drift"]) > 1.0
+
+
+def test_a_plain_search_of_algorithm_1_draws_every_iteration():
+    o = unsettled(16, 3, 50, hold_resting=False, zero_candidate=False, stop_by="elites")
+    o = o.model_copy(update={"cem": o.cem.model_copy(update={"stop_gain": 0.0, "patience": 9})})
+    result = refine(scenes.blocks(), o, engine="native")
+    assert result.history["reward"].shape == (3, 16) and result.rollouts == 48
+    moving = np.abs(result.history["xy"][:, :, 1:]).max(axis=(1, 3))
+    assert (moving > 1e-4).all()
+
+
+def leaning(degrees=8.0):
+    """A slab in the air by one edge, at a tilt that no layout can change, and a block."""
+    tilt = tuple(from_axis_angle([1, 0, 0], math.radians(degrees)).tolist())
+    return scenes.on_table(
+        (block("slab", (0.1, 0.1, 0.02)), (0, 0), 0.0, {"base_tilt": tilt}),
+        (block("block", (0.04, 0.04, 0.06)), (0.0, 0.2), 0.0, {}),
+        name="leaning",
     )
-    assert np.nanmin(refine(scene, simulated, seed=0).history["d_drift"]) > 1.0
 
 
-def leaning():
-    """A slab that hangs in the air by one edge, at a tilt that no layout can change."""
-    slab = scenes.single("slab", (Box(size=(0.1, 0.1, 0.02)), (0, 0, 0)))
-    block = scenes.single("block", (Box(size=(0.04, 0.04, 0.06)), (0, 0, 0)))
-    scene = scenes.on_table((slab, (0, 0), 0.0, {}), (block, (0.0, 0.2), 0.0, {}), name="leaning")
-    tilt = tuple(from_axis_angle([1, 0, 0], math.radians(8)).tolist())
-    objects = [
-        item.model_copy(update={"base_tilt": tilt}) if item.name == "slab" else item
-        for item in scene.objects
-    ]
-    return scene.model_copy(update={"objects": tuple(objects)})
+def test_a_tilt_that_no_layout_can_change_settles_unless_disabled():
+    never = refine(leaning(), unsettled(16, 2), seed=1, engine="native")
+    assert not never.passed and never.measure.max_tilt_deg > 5
+    settled = refine(leaning(), options(16, 2), seed=1, engine="native")
+    assert settled.passed and settled.rollouts == 1
+    _, x, y, _ = settled.scene.object("slab").base_tilt
+    assert math.hypot(x, y) < 1e-3 and set(settled.kept) == {"slab", "block"}
 
 
-def test_an_unsupported_object_settles_unless_disabled():
-    unsettled = refine(
-        leaning(), options(32, 3, 125).model_copy(update={"settle": "never"}), seed=1
-    )
-    assert not unsettled.passed
-    assert unsettled.measure.max_tilt_deg > 5
-    settled = refine(leaning(), options(32, 3, 125), seed=1)
-    assert settled.passed
-    assert settled.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
-    assert "block" in settled.kept
-    assert any("were settled" in line for line in settled.fallbacks)
-    assert not any("were settled" in line for line in unsettled.fallbacks)
-    # Settling counts as drift: 8 of 15 degrees.
-    drift = settled.history["d_drift"][settled.winner]
-    assert drift == pytest.approx(8 / 15, rel=0.1)
+class Watched(NativeEngine):
+    """Notes whether each rollout was guided."""
+
+    def __init__(self):
+        super().__init__()
+        self.guided = []
+
+    def simulate(self, scene, poses, schedule):
+        self.guided.append((schedule.guidance, len(poses.scale)))
+        return super().simulate(scene, poses, schedule)
 
 
-def test_if_no_candidate_passes_the_initial_layout_is_settled_unless_disabled():
-    settled = refine(leaning(), options(32, 2), engine=Stubborn())
-    assert settled.passed and settled.winner == (-1, -1)
-    assert settled.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
-    assert any("initial scene was settled" in line for line in settled.fallbacks)
-    never = options(32, 2).model_copy(update={"settle": "never"})
-    assert not refine(leaning(), never, engine=Stubborn()).passed
-    # A plate that topples ends up stable, but too far from its composed pose.
-    assert not refine(tipping(), options(32, 2), engine=Stubborn()).passed
+def test_each_population_is_settled_under_guidance_and_then_falls_freely():
+    engine = Watched()
+    result = refine(toppling(), options(16, 2), seed=1, engine=engine)
+    springs = Guidance(12.0, 1.4, 2.0)
+    assert engine.guided[0] == (None, 1)  # the initial layout
+    assert engine.guided[1:] == [(springs, 16), (None, 16)] * (result.iterations - 1)
+    engine = Watched()
+    refine(toppling(), unsettled(16, 2), seed=1, engine=engine)
+    assert {guidance for guidance, _ in engine.guided} == {None}
 
 
-def test_batches_settle_until_one_candidate_is_valid_with_and_without_pruning(monkeypatch):
-    monkeypatch.setattr(loop, "SETTLE_BATCH", 8)
-    o = options(32, 3, 125).model_copy(update={"settle": "always"})
-    runs = {}
-    for prune in (True, False):
-        cem = o.cem.model_copy(update={"prune": prune, "stop_gain": 0.0, "patience": 9})
-        runs[prune] = refine(leaning(), o.model_copy(update={"cem": cem}), seed=1)
-    scored = {k: np.isfinite(r.history["absolute"]).sum(axis=1) for k, r in runs.items()}
-    assert scored[False].tolist() == [8, 8, 8]
-    assert (scored[True] <= scored[False]).all() and runs[True].passed
-    assert runs[True].winner == runs[False].winner
-    assert (runs[True].history["xy"] == runs[False].history["xy"]).all()
+def test_runs_with_equal_options_find_what_a_single_run_finds():
+    o = options(16, 3)
+    model = compile_scene(toppling(), samples=64)
+    many = search(model, [SearchRun(o, 1), SearchRun(o, 2)], NativeEngine())
+    (alone,) = search(model, [SearchRun(o, 2)], NativeEngine())
+    assert len(many[1].rounds) == len(alone.rounds)
+    for a, b in zip(many[1].rounds, alone.rounds, strict=True):
+        np.testing.assert_array_equal(a.layouts.xy, b.layouts.xy)
+        np.testing.assert_array_equal(a.scores.reward, b.scores.reward)
+    assert many[0].initial is many[1].initial
+
+
+def test_a_custom_start_is_the_center_of_the_search():
+    scene = toppling()
+    names = [item.name for item in scene.objects]
+    start = Layout.zero(1, len(names))
+    xy = np.zeros((1, len(names), 2), np.float32)
+    xy[0, names.index("plate"), 0] = -0.06
+    start = Layout(xy, start.yaw, start.log_scale)
+    result = refine(scene, options(16, 2), start=start, engine="native")
+    assert result.passed and result.rollouts == 1
+    np.testing.assert_array_equal(result.layout.xy, xy)
+
+
+def test_a_term_of_ones_own_moves_what_rests():
+    right = Term("right", lambda s, z, r: jnp.mean(z.xy[..., 0], axis=1) / 0.1, 50.0)
+    result = refine(scenes.blocks(), options(16, 2), engine="native", terms=[right])
+    assert result.passed and result.rollouts == 33
+    assert result.history["right"][result.winner] > 0.0
