@@ -8,17 +8,14 @@ an object that the photograph shows whole is cut or occluded. Errors within the 
 count little, but the score is strictly monotonic, so that candidates can be ranked.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..physics.array_types import AnyArray
-from ..physics.layout import Poses
 from ..physics.scene_arrays import SceneArrays
-from ..physics.visibility import Outlines, Visible, outlines
+from ..physics.visibility import Visible
 
 NOISE = 0.02
 """Parse noise, as a fraction of a size, depth or direction; smaller errors cost little."""
@@ -30,14 +27,12 @@ BOX_TOLERANCE = 0.25
 """Mean distance of box edges, over the box's size, at which a box's score is zero."""
 SEEN_DEPTH = 0.01
 """Penetration [m] at which an intersection is certainly visible."""
-BOX_NOISE_PX, BOX_NOISE = 2.0, 0.02
-"""Noise of a parsed box edge: in pixels, and as a fraction of the box's size."""
 
 
-def _extent(boxes: Any, xp: Any = jnp) -> Any:
+def _extent(boxes: AnyArray) -> Array:
     """Return the square roots of the boxes' areas [px]."""
-    sides = xp.maximum(boxes[..., 2:] - boxes[..., :2], 0.0)
-    return xp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
+    sides = jnp.maximum(boxes[..., 2:] - boxes[..., :2], 0.0)
+    return jnp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
 
 
 class Semantic(eqx.Module):
@@ -124,40 +119,3 @@ def _score(error: AnyArray, tolerance: float) -> Array:
     """Map an error to a score: 1 at zero, nearly flat within the noise, 0 from `tolerance` on."""
     rounded = jnp.sqrt(error * error + NOISE * NOISE) - NOISE
     return jnp.clip(1.0 - rounded / (np.hypot(tolerance, NOISE) - NOISE), 0.0, 1.0)
-
-
-def reprojection_error(scene: SceneArrays, poses: Poses) -> Float[AnyArray, " pop"]:
-    """Return the squared distance of projected boxes from the photograph's, in units of its noise.
-
-    Differentiable; linear beyond three units (Huber), as parsed boxes have outliers. Only visible
-    sides count: see `PhotoView.sides`.
-    """
-    return reprojection_residual(scene, outlines(scene, poses))
-
-
-def reprojection_residual(
-    scene: SceneArrays, shown: Outlines, xp: Any = jnp
-) -> Float[AnyArray, " pop"]:
-    """Return `reprojection_error` of known outlines; `xp` is `numpy` on the host."""
-    error = xp.abs(_box_sides(scene, shown, xp))
-    huber = xp.where(error < 3.0, error**2 / 2, 3.0 * (error - 1.5))
-    return xp.sum(huber, axis=(1, 2))
-
-
-def box_error(scene: SceneArrays, shown: Outlines) -> Float[Array, "pop object"]:
-    """Return the largest error of the visible sides of each object's box.
-
-    In units of the noise of a parsed box; zero for objects that are not judged or have no visible
-    side.
-    """
-    return jnp.max(jnp.abs(_box_sides(scene, shown)), axis=-1)
-
-
-def _box_sides(
-    scene: SceneArrays, shown: Outlines, xp: Any = jnp
-) -> Float[AnyArray, "pop object 4"]:
-    v = scene.photo
-    boxes, sides, judged = (xp.asarray(x) for x in (v.boxes, v.sides, v.judged))
-    error = xp.asarray(shown.boxes) - boxes
-    error = error / (BOX_NOISE_PX + BOX_NOISE * _extent(boxes, xp)[:, None])
-    return xp.where(sides & judged[:, None], error, 0.0)
