@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -59,7 +61,9 @@ scene = SceneSpec(
 # ## The sweep
 #
 # Two axes, the search radius and the weight of drift, with three seeds each. Both options are
-# inputs of the same compiled program, so all eighteen runs are one computation.
+# inputs of the same compiled program, so all eighteen runs are one computation. Settling alone would
+# repair this scene, and there would be nothing to search; without it, candidates are judged where
+# their layouts place them.
 
 # %%
 wide, weight = "refine.cem.sigma_xy", "refine.reward.w_drift"
@@ -68,6 +72,7 @@ plan = {
     "base": {
         "refine": {
             "cem": {"population": 24, "iterations": 4, "hold_resting": False, "stop_by": "elites"},
+            "settle": {"enabled": False},
             "rollout": {"engine": "native"},
         }
     },

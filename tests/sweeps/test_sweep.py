@@ -102,6 +102,7 @@ def test_the_notebook_runs_in_small_form():
     base = """{
         "refine": {
             "cem": {"population": 24, "iterations": 4, "hold_resting": False, "stop_by": "elites"},
+            "settle": {"enabled": False},
             "rollout": {"engine": "native"},
         }
     }"""
