@@ -96,6 +96,10 @@ INNER_M = {
 """Half width of cavities that are narrower than their vessel."""
 
 
+RECTANGULAR = ("tray",)
+"""Vessels into whose corners the ball may roll."""
+
+
 class Held(NamedTuple):
     """Measures of one vessel, and the outcome of dropping a ball into it."""
 
@@ -152,6 +156,9 @@ def _holds(name: str, spec: ObjectSpec) -> bool:
     for _ in range(3000):
         mujoco.mj_step(compiled, data)
     at = data.body("ball").xpos - data.body(spec.name).xpos
-    reach = INNER_M.get(name, float(min((high - low)[:2])) / 2)
+    half = (high - low)[:2] / 2
+    inside = np.hypot(at[0], at[1]) < INNER_M.get(name, float(half.min()))
+    if name in RECTANGULAR:
+        inside = bool(np.all(np.abs(at[:2]) < half))
     # Neither below the floor nor on the rim.
-    return bool(0.9 * BALL_M < at[2] < high[2] + 0.9 * BALL_M and np.hypot(at[0], at[1]) < reach)
+    return bool(0.9 * BALL_M < at[2] < high[2] + 0.9 * BALL_M and inside)
