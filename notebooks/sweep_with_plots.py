@@ -61,9 +61,9 @@ scene = SceneSpec(
 # ## The sweep
 #
 # Two axes, the search radius and the weight of drift, with three seeds each. Both options are
-# inputs of the same compiled program, so all eighteen runs are one computation. Settling alone would
-# repair this scene, and there would be nothing to search; without it, candidates are judged where
-# their layouts place them.
+# inputs of the same compiled program, so all eighteen runs are one computation. Settling alone
+# would repair this scene, and there would be nothing to search; without it, candidates are judged
+# where their layouts place them.
 
 # %%
 wide, weight = "refine.cem.sigma_xy", "refine.reward.w_drift"
