@@ -43,7 +43,8 @@ class CEMOptions(Options):
         True,
         "Hold objects that rest where they should in the initial layout, so that only the others, "
         "and what they support, move. In a sweep, they are fixed only if all runs start at the "
-        "composed scene; otherwise they are free, but not perturbed.",
+        "composed scene; otherwise they are free, but not perturbed. With custom reward terms, "
+        "scores by a model, or another optimizer, all objects move.",
         difference=PaperDifference(
             False, "Moving an object that already rests where it should can only make it worse."
         ),
