@@ -40,7 +40,7 @@ def test_a_run_records_its_files_options_and_versions(tmp_path):
     assert (out / "objects" / "scene.txt").read_text() == "treetree"
     assert data["status"] == "finished"
     assert data["fingerprint"] == Config().fingerprint()
-    assert data["config"]["refine"]["cem"]["population"] == 256
+    assert data["config"]["refine"]["cem"]["population"] == 64
     assert {"python", "mujoco", "jax", "numpy"} <= set(data["versions"])
     assert set(data["steps"]) == {"parse", "compose"}
     assert not (out / ".staging").exists()

@@ -52,11 +52,12 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_rewards", raising=False)
     call = _blocks("python")[1]
-    small = '"cem": {"hold_resting": False, "population": 16, "iterations": 1}'
-    call = call.replace('"cem": {"hold_resting": False}', small)
+    small = '"cem": {"population": 16, "iterations": 1}, "reward"'
+    call = call.replace('"reward"', small)
     space = {"scene": scenes.blocks()}
     exec(call, space)
-    assert space["refined"].history["reward"].shape == (1, 16)
+    # The initial layout, and one iteration: with a user's term a scene that passes is searched.
+    assert space["refined"].history["reward"].shape == (2, 16)
     assert space["refine"] is refine
 
 

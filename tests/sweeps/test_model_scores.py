@@ -1,7 +1,6 @@
 """Sweeps and ablations whose S_sem is a model's: one ledger and one cap, recorded and followed."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +8,9 @@ from neoworld_bench.named_scenes import photo_case
 from PIL import Image
 
 from neoworld_mjx.errors import BudgetError, ConfigError, ModelError, SpecError
-from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.refinement.score_log import SAME_LAYOUT, ScoreLog, read_scores
 from neoworld_mjx.sweeps import Case, ablate, sweep
 from neoworld_mjx.sweeps.model_scores import file_name
-from neoworld_mjx.sweeps.plan import Ablation, points, read
 from tests.support import scenes
 from tests.support.messages import MessagesServer
 
@@ -138,25 +134,6 @@ def test_scores_recorded_on_another_processor_apply(recorded, case, tmp_path):
     assert follow(0.5 * SAME_LAYOUT, "near").rows[0]["reward"] == swept.rows[0]["reward"]
     with pytest.raises(ModelError, match="the score of another layout"):
         follow(2 * SAME_LAYOUT, "far")
-
-
-def test_the_bundled_scores_of_the_photograph_apply():
-    root = Path(__file__).parents[2]
-    plan = read(root / "configs/ablations/without_s_sem.yaml", Ablation)
-    base, without = points(plan)
-    assert without.options.reward.w_sem == 0
-    bundled = {
-        seed: root / plan.scores / file_name(*plan.scenes, base.label, seed) for seed in plan.seeds
-    }
-    assert all(len(read_scores(path)) == 12 for path in bundled.values())
-    case = photo_case("coffee")
-    refined = refine(case.scene, base.options, seed=4, recorded=bundled[4], engine="native")
-    assert refined.passed
-    assert refined.scoring["scorer"] == "recorded"
-    t, k = refined.winner
-    values = {s.identity: s.value for s in read_scores(bundled[4])}
-    assert refined.history["s_sem"][t, k] == values[int(t), int(k)]
-    assert case.errors(compile_scene(case.scene), refined.layout)["box_iou"] > 0.5
 
 
 def test_only_examples_with_a_composed_scene_are_photo_case():

@@ -1,5 +1,6 @@
 import json
 
+import jax
 import numpy as np
 import pytest
 import yaml
@@ -57,6 +58,7 @@ def without_times(rows):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
+    jax.clear_caches()  # Padded scenes share programs, which other tests may have compiled.
     out = tmp_path_factory.mktemp("sweep") / "new"
     return out, sweep(plan(drift=[1, 2], sigma=[5, 10]), out, cases=[SCENE])
 
