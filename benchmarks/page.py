@@ -44,7 +44,7 @@ class Figure(BaseModel):
     notes: str = ""
     """Markdown after the table."""
     superseded: str = ""
-    """What has changed since the measurement, if it has not been repeated."""
+    """Change since the measurement, if it has not been repeated; empty otherwise."""
 
 
 class Page(BaseModel):

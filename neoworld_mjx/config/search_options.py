@@ -58,7 +58,7 @@ class CEMOptions(Options):
         ge=1,
         le=1000,
         difference=PaperDifference(
-            1.0, "An object beside its support is never drawn onto it from too narrow a Gaussian."
+            1.0, "An object next to its support is never drawn onto it from too narrow a Gaussian."
         ),
     )
     sigma_floor: float = traced(

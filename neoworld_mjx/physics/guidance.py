@@ -1,7 +1,7 @@
 """Guided settling: springs that hold free objects near their placed poses, and fade.
 
 Contacts and gravity act from the start. The springs and dampers are critically damped, in units of
-each object's mass and inertia, so an object sags by g / rate^2, keeps its place, and comes to rest
+each object's mass and inertia, so an object sags by g / rate^2, keeps its place, and settles
 on what it touches. Once they have faded, it stands by itself.
 """
 

@@ -50,8 +50,8 @@ IMPRATIO = 10.0
 """Ratio of the impedances of friction and normal force; stiffer friction than MuJoCo's default
 keeps resting objects from creeping."""
 CONTACT_TIME_S = 0.01
-"""Time constant of contacts [s]; at half of MuJoCo's default, what rests sinks in a quarter as
-deep."""
+"""Time constant of contacts [s], half of MuJoCo's default. The depth of a resting contact is
+proportional to its square (MuJoCo's documentation, Solver parameters)."""
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,

@@ -1,7 +1,7 @@
 """Settling under guidance: candidates on any engine, and a single scene exactly in C MuJoCo.
 
-Objects are placed, held near their placed poses by springs that fade (`guidance`), and come to rest
-on what they touch. Joints keep their positions.
+Objects are placed, held near their placed poses by springs that fade (`guidance`), and settle on
+what they touch. Joints keep their positions.
 """
 
 import copy
@@ -25,8 +25,8 @@ from .model import FREE, SceneModel, StaticScene, is_rotational
 from .recorder import DIVERGED
 
 HOLD_RATE = 1e5
-"""Damping of joints while objects settle, in units of their inertia [1/s]: under gravity they move
-by some 1e-4 rad or m in a second."""
+"""Damping of joints while objects settle, in units of their inertia [1/s]. A joint that gravity
+accelerates by a moves at a / HOLD_RATE."""
 
 
 def guidance(o: SettleOptions) -> Guidance:

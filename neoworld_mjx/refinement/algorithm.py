@@ -3,10 +3,10 @@
 `loop.search` calls them for one run or many; docs/architecture.md maps them to the
 paper's lines. `evaluate` is in `objective`.
 
-Beyond Algorithm 1, one rule says what moves. The deviations of each object have a factor: it is
-small for an object that rests where it should in the initial layout, and doubles as long as the
-object rests in no candidate, up to a limit. Until a candidate is valid, an object learns from the
-candidates in which it rests. `configs/paper.yaml` disables the rule.
+Beyond Algorithm 1, one rule says what moves. The deviations of each object have a factor: it is 0
+for an object that rests where it should in the initial layout, and doubles in every iteration in
+which the object rests in no candidate, up to a limit. Until a candidate is valid, an object learns
+from the candidates in which it rests. `configs/paper.yaml` disables the rule.
 """
 
 from collections.abc import Sequence

@@ -114,9 +114,8 @@ class Evaluation(NamedTuple):
         rest = jax.tree.map(np.float32, pad_objects(rest, self.arrays.count))
         candidate = measured_in_chunks(self.arrays, rest, rest)
         (rollout,) = roll_out(self.scene, [rest], self.engine, self.options, 1)
-        time_, repeats = rollout.time, repeated(eqx.tree_at(lambda x: x.time, rollout, np.zeros(1)))
-        repeats = eqx.tree_at(lambda x: x.time, repeats, time_)
-        (scores,) = self.score([r], [repeated(origin)], [repeated(candidate)], [repeats])
+        rollouts = eqx.tree_at(lambda x: x.time, repeated(rollout), rollout.time)
+        (scores,) = self.score([r], [repeated(origin)], [repeated(candidate)], [rollouts])
         scores = jax.tree.map(lambda x: np.asarray(x)[:1], scores)
         return self.unpadded_round(origin, rest, scores)
 

@@ -16,7 +16,7 @@ from ..spec import SceneSpec, world_poses
 from ..spec.pose import pose
 
 RELEASES = 2
-"""Number of times that a scene which fails its final check is taken from where it came to rest
+"""Number of times that a scene which fails its final check is settled again from where it ended
 there, such as a potato that settled on an unstable side."""
 
 
@@ -112,7 +112,7 @@ def _checked(
 
 
 def _released(finished: Finished, o: RefineOptions) -> SceneSpec:
-    """Return a scene whose failing objects lie where they come to rest in a free fall."""
+    """Return a scene whose failing objects are where a free fall takes them."""
     free = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
     end = settle_scene(finished.scene, free)
     poses = world_poses(end)
@@ -168,8 +168,7 @@ def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
     """Return a composed scene in which objects that are not `freed` are fixed at their resting
     poses.
 
-    The freed objects stay at their composed poses. A search of this scene is as much faster as
-    fewer objects move.
+    The freed objects stay at their composed poses. The fewer objects move, the faster is a search.
     """
     free = freed(composed, initial.rests(o))
     objects = [

@@ -47,7 +47,7 @@ class Ablation(_Request):
     variants: dict[str, dict[str, Any]] = {}
     """Values by the path of an option, for each variant."""
     fold: bool = False
-    """As in `Plan`; if False, every run is timed like a single refinement."""
+    """The option of `Plan`; if False, every run is timed like a single refinement."""
 
 
 class Point(NamedTuple):

@@ -109,7 +109,7 @@ def test_with_the_papers_options_the_updates_are_those_of_algorithm_1(scene):
 
 
 def test_the_papers_configuration_has_these_options():
-    """What the listing is compared with is what `configs/paper.yaml` runs."""
+    """The options that the listing is compared with are those of `configs/paper.yaml`."""
     cem = load_config(PAPER_FILE).refine.cem
     for name in ("hold_resting", "widest", "credit", "sigma_floor", "zero_candidate", "stop_by"):
         assert getattr(cem, name) == PAPER[name], name

@@ -96,7 +96,7 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
     badness = {}
 
     def graded(model, layouts, k, *rest):
-        """The candidates' final scenes are as bad as told."""
+        """The candidates' final scenes have the given badness."""
         measure = initial.measure.model_copy(update={"max_drift_m": worst[k], "s_stab": False})
         measure = measure.model_copy(update={"max_depth_m": 0.0, "settled_depth_m": 0.0})
         found = initial._replace(measure=measure, moved_away=(), passed=False)
