@@ -4,6 +4,7 @@ No traceback, nothing written that looks like a finished run, and an earlier run
 """
 
 import hashlib
+import importlib.util
 import json
 import os
 import shutil
@@ -110,11 +111,12 @@ def test_a_huge_photo_is_refused_without_being_decoded(refused, tmp_path):
 def test_without_a_model_no_folder_is_created(refused, tmp_path, provider):
     photo = picture(tmp_path / "other.png")
     message = refused(photo, "--out", tmp_path / "out", "--provider", provider)
+    openai = importlib.util.find_spec("openai")
     said = {
         "auto": "answer yourself: --provider mailbox",
         "replay": "no tape was recorded for this photo",
         "anthropic": "set ANTHROPIC_API_KEY",
-        "openai": "set OPENAI_API_KEY",
+        "openai": "set OPENAI_API_KEY" if openai else "needs its extra: uv sync",
         "gpt": "valid are: auto",
     }
     assert said[provider] in message
