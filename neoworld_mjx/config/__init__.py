@@ -9,6 +9,7 @@ from ..io.yaml_files import parse_yaml, read_yaml
 from ..options import Option, Options, PaperDifference, list_options, option_values
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
+    AlignOptions,
     ComposeOptions,
     JointSweepOptions,
     Language,
@@ -28,6 +29,7 @@ from .search_options import (
 )
 
 __all__ = [
+    "AlignOptions",
     "CEMOptions",
     "ComposeOptions",
     "Config",

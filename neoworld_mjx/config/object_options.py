@@ -237,6 +237,24 @@ class VerifyOptions(JointSweepOptions):
     )
 
 
+class AlignOptions(Options):
+    """The alignment of the composed scene with the photograph's pixels."""
+
+    enabled: bool = option(
+        True,
+        "Align the camera and the composed layout with the contours of the objects in the "
+        "photograph.",
+        difference=PaperDifference(
+            False,
+            "A response locates objects to a few pixels; contours locate them within one.",
+        ),
+    )
+    camera: bool = option(True, "Also estimate the camera's pitch, roll, field of view and height.")
+    contours: bool = option(
+        True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
+    )
+
+
 class ComposeOptions(Options):
     """Step 4, scene composition."""
 
@@ -274,6 +292,7 @@ class ComposeOptions(Options):
             "objects (even-numbered initial scenes of the benchmark)",
         ),
     )
+    align: AlignOptions = AlignOptions()
     gap_m: float = option(
         1e-4,
         "Clearance between a child and the surface that it is snapped onto.",

@@ -98,11 +98,6 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
             deviations.
         gap: clearance under snapped objects [m].
     """
-    frames = [
-        pose() if o.parent is None else link_frame(scene.object(o.parent), o.parent_link)
-        for o in scene.objects
-    ]
-    parent = np.array([-1 if o.parent is None else scene.index(o.parent) for o in scene.objects])
     snapped = [
         o.parent is not None and o.relation != "attached" and not o.environment
         for o in scene.objects
@@ -110,18 +105,32 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
     tables = []
     for item, snap in zip(scene.objects, snapped, strict=True):
         tables.append(support(scene, item, reach * diagonal(item) + 0.02) if snap else no_support())
+    return frames(scene)._replace(
+        snapped=np.array(snapped),
+        support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
+        gap=np.full(len(snapped), gap),
+    )
+
+
+def frames(scene: SceneSpec) -> Arrangement:
+    """Tabulate a composed scene for `compose_poses` at given heights, without support surfaces."""
+    links = [
+        pose() if o.parent is None else link_frame(scene.object(o.parent), o.parent_link)
+        for o in scene.objects
+    ]
+    parent = np.array([-1 if o.parent is None else scene.index(o.parent) for o in scene.objects])
     return Arrangement(
         xy=np.array([item.xy for item in scene.objects], float),
         z=np.array([item.z for item in scene.objects], float),
         yaw=np.array([item.yaw for item in scene.objects], float),
         tilt=np.array([item.base_tilt for item in scene.objects], float),
-        frame_pos=np.array([frame.pos for frame in frames]),
-        frame_yaw=np.array([yaw_of(frame.quat) for frame in frames]),
+        frame_pos=np.array([link.pos for link in links]),
+        frame_yaw=np.array([yaw_of(link.quat) for link in links]),
         parent=parent,
         ancestors=_ancestors(parent),
-        snapped=np.array(snapped),
-        support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
-        gap=np.full(len(parent), gap),
+        snapped=np.zeros(len(parent), bool),
+        support=no_support(),
+        gap=np.zeros(len(parent)),
     )
 
 

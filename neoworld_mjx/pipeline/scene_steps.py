@@ -2,6 +2,7 @@
 
 import json
 import logging
+from pathlib import Path
 
 import numpy as np
 
@@ -11,12 +12,14 @@ from ..io import read_object
 from ..mllm import Picture
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
-from ..spec import read_scene
+from ..spec import SceneSpec, SceneTree, read_scene
 from .program_inputs import with_corrected_sizes
 from .step_context import (
+    ALIGNED,
     ANNOTATION,
     CHECK,
     COMPOSED,
+    OUTLINES,
     REFIT,
     RESPONSE_TREE,
     RESULT,
@@ -34,7 +37,8 @@ _log = logging.getLogger(__name__)
 def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
 
-    The step writes compose/tree.json, compose/fit.json, compose/scene.json and compose/scales.json.
+    The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
+    compose/scales.json and pictures/outlines.png.
     """
     from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
@@ -56,6 +60,8 @@ def compose_scene(context: StepContext) -> None:
         # Start from the unfitted tree: the first fit has already used the same boxes.
         tree = with_corrected_sizes(run, read_tree(run, RESPONSE_TREE))
     inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
+    if config.compose.align.enabled:
+        inputs["photo"] = run.path / "photo.png"
     patch = read_layout_patch(run.path)
     if patch.objects:
         inputs["layout"] = patch
@@ -78,7 +84,10 @@ def compose_scene(context: StepContext) -> None:
                     change = f"{name} {support.relation} {support.parent}, not {support.before}"
                     run.fallback("compose", change, support.phrase())
             composed = compose(tree, objects, config.compose)
-            scene, stale = apply_layout(composed.scene, patch, config.compose.gap_m)
+            scene = composed.scene
+            if config.compose.align.enabled:
+                scene = _aligned(context, scene, tree, out)
+            scene, stale = apply_layout(scene, patch, config.compose.gap_m)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             scales = json.dumps(composed.scales, indent=1) + "\n"
             (out / "compose" / "scales.json").write_text(scales, encoding="utf-8")
@@ -93,6 +102,23 @@ def compose_scene(context: StepContext) -> None:
                 run.fallback("compose", f"no {name}", reason)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
+
+
+def _aligned(context: StepContext, scene: SceneSpec, tree: SceneTree, out: Path) -> SceneSpec:
+    """Align a composed scene with the photograph, and write the report of the alignment."""
+    from ..align.align import align
+    from ..align.outline_picture import outline_picture
+    from ..render import to_png
+
+    photo = load_photo(context.run.path / "photo.png").rgb
+    aligned = align(scene, photo, context.config.compose.align, measured=tree.camera_measured)
+    (out / ALIGNED).write_text(json.dumps(aligned.to_json(), indent=1) + "\n", encoding="utf-8")
+    if aligned.scene.camera is not None:
+        (out / OUTLINES).parent.mkdir(exist_ok=True)
+        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned.scene)))
+    for outcome, reason in aligned.notes(scene):
+        context.run.note("compose", outcome, reason)
+    return aligned.scene
 
 
 def _check_composed(context: StepContext) -> None:

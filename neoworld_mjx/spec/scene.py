@@ -29,6 +29,22 @@ SEMANTICS = "semantics"
 """Entry of a written scene: label, category, parts and purposes of joints of every object."""
 
 
+Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class PoseUncertainty(Spec):
+    """Standard deviations of an object's place after its alignment with the photograph."""
+
+    along: Deviation
+    """Horizontal position along the camera's view [m]."""
+    across: Deviation
+    """Horizontal position across the camera's view [m]."""
+    yaw: Deviation
+    """Heading [rad]."""
+    log_scale: Deviation
+    """Logarithm of the size."""
+
+
 class SceneObject(Spec):
     """An object with its place in the scene."""
 
@@ -59,6 +75,8 @@ class SceneObject(Spec):
     """Edge lengths of the parsed 3D box [m]."""
     scale_residual: Vec3 | None = None
     """Object size over parsed size per axis, minus 1, after isotropic rescaling."""
+    uncertainty: PoseUncertainty | None = None
+    """How well the photograph determines the object's place; None if it was not aligned."""
 
     @property
     def static(self) -> bool:

@@ -1,0 +1,224 @@
+"""Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
+
+The evidence is the contours of all objects in the photograph's pixels, coarse to fine, and the
+parsed 2D boxes; the prior is the composed scene. An object about which the pixels are silent keeps
+its composed place, and follows its 2D box if the camera moves.
+"""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from ..config import AlignOptions
+from ..physics.photo_view import see_through
+from ..spec import SceneSpec
+from ..spec.scene import PoseUncertainty
+from .acceptance import gain, shown_at
+from .alignment import Alignment, Evidence, ObjectAlignment
+from .alignment_prior import camera_deviations, prior_precision
+from .colors import LabImage
+from .normal_equations import NormalEquations, box_evidence, contour_evidence
+from .rasterize import DrawnObjects, draw_objects
+from .unknowns import CAMERA, Placement, Unknowns
+
+COARSE_PX, FINE_PX = 320, 640
+"""Widths of the images [px]."""
+CALIBRATION = (1.2, 1.9, 1.0, 1.5)
+"""Factors of the deviations along and across the view, of the heading and of the log scale: with
+them, 90 % intervals hold the truth in nine of ten objects of the benchmark's development half."""
+
+
+@dataclass(frozen=True)
+class AlignmentStage:
+    """Gauss-Newton steps with the same settings."""
+
+    steps: int
+    width: int
+    """Width of the image [px]."""
+    reach: float = 0.0
+    """Largest displacement of a contour, in pixels of REFERENCE_PX; 0 for 2D boxes alone."""
+    spacing: float = 0.0
+    """Distance of the samples along normals, in the same unit."""
+    open_focal: bool = False
+    """True while the field of view is not known."""
+
+
+STAGES = (
+    AlignmentStage(2, COARSE_PX, open_focal=True),
+    AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True),
+    AlignmentStage(2, FINE_PX, 10.0, 1.0),
+    AlignmentStage(2, FINE_PX, 6.0, 0.5),
+)
+
+
+def align(
+    scene: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    options: AlignOptions | None = None,
+    *,
+    measured: Collection[str] = (),
+) -> Alignment:
+    """Align a composed scene with its photograph.
+
+    Args:
+        scene: the composed scene, with a camera.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+        options: what is aligned, and to which evidence.
+        measured: camera parameters that the response measured, as in `SceneTree.camera_measured`;
+            they move less, but where the contours contradict them clearly they move.
+
+    Returns:
+        The aligned scene, with its camera and each object's uncertainty. A scene without a camera,
+        or in which nothing is free to move, is returned as it is.
+    """
+    if scene.camera is None:
+        return Alignment(scene)
+    unknowns = Unknowns.of(scene, scene.camera)
+    if not len(unknowns.free):
+        return Alignment(scene)
+    problem = _Problem(unknowns, options or AlignOptions(), frozenset(measured))
+    images = {width: LabImage.of(photo, width) for width in (COARSE_PX, FINE_PX)}
+    reasons = {
+        k: "it is see-through" for k, item in enumerate(scene.objects) if see_through(item.spec)
+    }
+    x = np.zeros(unknowns.size)
+    for stage in STAGES:
+        for _ in range(stage.steps):
+            x = problem.linearized(x, images[stage.width], stage, reasons)[0].solved()
+    last = STAGES[-1]
+    equations, drawn = problem.linearized(x, images[last.width], last, reasons)
+    x = equations.solved()
+    refused = problem.refused(equations, drawn, images[last.width].bins)
+    if refused:
+        reasons |= dict.fromkeys(refused, "its colors do not tell it from what surrounds it")
+        reset = equations.solved(without=refused)
+        for k in refused:
+            x[unknowns.columns(k)] = reset[unknowns.columns(k)]
+        for _ in range(last.steps):
+            equations, _ = problem.linearized(x, images[last.width], last, reasons)
+            x = equations.solved()
+    return _result(unknowns, x, equations, reasons)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    unknowns: Unknowns
+    options: AlignOptions
+    measured: frozenset[str]
+
+    def linearized(
+        self,
+        x: Float[np.ndarray, " u"],
+        image: LabImage,
+        stage: AlignmentStage,
+        silent: Collection[int],
+    ) -> tuple[NormalEquations, DrawnObjects]:
+        """Return the normal equations at some values of the unknowns, and the objects drawn there.
+
+        Args:
+            x: the values.
+            image: the photograph at the stage's width.
+            stage: settings.
+            silent: objects whose contours do not count.
+        """
+        unknowns = self.unknowns
+        now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
+        meshes = [unknowns.mesh(now, k) for k in range(len(unknowns.surfaces))]
+        drawn = draw_objects(meshes, now.camera, stage.width)
+        deviations = camera_deviations(self.measured, open_focal=stage.open_focal)
+        if not self.options.camera:
+            deviations = np.full(CAMERA, 1e-9)
+        equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)
+        for k in unknowns.free.tolist():
+            box = box_evidence(unknowns, now, neighbors, drawn, k)
+            if box is not None:
+                equations.add_box(k, box)
+            if not self.options.contours or stage.reach == 0 or k in silent:
+                continue
+            contour = contour_evidence(
+                unknowns,
+                now,
+                neighbors,
+                drawn,
+                image,
+                k,
+                reach=stage.reach,
+                step=stage.spacing,
+            )
+            if contour is not None:
+                equations.add_contour(k, contour)
+        return equations, drawn
+
+    def refused(
+        self,
+        equations: NormalEquations,
+        drawn: DrawnObjects,
+        bins: Int[np.ndarray, "row column"],
+    ) -> tuple[int, ...]:
+        """Return the objects whose contours make them explain the photograph less well."""
+        unknowns = self.unknowns
+        now = unknowns.place(equations.solved()[None])[0]
+        refused = []
+        for k in equations.with_contour:
+            other = unknowns.place(equations.solved(without=(k,))[None])[0]
+            with_contour, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
+            if gain(with_contour, without, bins) < 0:
+                refused.append(k)
+        return tuple(refused)
+
+
+def _result(
+    unknowns: Unknowns,
+    x: Float[np.ndarray, " u"],
+    equations: NormalEquations,
+    reasons: dict[int, str],
+) -> Alignment:
+    scene = unknowns.scene_at(x)
+    before, after = unknowns.camera, scene.camera
+    assert after is not None
+    covariance = equations.covariance()
+    now = unknowns.place(x[None])[0]
+    objects, items = {}, list(scene.objects)
+    for k in unknowns.free.tolist():
+        own = x[unknowns.columns(k)]
+        evidence: Evidence = "box" if k in equations.with_box else "none"
+        if k in equations.with_contour:
+            evidence = "pixels"
+        reason = "" if evidence == "pixels" else reasons.get(k, "it has no visible contour")
+        uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])
+        items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
+        shift = (float(own[0]), float(own[1]))
+        objects[items[k].name] = ObjectAlignment(
+            evidence,
+            reason,
+            shift,
+            math.degrees(own[2]),
+            math.exp(own[3]),
+            uncertainty,
+        )
+    return Alignment(
+        scene.model_copy(update={"objects": tuple(items)}),
+        math.degrees(after.pitch - before.pitch),
+        math.degrees(after.roll - before.roll),
+        math.degrees(after.fovy - before.fovy),
+        after.height - before.height,
+        objects,
+    )
+
+
+def _uncertainty(
+    unknowns: Unknowns, now: Placement, k: int, rows: Float[np.ndarray, "4 u"]
+) -> PoseUncertainty:
+    """Return the calibrated deviations of an object, given its rows of the covariance."""
+    block = rows[:, unknowns.columns(k)]
+    axes = unknowns.view_axes(now, k)
+    along, across = np.sqrt(np.diag(axes @ block[:2, :2] @ axes.T))
+    if unknowns.in_wall[k].any():
+        # The wall determines the distance.
+        along, across = 0.0, math.sqrt(block[0, 0])
+    yaw, log_scale = np.sqrt(np.diag(block)[2:])
+    values = np.array([along, across, yaw, log_scale]) * CALIBRATION
+    return PoseUncertainty(**dict(zip(PoseUncertainty.model_fields, values.tolist(), strict=True)))

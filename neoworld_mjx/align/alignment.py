@@ -1,0 +1,93 @@
+"""Result of the alignment: the scene, what changed, and how much the photograph says about it."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..spec import SceneSpec
+from ..spec.scene import PoseUncertainty
+
+NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
+"""Changes of position, size and heading above which a note reports them."""
+NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
+"""Changes of the camera's angles and, relatively, of its height above which a note reports them."""
+
+Evidence = Literal["pixels", "box", "none"]
+"""What places an object: its contour in the pixels, its 2D box, or only the composition."""
+
+
+@dataclass(frozen=True)
+class ObjectAlignment:
+    """Change of one object by the alignment."""
+
+    evidence: Evidence
+    reason: str
+    """Why the pixels do not place the object; empty if they do."""
+    shift_m: tuple[float, float]
+    """Change of the position in its support's frame."""
+    yaw_deg: float
+    size_ratio: float
+    uncertainty: PoseUncertainty
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Result of `align`."""
+
+    scene: SceneSpec
+    """The scene with its camera, aligned; objects have their uncertainty."""
+    pitch_deg: float = 0.0
+    """Changes of the camera."""
+    roll_deg: float = 0.0
+    fovy_deg: float = 0.0
+    height_m: float = 0.0
+    objects: dict[str, ObjectAlignment] = field(default_factory=dict)
+
+    def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
+        """Yield a note for the camera and for each object that moved far.
+
+        Args:
+            before: the composed scene.
+        """
+        camera = before.camera
+        turned = max(abs(self.pitch_deg), abs(self.roll_deg), abs(self.fovy_deg))
+        if camera is not None and (
+            turned > NOTED_VIEW_DEG or abs(self.height_m) > NOTED_HEIGHT * abs(camera.height)
+        ):
+            yield (
+                "a camera that differs from the response's",
+                f"the photograph's contours turned it by {self.pitch_deg:+.1f} deg in pitch and "
+                f"{self.roll_deg:+.1f} deg in roll, changed its field of view by "
+                f"{self.fovy_deg:+.1f} deg and its height by {100 * self.height_m:+.0f} cm",
+            )
+        for name, change in self.objects.items():
+            distance = math.hypot(*change.shift_m)
+            if (
+                distance > NOTED_M
+                or abs(change.size_ratio - 1) > NOTED_SIZE
+                or abs(change.yaw_deg) > NOTED_DEG
+            ):
+                yield (
+                    f"{name} far from its composed pose",
+                    f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
+                    f"{change.size_ratio:.2f} and turned it by {change.yaw_deg:+.0f} deg",
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data, without the scene."""
+        camera = ("pitch_deg", "roll_deg", "fovy_deg", "height_m")
+        return {
+            **{name: round(getattr(self, name), 5) for name in camera},
+            "objects": {
+                name: {
+                    "evidence": change.evidence,
+                    "reason": change.reason,
+                    "shift_m": [round(x, 5) for x in change.shift_m],
+                    "yaw_deg": round(change.yaw_deg, 3),
+                    "size_ratio": round(change.size_ratio, 5),
+                    "uncertainty": change.uncertainty.model_dump(mode="json"),
+                }
+                for name, change in self.objects.items()
+            },
+        }

@@ -1,0 +1,97 @@
+"""Prior of the alignment: how far the composed scene may be from the photograph's.
+
+Deviations are those of the fit of Step 4 (`fit.priors`), which placed the scene. Their tails are
+those of Student's t distribution: most objects are almost right, and some are far off.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+from jaxtyping import Float
+
+from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
+from ..spec import bounds
+from .unknowns import CAMERA, EACH, FOCAL, STRETCH, Placement, Unknowns
+
+FREEDOM = 4.0
+"""Degrees of freedom of the t distribution."""
+FOCAL_FREEDOM = 1.5
+"""That of the focal length."""
+ROLL = np.radians(1.0)
+"""Roll of the camera [rad]."""
+LOG_FOCAL, LOG_FOCAL_OPEN = 0.04, 0.2
+"""Logarithm of the focal length; and at first, as some responses misjudge the field of view by a
+quarter."""
+MEASURED = 0.5
+"""Factor of the deviations of what the response calls measured."""
+LOG_STRETCH = 0.03
+"""Logarithm of the stretch of a program along an axis. The contours of a wrong shape disagree with
+one another; without these nuisance unknowns the layout and the camera would absorb it."""
+FIXED_YAW = 1e-4
+"""Heading of an object on a wall [rad]."""
+LEAST_CLEARANCE_M = 0.005
+"""Least clearance of a content in its container [m]."""
+
+
+def camera_deviations(measured: Collection[str], *, open_focal: bool) -> Float[np.ndarray, " 4"]:
+    """Return the deviations of pitch, roll [rad], log focal length and log height.
+
+    Args:
+        measured: what the response measured in the photograph, as in `SceneTree.camera_measured`.
+        open_focal: True while the focal length is not known.
+    """
+    names = ("pitch", "roll", "fovy", "height")
+    deviations = np.array([PITCH, ROLL, LOG_FOCAL_OPEN if open_focal else LOG_FOCAL, LOG_HEIGHT])
+    return deviations * [MEASURED if name in measured else 1.0 for name in names]
+
+
+def prior_precision(
+    unknowns: Unknowns,
+    now: Placement,
+    x: Float[np.ndarray, " u"],
+    deviations: Float[np.ndarray, " 4"],
+) -> Float[np.ndarray, "v v"]:
+    """Return the precision matrix of the unknowns and of all stretches, at its weights for `x`.
+
+    Args:
+        unknowns: the unknowns.
+        now: their placement.
+        x: their values.
+        deviations: of the camera's unknowns.
+    """
+    count = len(unknowns.free)
+    precision = np.zeros((unknowns.size + STRETCH * count,) * 2)
+    camera = np.arange(CAMERA)
+    # Only the field of view is sometimes misjudged by far.
+    tail = np.array([0.0, 0.0, x[FOCAL] ** 2 / FOCAL_FREEDOM, 0.0])
+    precision[camera, camera] = 1 / (deviations**2 + tail)
+    stretches = np.arange(unknowns.size, len(precision))
+    precision[stretches, stretches] = 1 / LOG_STRETCH**2
+    eye = now.camera.position()
+    for i, k in enumerate(unknowns.free.tolist()):
+        first = CAMERA + EACH * i
+        own = x[first : first + EACH]
+        distance = float(np.linalg.norm(now.pos[k] - eye))
+        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _clearance(unknowns, k))
+        whitening = unknowns.view_axes(now, k) / most[:, None]
+        yaw = YAW
+        if unknowns.in_wall[k].any():
+            # Along the wall and up; it does not turn.
+            whitening, yaw = np.eye(2) / (FASTENED * distance), FIXED_YAW
+        off = whitening @ own[:2]
+        xy = slice(first, first + 2)
+        precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
+        for column, deviation in ((2, yaw), (3, LOG_SIZE)):
+            spread = deviation**2 + own[column] ** 2 / FREEDOM
+            precision[first + column, first + column] = 1 / spread
+    return precision
+
+
+def _clearance(unknowns: Unknowns, k: int) -> float:
+    """Return half the clearance of a content in its container [m]; inf for other objects."""
+    item = unknowns.scene.objects[k]
+    if item.relation != "in" or item.parent is None:
+        return np.inf
+    outer = unknowns.scene.object(item.parent)
+    sizes = [np.subtract(*bounds(o.spec, o.joint_state)[::-1])[:2].min() for o in (outer, item)]
+    return max(float(sizes[0] - sizes[1]) / 2, LEAST_CLEARANCE_M)

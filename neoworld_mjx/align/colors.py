@@ -1,0 +1,171 @@
+"""Colors of a photograph: a perceptual space in bins, and histograms as color models."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from PIL import Image
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from ..render.appearance import linear
+
+BINS = 24
+"""Number of bins of a histogram along each axis."""
+LIGHTNESS = 0.5
+"""Weight of lightness relative to the two chromatic axes, as shading changes it most."""
+CHROMA = 80.0
+"""Largest chromatic coordinate that is resolved."""
+BLUR = 0.7
+"""Standard deviation of the smoothing of histograms, in bins."""
+OUTLIERS = 0.1
+"""Share of pixels whose color is unlike the model's: highlights, textures, what is not modeled."""
+LARGEST = 4.0
+"""Bound of the log likelihood ratio of a pixel."""
+_UNIFORM = 1.0 / (BINS**3 * LIGHTNESS)
+_TO_XYZ = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+) / np.array([[0.9505], [1.0], [1.089]])
+LEAST_PIXELS = 60
+"""Number of pixels from which a color model is estimated; with fewer, margins are omitted."""
+RING = 0.25
+"""Width of the ring around an object, relative to the square root of its area."""
+LEAST_RING_PX = 6
+BAND = 6
+"""Width of the band inside a contour whose colors count, in margins."""
+
+
+def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "row column 3"]:
+    """Convert display colors (sRGB, uint8) to CIE Lab, D65."""
+    xyz = linear(rgb.astype(float) / 255.0) @ _TO_XYZ.T
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.stack(
+        [
+            116 * f[..., 1] - 16,
+            500 * (f[..., 0] - f[..., 1]),
+            200 * (f[..., 1] - f[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def bins_of(lab: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, "*n"]:
+    """Return the bin of each color."""
+    unit = np.stack(
+        [
+            lab[..., 0] / 100 * LIGHTNESS,
+            (lab[..., 1] + CHROMA) / (2 * CHROMA),
+            (lab[..., 2] + CHROMA) / (2 * CHROMA),
+        ],
+        axis=-1,
+    )
+    index = np.clip((unit * BINS).astype(int), 0, BINS - 1)
+    return (index[..., 0] * BINS + index[..., 1]) * BINS + index[..., 2]
+
+
+def color_model(bins: Int[np.ndarray, " n"]) -> Float[np.ndarray, " bin"]:
+    """Return the smoothed, normalized histogram of pixels."""
+    counts = np.bincount(bins, minlength=BINS**3).reshape(BINS, BINS, BINS).astype(float)
+    smooth = gaussian_filter(counts, BLUR, mode="constant")
+    return (smooth / max(smooth.sum(), 1e-9)).ravel()
+
+
+def log_likelihood_ratio(
+    inside: Float[np.ndarray, "*n"], outside: Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Return log p(color | object) - log p(color | background), with outliers and bounds."""
+    mix = lambda p: np.log((1 - OUTLIERS) * p + OUTLIERS * _UNIFORM)
+    return np.clip(mix(inside) - mix(outside), -LARGEST, LARGEST)
+
+
+class LabImage(NamedTuple):
+    """The photograph in CIE Lab."""
+
+    lab: Float[np.ndarray, "row column 3"]
+    bins: Int[np.ndarray, "row column"]
+    """Bin of each pixel's color."""
+
+    @classmethod
+    def of(cls, photo: UInt8[np.ndarray, "row column 3"], width: int) -> "LabImage":
+        """Resize a photograph (sRGB) to a width [px], and convert it."""
+        height = max(1, round(photo.shape[0] * width / photo.shape[1]))
+        if photo.shape[:2] != (height, width):
+            size = (width, height)
+            photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
+        lab = to_lab(photo)
+        return cls(lab, bins_of(lab))
+
+
+class ColorModels(NamedTuple):
+    """Color models of an object under a layout, on both sides of its contour."""
+
+    inside: Float[np.ndarray, " bin"]
+    """Colors of the object near its contour, as the rest of it may look like what is behind."""
+    around: Float[np.ndarray, " bin"]
+    """Colors around the object, with its shadow."""
+    behind: dict[int, Float[np.ndarray, " bin"]]
+    """Colors around the object within each neighbor that has enough pixels there."""
+
+    def background(self, neighbor: int) -> Float[np.ndarray, " bin"]:
+        """Return the colors behind the contour towards a neighbor."""
+        own = self.behind.get(neighbor)
+        return self.around if own is None else 0.5 * (own + self.around)
+
+
+def color_models(
+    owner: Int[np.ndarray, "row column"], bins: Int[np.ndarray, "row column"], k: int, margin: int
+) -> ColorModels | None:
+    """Estimate the color models of an object from the pixels that a layout gives to it.
+
+    Args:
+        owner: index of the object at each pixel.
+        bins: bin of each pixel's color.
+        k: index of the object, which is visible.
+        margin: width of the margin [px] along the contour that is left out, as it is uncertain.
+
+    Returns:
+        None if there are too few pixels around the object.
+    """
+    window = _window(owner == k, margin)
+    owner, bins = owner[window], bins[window]
+    mask = owner == k
+    ring = around(mask, margin)
+    if ring.sum() < LEAST_PIXELS / 2:
+        return None
+    behind = {}
+    for neighbor in np.unique(owner[ring]).tolist():
+        near = ring & (owner == neighbor)
+        if near.sum() >= LEAST_PIXELS:
+            behind[neighbor] = color_model(bins[near])
+    inner = _band(mask, margin)
+    return ColorModels(color_model(bins[inner]), color_model(bins[ring]), behind)
+
+
+def _band(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray, "row column"]:
+    """Return the pixels of a mask near its contour, without a margin if there are enough."""
+    depth = np.asarray(distance_transform_edt(np.pad(mask, 1, mode="edge")))[1:-1, 1:-1]
+    band = depth <= margin + BAND * margin
+    for width in (margin, 1, 0):
+        inner = mask & band & (depth > width)
+        if inner.sum() >= LEAST_PIXELS:
+            return inner
+    return mask
+
+
+def around(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray, "row column"]:
+    """Return the ring around a mask, without a margin."""
+    distance = np.asarray(distance_transform_edt(~mask))
+    return (distance > margin) & (distance <= margin + _ring_width(int(mask.sum())))
+
+
+def _ring_width(area: int) -> int:
+    return max(LEAST_RING_PX, round(RING * area**0.5))
+
+
+def _window(mask: Bool[np.ndarray, "row column"], margin: int) -> tuple[slice, slice]:
+    """Return the window of a mask with its ring."""
+    reach = margin + _ring_width(int(mask.sum())) + 1
+    spans = []
+    for axis in (1, 0):
+        hit = np.flatnonzero(mask.any(axis=axis))
+        spans.append(slice(max(int(hit[0]) - reach, 0), int(hit[-1]) + reach + 1))
+    return spans[0], spans[1]

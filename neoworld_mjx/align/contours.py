@@ -1,0 +1,151 @@
+"""Contours of objects, and how far the photograph's pixels displace them.
+
+Along the normal of each contour point, colors inside the object and behind it give the probability
+of every displacement, as in M3T (Stoiber et al., "Fusing Visual Appearance and Geometry for
+Multi-Modality 6DoF Object Tracking", 2023). Where an object in front owns the outer side, the
+contour is that of the object in front, and counts for that alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from .colors import ColorModels, bins_of, log_likelihood_ratio
+from .rasterize import DrawnObjects
+
+MOST_POINTS = 300
+"""Largest number of points of a contour."""
+NORMAL_BLUR_PX = 1.5
+"""Standard deviation of the smoothing of a mask whose gradient is the normal."""
+LEAST_GRADIENT = 0.02
+"""Gradient of the smoothed mask below which the normal is not defined, as on a line."""
+BORDER_PX = 3.0
+"""Distance from the border of the image within which contours do not count."""
+SPREAD = 1.5
+"""Reach of the displacements over the standard deviation of their prior."""
+
+
+class Contour(NamedTuple):
+    """Points on the visible contour of an object, where it is in front."""
+
+    pixel: Float[np.ndarray, "n 2"]
+    depth: Float[np.ndarray, " n"]
+    """Depth of the object along the view [m]."""
+    normal: Float[np.ndarray, "n 2"]
+    """Outward unit normal in the image."""
+    behind: Int[np.ndarray, " n"]
+    """Object behind the contour; -1 for none."""
+    length: Float[np.ndarray, " n"]
+    """Length of the contour that the point stands for [px]."""
+
+
+class Displacements(NamedTuple):
+    """Displacement of contour points along their normals, from the pixels."""
+
+    value: Float[np.ndarray, " n"]
+    """[px], positive outward."""
+    precision: Float[np.ndarray, " n"]
+    """Information [1/px^2]; 0 where the colors do not distinguish the two sides."""
+
+
+def contour(drawn: DrawnObjects, k: int) -> Contour | None:
+    """Return the contour of an object, or None if it has no visible one."""
+    mask = drawn.owner == k
+    if not mask.any():
+        return None
+    height, width = mask.shape
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    top, left = max(int(rows[0]) - 4, 0), max(int(columns[0]) - 4, 0)
+    window = slice(top, int(rows[-1]) + 5), slice(left, int(columns[-1]) + 5)
+    owner, depth = drawn.owner[window], drawn.depth[window]
+    smooth = gaussian_filter((owner == k).astype(float), NORMAL_BLUR_PX, mode="nearest")
+    down, right = np.gradient(smooth)
+    gradient = np.stack([right, down], axis=-1)
+    found = []
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        here = _shifted(owner.shape, -dx, -dy)
+        there = _shifted(owner.shape, dx, dy)
+        edge = (owner[here] == k) & (owner[there] != k) & (depth[here] <= depth[there])
+        y, x = np.nonzero(edge)
+        behind = owner[there][y, x]
+        y, x = y + here[0].start, x + here[1].start
+        pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
+        found.append((pixel, depth[y, x], -gradient[y, x], behind))
+    pixel, depth, normal, behind = (np.concatenate(part) for part in zip(*found, strict=True))
+    steep = np.linalg.norm(normal, axis=1)
+    inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
+    rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
+    if not len(rows):
+        return None
+    share = max(len(rows) / MOST_POINTS, 1.0)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_POINTS)).astype(int)]
+    normal = normal[rows] / steep[rows, None]
+    # Steps along the grid are longer than the contour.
+    length = share / np.abs(normal).sum(axis=1)
+    return Contour(pixel[rows], depth[rows], normal, behind[rows], length)
+
+
+def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:
+    rows, columns = shape
+    return (
+        slice(max(0, dy), rows + min(0, dy)),
+        slice(max(0, dx), columns + min(0, dx)),
+    )
+
+
+def displacements(
+    lab: Float[np.ndarray, "row column 3"],
+    points: Contour,
+    models: ColorModels,
+    *,
+    reach: float,
+    step: float,
+    noise: float,
+    unit: float,
+) -> Displacements:
+    """Return the displacement of each contour point.
+
+    Args:
+        lab: the photograph.
+        points: contour of the object.
+        models: color models of the object.
+        reach: largest displacement [px].
+        step: distance of samples [px].
+        noise: standard deviation of an ideal contour [px]: shapes are approximate.
+        unit: pixels that count as one independent observation of a color.
+    """
+    at = np.arange(-reach, reach + step / 2, step)
+    spot = points.pixel[:, None] + at[None, :, None] * points.normal[:, None] - 0.5
+    sampled = [
+        map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
+        for c in range(3)
+    ]
+    bins = bins_of(np.stack(sampled, axis=-1))
+    outside = np.empty(bins.shape)
+    for behind in np.unique(points.behind).tolist():
+        rows = points.behind == behind
+        outside[rows] = models.background(behind)[bins[rows]]
+    ratio = log_likelihood_ratio(models.inside[bins], outside) * (step / unit)
+    # With the contour at an edge between samples, all samples up to it belong to the object.
+    likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
+    edge = np.append(at - step / 2, at[-1] + step / 2)
+    prior = -0.5 * (edge * SPREAD / reach) ** 2
+    moments = lambda log_p: _moments(log_p, edge)
+    mean, variance = moments(likelihood + prior)
+    prior_variance = moments(prior[None])[1]
+    # The information of the pixels alone, and the displacement without the pull of the prior.
+    gain = np.maximum(1 / np.maximum(variance, 1e-6) - 1 / prior_variance, 1e-3 / prior_variance)
+    value = np.clip(mean / np.maximum(variance, 1e-6) / gain, -reach, reach)
+    precision = 1 / (variance + noise**2) - 1 / (prior_variance + noise**2)
+    return Displacements(value, np.maximum(precision, 0.0))
+
+
+def _moments(
+    log_p: Float[np.ndarray, "n m"], at: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
+    p /= p.sum(axis=1, keepdims=True)
+    mean = p @ at
+    return mean, np.maximum(p @ at**2 - mean**2, 0.0)

@@ -1,0 +1,231 @@
+"""Normal equations of the alignment: evidence of contours and of 2D boxes, by object."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .colors import LabImage, color_models
+from .contours import contour, displacements
+from .rasterize import DrawnObjects, pixels_of
+from .unknowns import STRETCH, Placement, Unknowns
+
+REFERENCE_PX = 640.0
+"""Width of the image in which the constants in pixels are given."""
+CONTOUR_PX = 0.7
+"""Standard deviation of a contour of the right shape."""
+SHAPE = 0.01
+"""Standard deviation of a contour due to its shape, over its length / pi."""
+CORRELATION_PX, OBSERVATIONS = 16.0, 30
+"""Length of a contour that counts as one observation, and the largest number of observations of a
+contour: errors of shapes are smooth."""
+MARGIN_PX = 3.0
+"""Margin along contours that color models leave out [px]."""
+LEAST_SPREAD = 0.5
+"""Least robust spread of the displacements of a contour [px]."""
+OUTLYING = 2.0
+"""Displacement, in robust spreads, at which a point has half of its weight."""
+BOX_PX, BOX = 3.0, 0.01
+"""Standard deviation of a side of a parsed 2D box: pixels, and a share of the box."""
+BOX_OUTLYING = 3.0
+"""Residual of a side, in deviations, at which it has half of its weight."""
+END_PX = 2.5
+"""Largest distance between the extreme point of an object and that of its visible part at which the
+object itself ends there."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Linearized evidence about one object: weight * (residual - jacobian @ change)^2."""
+
+    jacobian: Float[np.ndarray, "n v"]
+    """Derivatives by all unknowns, and by the STRETCH nuisance unknowns of the object [px]."""
+    residual: Float[np.ndarray, " n"]
+    """[px]"""
+    weight: Float[np.ndarray, " n"]
+    """[1/px^2]"""
+
+
+def contour_evidence(
+    unknowns: Unknowns,
+    now: Placement,
+    neighbors: list[Placement],
+    drawn: DrawnObjects,
+    image: LabImage,
+    k: int,
+    *,
+    reach: float,
+    step: float,
+) -> Evidence | None:
+    """Return the evidence of an object's contour, or None without a contour.
+
+    Args:
+        unknowns: the unknowns.
+        now: the placement.
+        neighbors: of `Unknowns.neighbors`.
+        drawn: the objects at the placement.
+        image: the photograph.
+        k: index of the object.
+        reach: largest displacement, in pixels of REFERENCE_PX.
+        step: distance of the samples along normals, in the same unit.
+    """
+    points = contour(drawn, k)
+    if points is None:
+        return None
+    width = image.lab.shape[1]
+    unit = width / REFERENCE_PX
+    models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
+    if models is None:
+        return None
+    length = points.length.sum()
+    noise = float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi))
+    moved = displacements(
+        image.lab,
+        points,
+        models,
+        reach=reach * unit,
+        step=step * unit,
+        noise=noise,
+        unit=unit,
+    )
+    informed = moved.precision > 0
+    if not informed.any():
+        return None
+    center = np.median(moved.value)
+    spread = float(1.48 * np.median(np.abs(moved.value - center)[informed]))
+    spread = max(spread, LEAST_SPREAD * unit)
+    robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
+    # A contour that disagrees with itself is less certain than its colors say.
+    precision = moved.precision / (1 + moved.precision * spread**2)
+    independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
+    weight = points.length / independent * robust * precision
+    local = now.local(k, _unprojected(now, points.pixel, points.depth, width))
+    jacobian = unknowns.jacobian(now, neighbors, k, local, points.normal, width)
+    return Evidence(jacobian / unit, moved.value / unit, weight * unit**2)
+
+
+def _unprojected(
+    now: Placement,
+    pixel: Float[np.ndarray, "n 2"],
+    depth: Float[np.ndarray, " n"],
+    width: int,
+) -> Float[np.ndarray, "n 3"]:
+    camera = now.camera
+    ratio = width / camera.width
+    middle = np.array([camera.width, camera.height_px]) / 2
+    offset = (pixel / ratio - middle) / camera.focal
+    local = np.concatenate([offset, np.ones((len(offset), 1))], axis=1) * depth[:, None]
+    return camera.position() + local @ camera.axes().T
+
+
+def box_evidence(
+    unknowns: Unknowns,
+    now: Placement,
+    neighbors: list[Placement],
+    drawn: DrawnObjects,
+    k: int,
+) -> Evidence | None:
+    """Return the evidence of the sides of an object's parsed 2D box at which the object ends."""
+    item = unknowns.scene.objects[k]
+    shown = drawn.owner == k
+    if item.box2d is None or not shown.any():
+        return None
+    width = shown.shape[1]
+    unit = width / REFERENCE_PX
+    points = unknowns.surfaces[k].vertices
+    pixels, depth = pixels_of(now.camera, now.world(k, points), width)
+    if depth.min() <= 0:
+        return None
+    box = np.array(item.box2d.as_tuple()) * width / unknowns.camera.width
+    visible = _box_of(shown)
+    limit = np.array([shown.shape[1], shown.shape[0]])
+    ends, normals, residuals, deviations = [], [], [], []
+    for side in range(4):
+        axis = side % 2
+        end = int(np.argmin(pixels[:, axis]) if side < 2 else np.argmax(pixels[:, axis]))
+        cut = not BOX_PX * unit < box[side] < limit[axis] - BOX_PX * unit
+        if cut or abs(pixels[end, axis] - visible[side]) > END_PX:
+            continue
+        length = (box[2 + axis] - box[axis]) / unit
+        ends.append(end)
+        normals.append(np.eye(2)[axis])
+        residuals.append((box[side] - pixels[end, axis]) / unit)
+        deviations.append(BOX_PX + BOX * length)
+    if not ends:
+        return None
+    residual, deviation = np.array(residuals), np.array(deviations)
+    robust = 1 / (1 + (residual / (BOX_OUTLYING * deviation)) ** 2)
+    jacobian = unknowns.jacobian(now, neighbors, k, points[ends], np.array(normals), width)
+    return Evidence(jacobian / unit, residual, robust / deviation**2)
+
+
+def _box_of(mask: Bool[np.ndarray, "row column"]) -> tuple[int, int, int, int]:
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+class NormalEquations:
+    """Normal equations of the unknowns and of all stretches, with the contours kept by object."""
+
+    def __init__(
+        self, unknowns: Unknowns, prior: Float[np.ndarray, "v v"], x: Float[np.ndarray, " u"]
+    ):
+        """Start from the prior's precision matrix, at some values of the unknowns."""
+        self._unknowns, self._x = unknowns, x
+        self._precision = prior.copy()
+        self._gradient = -prior[:, : unknowns.size] @ x
+        self._contours: dict[int, _Block] = {}
+        self._boxes: set[int] = set()
+
+    def add_box(self, k: int, evidence: Evidence) -> None:
+        """Add the evidence of an object's 2D box."""
+        self._boxes.add(k)
+        self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
+
+    def add_contour(self, k: int, evidence: Evidence) -> None:
+        """Add the evidence of an object's contour, which `solved` may omit."""
+        self._contours[k] = self._block(k, evidence)
+        self._add(self._contours[k], 1.0, self._precision, self._gradient)
+
+    @property
+    def with_contour(self) -> tuple[int, ...]:
+        """Indices of the objects with evidence of a contour."""
+        return tuple(self._contours)
+
+    @property
+    def with_box(self) -> frozenset[int]:
+        """Indices of the objects with evidence of a 2D box."""
+        return frozenset(self._boxes)
+
+    def solved(self, without: Collection[int] = ()) -> Float[np.ndarray, " u"]:
+        """Return new values of the unknowns, without the contours of some objects."""
+        precision, gradient = self._precision.copy(), self._gradient.copy()
+        for k in without:
+            self._add(self._contours[k], -1.0, precision, gradient)
+        return self._x + np.linalg.solve(precision, gradient)[: len(self._x)]
+
+    def covariance(self) -> Float[np.ndarray, "u u"]:
+        """Return the covariance of the unknowns."""
+        return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
+
+    def _block(self, k: int, evidence: Evidence) -> "_Block":
+        size = len(self._x)
+        first = size + STRETCH * int(np.flatnonzero(self._unknowns.free == k)[0])
+        used = np.flatnonzero((evidence.jacobian[:, :size] != 0).any(axis=0))
+        rows = np.concatenate([used, first + np.arange(STRETCH)])
+        jacobian = evidence.jacobian[:, np.concatenate([used, size + np.arange(STRETCH)])]
+        weighted = jacobian * evidence.weight[:, None]
+        return _Block(rows, jacobian.T @ weighted, weighted.T @ evidence.residual)
+
+    @staticmethod
+    def _add(block: "_Block", sign: float, precision: np.ndarray, gradient: np.ndarray) -> None:
+        precision[np.ix_(block.rows, block.rows)] += sign * block.precision
+        gradient[block.rows] += sign * block.gradient
+
+
+class _Block(NamedTuple):
+    rows: Int[np.ndarray, " r"]
+    precision: Float[np.ndarray, "r r"]
+    gradient: Float[np.ndarray, " r"]

@@ -1,0 +1,112 @@
+"""Rasterization of triangle meshes: the object and the depth at every pixel.
+
+Unlike the ray caster of `render`, it needs no compiled model, so a scene can be drawn again after
+every change of a pose or a size.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..spec import Camera
+
+NEAR_M = 0.02
+"""Triangles with a corner nearer to the camera than this are not drawn [m]."""
+CHUNK = 1 << 21
+"""Largest number of pixels that are tested at once."""
+
+
+class WorldMesh(NamedTuple):
+    """A triangle mesh in the world."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """[m]"""
+    triangles: Int[np.ndarray, "t 3"]
+
+
+class DrawnObjects(NamedTuple):
+    """Nearest object at each pixel."""
+
+    owner: Int[np.ndarray, "row column"]
+    """Index of the mesh; -1 for none."""
+    depth: Float[np.ndarray, "row column"]
+    """Depth along the view [m]; inf for none."""
+
+
+def pixels_of(
+    camera: Camera, points: Float[np.ndarray, "n 3"], width: int
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+    """Project points to pixels of an image of another width; also return depths [m]."""
+    pixels, depth = camera.project(points)
+    return pixels * (width / camera.width), depth
+
+
+def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> DrawnObjects:
+    """Draw meshes with a depth buffer; both sides of a triangle are visible.
+
+    Args:
+        meshes: one for each object.
+        camera: the camera.
+        width: width of the image [px]; the height follows from the camera's aspect ratio.
+    """
+    height = max(1, round(camera.height_px * width / camera.width))
+    size = np.array([width, height])
+    corners, owners = [], []
+    for k, mesh in enumerate(meshes):
+        pixels, depth = pixels_of(camera, mesh.vertices, width)
+        ahead = (depth > NEAR_M)[mesh.triangles].all(axis=1)
+        rows = mesh.triangles[ahead]
+        inverse = 1.0 / np.maximum(depth, NEAR_M)
+        corners.append(np.concatenate([pixels, inverse[:, None]], axis=1)[rows].reshape(-1, 3, 3))
+        owners.append(np.full(len(rows), k))
+    triangle, owner = np.concatenate(corners), np.concatenate(owners)
+    # Pixel centers are at half-integers.
+    low = np.ceil(np.clip(triangle[..., :2].min(axis=1) - 0.5, 0, size)).astype(int)
+    high = np.floor(np.clip(triangle[..., :2].max(axis=1) - 0.5, -1, size - 1)).astype(int)
+    box = np.maximum(high - low + 1, 0)
+    nearest = np.zeros(width * height)
+    first = np.full(width * height, -1)
+    powers = np.ceil(np.log2(np.maximum(box, 1))).astype(int)
+    visible = (box > 0).all(axis=1)
+    for tall in np.unique(powers[visible], axis=0):
+        columns, lines = np.minimum(2**tall, size).tolist()
+        group = np.flatnonzero(visible & (powers == tall).all(axis=1))
+        step = max(1, CHUNK // (columns * lines))
+        for start in range(0, len(group), step):
+            rows = group[start : start + step]
+            pixel, inverse, k = _covered(triangle[rows], low[rows], box[rows], columns, lines)
+            spot = pixel[:, 1] * width + pixel[:, 0]
+            np.maximum.at(nearest, spot, inverse)
+            front = inverse >= nearest[spot]
+            first[spot[front]] = owner[rows[k[front]]]
+    shape = (height, width)
+    with np.errstate(divide="ignore"):
+        depth = np.where(first >= 0, 1.0 / nearest, np.inf)
+    return DrawnObjects(first.reshape(shape), depth.reshape(shape))
+
+
+def _covered(
+    triangle: Float[np.ndarray, "t 3 3"],
+    low: Int[np.ndarray, "t 2"],
+    box: Int[np.ndarray, "t 2"],
+    columns: int,
+    lines: int,
+) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return the pixels that triangles cover, their inverse depths, and the triangles' rows."""
+    x = low[:, 0, None, None] + np.arange(columns)[None, None, :]
+    y = low[:, 1, None, None] + np.arange(lines)[None, :, None]
+    a, b, c = (triangle[:, k, :, None, None] for k in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    safe = np.where(np.abs(area) < 1e-12, np.inf, area)
+    u, v = x + 0.5, y + 0.5
+    second = ((u - a[:, 0]) * (c[:, 1] - a[:, 1]) - (v - a[:, 1]) * (c[:, 0] - a[:, 0])) / safe
+    third = ((b[:, 0] - a[:, 0]) * (v - a[:, 1]) - (b[:, 1] - a[:, 1]) * (u - a[:, 0])) / safe
+    inside = (second >= 0) & (third >= 0) & (second + third <= 1) & np.isfinite(safe)
+    inside &= (np.arange(columns) < box[:, 0, None])[:, None, :]
+    inside &= (np.arange(lines) < box[:, 1, None])[:, :, None]
+    inverse = a[:, 2] + second * (b[:, 2] - a[:, 2]) + third * (c[:, 2] - a[:, 2])
+    k, line, column = np.nonzero(inside)
+    pixel = np.stack([low[k, 0] + column, low[k, 1] + line], axis=1)
+    return pixel, inverse[inside], k
