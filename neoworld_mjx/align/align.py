@@ -26,6 +26,8 @@ from .unknowns import CAMERA, Placement, Unknowns
 
 COARSE_PX, FINE_PX = 320, 640
 """Widths of the images [px]."""
+NO_CONTOUR = "no visible contour has other colors on its two sides"
+"""Reason of objects without evidence of a contour."""
 CALIBRATION = (1.2, 1.9, 1.0, 1.5)
 """Factors of the deviations along and across the view, of the heading and of the log scale: with
 them, 90 % intervals hold the truth in nine of ten objects of the benchmark's development half."""
@@ -79,11 +81,14 @@ def align(
     unknowns = Unknowns.of(scene, scene.camera)
     if not len(unknowns.free):
         return Alignment(scene)
-    problem = _Problem(unknowns, options or AlignOptions(), frozenset(measured))
+    options = options or AlignOptions()
+    problem = _Problem(unknowns, options, frozenset(measured))
     images = {width: LabImage.of(photo, width) for width in (COARSE_PX, FINE_PX)}
     reasons = {
         k: "it is see-through" for k, item in enumerate(scene.objects) if see_through(item.spec)
     }
+    if not options.contours:
+        reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = np.zeros(unknowns.size)
     for stage in STAGES:
         for _ in range(stage.steps):
@@ -136,7 +141,7 @@ class _Problem:
             box = box_evidence(unknowns, now, neighbors, drawn, k)
             if box is not None:
                 equations.add_box(k, box)
-            if not self.options.contours or stage.reach == 0 or k in silent:
+            if stage.reach == 0 or k in silent:
                 continue
             contour = contour_evidence(
                 unknowns,
@@ -187,7 +192,7 @@ def _result(
         evidence: Evidence = "box" if k in equations.with_box else "none"
         if k in equations.with_contour:
             evidence = "pixels"
-        reason = "" if evidence == "pixels" else reasons.get(k, "it has no visible contour")
+        reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)
         uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])
         items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
         shift = (float(own[0]), float(own[1]))

@@ -29,6 +29,8 @@ LOG_STRETCH = 0.03
 one another; without these nuisance unknowns the layout and the camera would absorb it."""
 FIXED_YAW = 1e-4
 """Heading of an object on a wall [rad]."""
+SUPPORTED = 0.15
+"""Deviation of an object on a movable one, over the shorter side of what it stands on."""
 LEAST_CLEARANCE_M = 0.005
 """Least clearance of a content in its container [m]."""
 
@@ -72,7 +74,7 @@ def prior_precision(
         first = CAMERA + EACH * i
         own = x[first : first + EACH]
         distance = float(np.linalg.norm(now.pos[k] - eye))
-        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _clearance(unknowns, k))
+        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _room(unknowns, k))
         whitening = unknowns.view_axes(now, k) / most[:, None]
         yaw = YAW
         if unknowns.in_wall[k].any():
@@ -87,11 +89,17 @@ def prior_precision(
     return precision
 
 
-def _clearance(unknowns: Unknowns, k: int) -> float:
-    """Return half the clearance of a content in its container [m]; inf for other objects."""
+def _room(unknowns: Unknowns, k: int) -> float:
+    """Return the deviation [m] that an object's support leaves it; inf on the environment.
+
+    It is half the clearance of a content in its container, and SUPPORTED of the shorter side of
+    what an object stands on.
+    """
     item = unknowns.scene.objects[k]
-    if item.relation != "in" or item.parent is None:
+    if item.parent is None or item.relation not in ("in", "on"):
         return np.inf
-    outer = unknowns.scene.object(item.parent)
-    sizes = [np.subtract(*bounds(o.spec, o.joint_state)[::-1])[:2].min() for o in (outer, item)]
-    return max(float(sizes[0] - sizes[1]) / 2, LEAST_CLEARANCE_M)
+    parent = unknowns.scene.object(item.parent)
+    sides = [np.subtract(*bounds(o.spec, o.joint_state)[::-1])[:2].min() for o in (parent, item)]
+    if item.relation == "in":
+        return max(float(sides[0] - sides[1]) / 2, LEAST_CLEARANCE_M)
+    return np.inf if parent.environment else SUPPORTED * float(sides[0])

@@ -91,24 +91,39 @@ def compose(
         if options.hold_joints:
             placed[node.name] = _with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
+    scene, moved = in_contact(scene, options)
+    return Composed(scene, scales, (*notes, *moved))
+
+
+def in_contact(
+    scene: SceneSpec, options: ComposeOptions | None = None
+) -> tuple[SceneSpec, tuple[str, ...]]:
+    """Snap objects onto their supports, clear of walls, and up to what they lean on.
+
+    Returns:
+        The scene, and a note for each object that moved sideways.
+    """
+    options = options or ComposeOptions()
     scene = snap(scene, options.gap_m)
-    if options.settle:
-        scene, cleared = clear_walls(scene)
-        scene = snap(scene, options.gap_m) if cleared else scene
-        for item, distance in cleared.items():
-            notes.append(
-                f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
-                f"of {scene.object(item).parent}"
-            )
-        scene, moved = lean(scene)
-        scene = snap(scene, options.gap_m) if moved else scene
-        for leaning, (distance, other) in moved.items():
-            direction = "up to" if distance > 0 else "out of"
-            notes.append(
-                f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
-                f"{other}, on which it leans"
-            )
-    return Composed(scene, scales, tuple(notes))
+    if not options.settle:
+        return scene, ()
+    notes = []
+    scene, cleared = clear_walls(scene)
+    scene = snap(scene, options.gap_m) if cleared else scene
+    for item, distance in cleared.items():
+        notes.append(
+            f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
+            f"of {scene.object(item).parent}"
+        )
+    scene, moved = lean(scene)
+    scene = snap(scene, options.gap_m) if moved else scene
+    for leaning, (distance, other) in moved.items():
+        direction = "up to" if distance > 0 else "out of"
+        notes.append(
+            f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
+            f"{other}, on which it leans"
+        )
+    return scene, tuple(notes)
 
 
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:

@@ -1,5 +1,6 @@
 """Scenes with actuators: actions, observed joints and initial states."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,8 @@ from ..physics.layout import Layout
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
-from ..spec import SceneSpec, read_scene
+from ..spec import SceneSpec, read_scene, support_frame, world_poses
+from ..spec.pose import yaw_of
 from .facing import facing
 
 FREE_TARGET = np.pi
@@ -38,6 +40,9 @@ class ResetNoise:
     """Yaw of every movable object [rad]."""
     joints: float = 0.0
     """Value of every joint, relative to its range, or to a full turn for a joint without limits."""
+    photo: float = 0.0
+    """Position and yaw of every aligned object, in units of the deviations that the photograph
+    leaves, `SceneObject.uncertainty`: 1 draws scenes that could be the photograph's."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,31 @@ class ControlledScene:
         return np.array([self.model.joint(n).dofadr[0] for n in self.joints], int)
 
     @cached_property
+    def photo_deviations(
+        self,
+    ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, " object"]]:
+        """Deviations that the photograph leaves, zero for objects that were not aligned.
+
+        The columns of the first are the deviations of the position along and across the view [m],
+        in the frame of the object's support; the second are those of the yaw [rad].
+        """
+        spec = self.scene.spec
+        poses = world_poses(spec)
+        axes, yaw = np.zeros((len(self.names), 2, 2)), np.zeros(len(self.names))
+        for k, item in enumerate(spec.objects):
+            known = item.uncertainty
+            if known is None or item.parent is None:
+                continue
+            parent = spec.object(item.parent)
+            frame = support_frame(parent, poses[item.parent], item.parent_link)
+            # The camera is above the origin.
+            along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
+            c, s = math.cos(along), math.sin(along)
+            axes[k] = np.array([[c, -s], [s, c]]) * [known.along, known.across]
+            yaw[k] = known.yaw
+        return axes, yaw
+
+    @cached_property
     def action_bounds(self) -> tuple[NDArray, NDArray]:
         """Lower and upper bounds of actions [action]."""
         ranges = [drive.range or (-FREE_TARGET, FREE_TARGET) for drive in self.drives]
@@ -122,12 +152,13 @@ class ControlledScene:
         keys = jax.random.split(key, 3)
         count = len(self.names)
         free = self.scene.optimised
-        if noise.xy or noise.yaw:
-            layout = Layout(
-                noise.xy * jax.random.normal(keys[0], (1, count, 2)) * free[:, None],
-                noise.yaw * jax.random.normal(keys[1], (1, count)) * free,
-                jnp.zeros((1, count)),
-            )
+        if noise.xy or noise.yaw or noise.photo:
+            shift = jax.random.normal(keys[0], (1, count, 2))
+            turn = jax.random.normal(keys[1], (1, count))
+            axes, yaw = self.photo_deviations
+            xy = noise.xy * shift + noise.photo * jnp.einsum("oij,poj->poi", axes, shift)
+            yaw = jnp.hypot(noise.yaw, noise.photo * yaw) * turn
+            layout = Layout(xy * free[:, None], yaw * free, jnp.zeros((1, count)))
             placed = model_fields(self.scene, self.scene.place(layout))["qpos"][0]
             start = start.at[: placed.shape[0]].set(placed)
         if noise.joints and len(self.joints):

@@ -40,7 +40,7 @@ def compose_scene(context: StepContext) -> None:
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json and pictures/outlines.png.
     """
-    from ..compose.compose import compose
+    from ..compose.compose import compose, in_contact
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
     from ..fit.refit import refit_tree
     from ..measure import shown_sides
@@ -84,14 +84,16 @@ def compose_scene(context: StepContext) -> None:
                     change = f"{name} {support.relation} {support.parent}, not {support.before}"
                     run.fallback("compose", change, support.phrase())
             composed = compose(tree, objects, config.compose)
-            scene = composed.scene
+            scene, notes = composed.scene, composed.notes
             if config.compose.align.enabled:
                 scene = _aligned(context, scene, tree, out)
+                scene, moved = in_contact(scene, config.compose)
+                notes = (*notes, *moved)
             scene, stale = apply_layout(scene, patch, config.compose.gap_m)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             scales = json.dumps(composed.scales, indent=1) + "\n"
             (out / "compose" / "scales.json").write_text(scales, encoding="utf-8")
-            for note in composed.notes:
+            for note in notes:
                 run.fallback("compose", "a scene that differs from the parsed one", note)
             for name in sorted(patch.objects.keys() - set(stale)):
                 run.fallback(

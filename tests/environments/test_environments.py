@@ -13,6 +13,7 @@ from neoworld_mjx.environments.facing import facing
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import rotate
+from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support.mechanisms import WOOD, geom, joint, part, single
 from tests.support.notebooks import run_small
 
@@ -71,6 +72,23 @@ def test_noise_is_seeded_and_moves_only_movable_objects(scene):
     assert all(0.0 <= start["joints"][0] <= 0.2 for start in starts)
     moved = np.abs(starts[2]["poses"][1, :2] - starts[0]["poses"][1, :2]).max()
     assert moved < 0.2
+
+
+def test_resets_within_what_the_photograph_leaves_open(scene):
+    known = PoseUncertainty(along=0.01, across=0.001, yaw=0.02, log_scale=0.01)
+    placed = [
+        item.model_copy(update={"uncertainty": known, "xy": (1.0, 1.0)}) if item.parent else item
+        for item in scene.objects
+    ]
+    scene = scene.model_copy(update={"objects": tuple(placed)})
+    env = nw.gym_env(scene, noise=nw.ResetNoise(photo=1.0))
+    movable = [k for k, item in enumerate(scene.objects) if item.parent and not item.environment]
+    starts = np.array([env.reset(seed=seed)[0]["poses"][movable[0]] for seed in range(60)])
+    view = starts[:, :2].mean(axis=0) / np.linalg.norm(starts[:, :2].mean(axis=0))
+    along = starts[:, :2] @ view
+    across = starts[:, :2] @ [-view[1], view[0]]
+    assert 0.007 < along.std() < 0.013
+    assert 0.0007 < across.std() < 0.0013
 
 
 def test_a_gripper_opens_the_drawer_by_its_handle(scene):

@@ -281,6 +281,94 @@ def test_damaged_files_affect_only_their_section(finished):
     assert "4.00 0.00 ✓ pass" in words
 
 
+def _place(evidence, reason="", **change):
+    deviations = {"along": 0.0064, "across": 0.0012, "yaw": 0.03, "log_scale": 0.031}
+    known = {name: change.pop(name, value) for name, value in deviations.items()}
+    place = {"evidence": evidence, "reason": reason, "shift_m": [0.003, -0.004], "yaw_deg": 3.549}
+    return place | {"size_ratio": 0.9926} | change | {"uncertainty": known}
+
+
+def _align(folder, objects, **camera):
+    unmoved = dict.fromkeys(("pitch_deg", "roll_deg", "fovy_deg", "height_m"), 0.0)
+    (folder / "compose").mkdir(exist_ok=True)
+    text = json.dumps(unmoved | camera | {"objects": objects})
+    (folder / "compose" / "align.json").write_text(text)
+
+
+def _photograph(folder):
+    """Return the words of the section on the alignment; empty if there is none."""
+    html = write_report(folder).read_text()
+    _Page(html)
+    section = html.partition("<h2>The photograph</h2>")[2].partition("</section>")[0]
+    return _words(section)
+
+
+def test_the_alignment_with_the_photograph_is_shown(finished):
+    objects = {
+        "cup": _place("pixels"),
+        "jar": _place("box", "it is see-through", yaw=0.0472, yaw_deg=0.0001),
+        "lid": _place("none", "it has no visible contour", yaw=0.0471, across=0.0004),
+        "clock": _place("pixels", along=0.0, across=0.00002, yaw=1e-4, yaw_deg=0.0),
+    }
+    _align(finished, objects, pitch_deg=0.36, roll_deg=-0.64, fovy_deg=-0.01, height_m=0.0043)
+    Image.new("RGB", (120, 40), "green").save(finished / "pictures" / "outlines.png")
+    words = _photograph(finished)
+    for message in (
+        "Outlines of the composed scene, orange, and of the aligned scene, green",
+        "pitch (down) by +0.4°, its roll by -0.6°, its vertical field of view by 0.0° and its "
+        "height by +4 mm.",
+        "cup pixels 5 +4 -1 along the view ±6 mm, across ±1 mm, heading ±2°, size ±3 %",
+        "jar 2D box: it is see-through 5 0 -1 along the view ±6 mm, across ±1 mm, heading not seen",
+        "lid composition: it has no visible contour 5.0 +4 -1 along the view ±6 mm, "
+        "across ±0.4 mm, heading ±3°, size ±3 %",
+        "clock pixels 5.0 0.0 -1 along the wall ±0.1 mm, size ±3 %",
+    ):
+        assert message in words, message
+
+
+def test_a_camera_that_the_alignment_leaves_is_not_listed(finished):
+    _align(finished, {"cup": _place("pixels")}, height_m=-0.0001)
+    words = _photograph(finished)
+    assert "The alignment did not change the camera." in words
+    assert "not there yet" in words
+
+
+def test_a_run_without_alignment_has_no_section_about_it(finished):
+    assert _photograph(finished) == ""
+    _align(finished, {})
+    assert "Nothing was aligned" in _photograph(finished)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{half", "compose/align.json cannot be read"),
+        ("[]", "compose/align.json cannot be read"),
+        ("{}", "unexpected structure: KeyError"),
+        ('{"objects": {"cup": {}}}', "unexpected structure: KeyError"),
+        (
+            '{"pitch_deg": 0, "roll_deg": 0, "fovy_deg": 0, "height_m": 0, '
+            '"objects": {"cup": {"uncertainty": 3}}}',
+            "unexpected structure: TypeError",
+        ),
+    ],
+)
+def test_a_damaged_alignment_affects_only_its_section(finished, text, message):
+    (finished / "compose").mkdir(exist_ok=True)
+    (finished / "compose" / "align.json").write_text(text)
+    assert message in _photograph(finished)
+    assert "4.00 0.00 ✓ pass" in _words(write_report(finished).read_text())
+
+
+def test_text_of_the_alignment_is_escaped(finished):
+    _align(finished, {EVIL: _place("box", EVIL)})
+    html = write_report(finished).read_text()
+    assert "<script" not in html
+    assert html.count("evil/a.png") == 2
+    _align(finished, {"cup": _place(EVIL)})
+    assert "<script" not in write_report(finished).read_text()
+
+
 def test_large_pictures_are_reduced(finished):
     noise = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
     Image.fromarray(noise).save(finished / "photo.png")

@@ -1,6 +1,8 @@
 """Methods that turn an initial scene into a layout: the search, its ablations and baselines,
 gravity."""
 
+import dataclasses
+import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,8 +13,11 @@ import equinox as eqx
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import UInt8
 
-from neoworld_mjx.config import RefineOptions, merged
+from neoworld_mjx.align.align import align as align_scene
+from neoworld_mjx.compose.compose import in_contact
+from neoworld_mjx.config import AlignOptions, RefineOptions, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
@@ -66,12 +71,21 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     },
 }
 """Changes of the refinement's options by ablation, as in configs/ablations/refine.yaml."""
+EVIDENCE: dict[str, AlignOptions] = {
+    "without_photo": AlignOptions(enabled=False),
+    "without_contours": AlignOptions(contours=False),
+    "without_camera": AlignOptions(camera=False),
+}
+"""Ablations of the alignment with the photograph."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
+    **dict.fromkeys(EVIDENCE, ours),
 }
 """Methods that are a refinement with other options."""
+UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
+"""Methods that take the composed scene as it is; all others align it with the photograph first."""
 BUDGETED = ("random", "cma_es")
 """Other optimizers, with as many rollouts as ours from the same initial scene."""
 METHODS = (
@@ -104,7 +118,7 @@ SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
 
 def outcome_of(
     method: str,
-    composed: SceneSpec,
+    start: SceneSpec,
     o: RefineOptions,
     engine: Engine,
     *,
@@ -116,7 +130,7 @@ def outcome_of(
 
     Args:
         method: of METHODS.
-        composed: where it starts.
+        start: where it starts.
         o: options of the refinement and of the final check.
         engine: that rolls candidates out.
         seed: of searches.
@@ -126,13 +140,13 @@ def outcome_of(
     """
     if method in SETTLED:
         began = time.perf_counter()
-        scene = SETTLED[method](composed, o)
+        scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = (
         with_budget(o, method, max(rollouts, 1)) if method in BUDGETED else SEARCHES[method](o)
     )
-    model = compile_for_search(composed, options)
+    model = compile_for_search(start, options)
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
         quick = options.model_copy(update={"cem": once})
@@ -194,7 +208,9 @@ def outcomes_of(
     composed: SceneSpec,
     o: RefineOptions,
     engine: Engine,
+    photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
     *,
+    align: AlignOptions | None = None,
     seed: int = 0,
     warm: bool = True,
 ) -> Iterator[tuple[str, MethodResult]]:
@@ -202,14 +218,45 @@ def outcomes_of(
 
     Ours runs first, as BUDGETED get its number of rollouts; if it is not requested, it runs for the
     count only.
+
+    Args:
+        methods: of METHODS.
+        composed: the composed scene.
+        o: options of the refinement and of the final check.
+        engine: that rolls candidates out.
+        photo: returns the photograph; called if a method aligns the scene with it.
+        align: options of the alignment.
+        seed: of searches.
+        warm: as for `outcome_of`.
     """
     rollouts = 0
+    starts: dict[AlignOptions, tuple[SceneSpec, float]] = {}
+    picture = functools.cache(photo)
+
+    def start_of(method: str) -> tuple[SceneSpec, float]:
+        used = EVIDENCE.get(method, align or AlignOptions())
+        if method in UNALIGNED or not used.enabled:
+            return composed, 0.0
+        if used not in starts:
+            shown = picture()
+            began = time.perf_counter()
+            aligned, _ = in_contact(align_scene(composed, shown, used).scene)
+            starts[used] = aligned, time.perf_counter() - began
+        return starts[used]
+
     for method in in_order(methods):
         if method in BUDGETED and not rollouts:
-            rollouts = outcome_of("ours", composed, o, engine, seed=seed, warm=False).rollouts
-        result = outcome_of(method, composed, o, engine, seed=seed, rollouts=rollouts, warm=warm)
+            first, _ = start_of("ours")
+            rollouts = outcome_of("ours", first, o, engine, seed=seed, warm=False).rollouts
+        start, spent = start_of(method)
+        result = outcome_of(method, start, o, engine, seed=seed, rollouts=rollouts, warm=warm)
         rollouts = result.rollouts if method == "ours" else rollouts
-        yield method, result
+        times = {
+            name: value + spent
+            for name in ("seconds", "seconds_to_result")
+            if (value := getattr(result, name)) is not None
+        }
+        yield method, dataclasses.replace(result, **times)
 
 
 def in_order(methods: Sequence[str]) -> list[str]:

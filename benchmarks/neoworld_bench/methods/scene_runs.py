@@ -12,7 +12,7 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
 from ..dataset.declaration import declaration, declarations
-from ..dataset.truth_scene import photographed
+from ..dataset.truth_scene import photograph, photographed
 from ..noise.parse_noise import NoiseLog
 from ..row_files import stored_rows
 from .layout_errors import layout_errors
@@ -179,7 +179,15 @@ def _outcomes(
         return
     composed = job.composed(truth, job.subject, errors)
     engine = NativeEngine(threads=job.threads)
-    for method, result in outcomes_of(job.methods, composed, s.refine, engine, seed=s.seed):
+    for method, result in outcomes_of(
+        job.methods,
+        composed,
+        s.refine,
+        engine,
+        lambda: photograph(truth),
+        align=s.compose.align,
+        seed=s.seed,
+    ):
         yield method, result, composed
 
 

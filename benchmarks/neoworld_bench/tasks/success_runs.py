@@ -10,6 +10,7 @@ from pathlib import Path
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
+from ..dataset.truth_scene import photograph
 from ..methods.method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..methods.validity import validity
@@ -125,7 +126,14 @@ def success_rows(job: MethodJob) -> Iterator[tuple[SuccessRow, tuple[()]]]:
     while remaining:
         try:
             for method, result in outcomes_of(
-                tuple(remaining), composed, s.refine, engine, seed=s.seed, warm=False
+                tuple(remaining),
+                composed,
+                s.refine,
+                engine,
+                lambda: photograph(photo.scene),
+                align=s.compose.align,
+                seed=s.seed,
+                warm=False,
             ):
                 remaining.remove(method)
                 yield row(method, (photo, composed, result)), ()

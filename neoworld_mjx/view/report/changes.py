@@ -16,8 +16,8 @@ BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
 _SIDES = ("left", "top", "right", "bottom")
 _NOTE = (
     "Changes of position, size and heading: both fits start from the parse, the search from the "
-    'second fit; "unchanged" means that a step did not change the object. Hidden sides: sides of '
-    "its 2D box that are truncated or occluded."
+    'scene of Step 4; "unchanged" means that a step did not change the object. Hidden sides: sides '
+    "of its 2D box that are truncated or occluded."
 )
 
 

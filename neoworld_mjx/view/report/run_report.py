@@ -18,7 +18,15 @@ from ...errors import NeoWorldError, RunError
 from ...io.files import write_atomic
 from ...run_folder import STEPS, read_run, refuse_links
 from ...spec import read_scene
-from . import changes, charts, convergence, film_strips, object_rows, scene_3d
+from . import (
+    changes,
+    charts,
+    convergence,
+    film_strips,
+    object_rows,
+    photograph_section,
+    scene_3d,
+)
 from .formatting import progress_of, read_json
 from .page import document, elements
 from .pictures import picture
@@ -49,6 +57,7 @@ def write_report(folder: Path) -> Path:
         ("Notes", lambda: _notes(run)),
         ("Numbers", lambda: _numbers(run)),
         ("Before and after", lambda: _pictures(folder)),
+        (photograph_section.TITLE, lambda: photograph_section.photograph_section(folder)),
         (object_rows.TITLE, lambda: object_rows.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
         (film_strips.TITLE, lambda: _film_strips(folder, run)),

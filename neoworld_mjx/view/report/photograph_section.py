@@ -1,0 +1,102 @@
+"""Section of a report on the alignment with the photograph: camera, moves and uncertainties."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from ...fit.priors import YAW
+from .formatting import read_json
+from .page import elements
+from .pictures import picture
+
+TITLE = "The photograph"
+UNSEEN = 0.9
+"""Deviation of a heading, over that of its prior, from which the photograph does not show it."""
+_SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
+"""What places an object, by the `evidence` of align.json."""
+_CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
+_NOTE = (
+    "Changes from the composed to the aligned scene, each in the frame of the object's support. "
+    'Known to: one standard deviation; "heading not seen" means that the photograph says nothing '
+    "about the heading."
+)
+
+
+def photograph_section(folder: Path) -> Markup:
+    """Return the section on the alignment; empty for a run without compose/align.json."""
+    path = folder / "compose" / "align.json"
+    if not path.is_file():
+        return Markup()
+    aligned = read_json(path)
+    if aligned is None:
+        return elements.section(TITLE, elements.missing("compose/align.json cannot be read."))
+    objects = aligned["objects"]
+    if not objects:
+        note = "Nothing was aligned: the scene has no camera, or no object that may move."
+        return elements.section(TITLE, elements.missing(note))
+    heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %", "known to"]
+    return elements.section(
+        TITLE,
+        elements.div("pictures", picture(folder / "pictures" / "outlines.png", _CAPTION)),
+        elements.paragraph(_camera(aligned)),
+        elements.table(heads, [_row(name, change) for name, change in objects.items()]),
+        elements.paragraph(_NOTE, "dim"),
+    )
+
+
+def _camera(aligned: dict[str, Any]) -> str:
+    """Return a sentence with the changes of the camera."""
+    keys = ("pitch_deg", "roll_deg", "fovy_deg")
+    pitch, roll, fovy = (_signed(aligned[key], 1) for key in keys)
+    height = _signed(1000 * aligned["height_m"], 0)
+    if {pitch, roll, fovy, height} == {"0.0", "0"}:
+        return "The alignment did not change the camera."
+    return (
+        f"The alignment changed the camera's pitch (down) by {pitch}°, its roll by {roll}°, its "
+        f"vertical field of view by {fovy}° and its height by {height} mm."
+    )
+
+
+def _row(name: str, change: dict[str, Any]) -> list[str]:
+    """Return the cells of an object; a change has the digits that its deviation leaves it."""
+    deviations = change["uncertainty"]
+    along, across = 1000 * deviations["along"], 1000 * deviations["across"]
+    heading, size = math.degrees(deviations["yaw"]), 100 * deviations["log_scale"]
+    # An object on a wall moves in the wall's plane alone: its distance has no deviation.
+    on_wall = along == 0
+    moved = 1000 * math.hypot(*change["shift_m"])
+    source = _SOURCES[change["evidence"]]
+    if on_wall:
+        known = [f"along the wall {_deviation(across)} mm"]
+    else:
+        unseen = deviations["yaw"] >= UNSEEN * YAW
+        known = [
+            f"along the view {_deviation(along)} mm",
+            f"across {_deviation(across)} mm",
+            "heading not seen" if unseen else f"heading {_deviation(heading)}°",
+        ]
+    known.append(f"size {_deviation(size)} %")
+    return [
+        name,
+        f"{source}: {change['reason']}" if change["reason"] else source,
+        f"{moved:.{_digits(across if on_wall else min(along, across))}f}",
+        _signed(change["yaw_deg"], _digits(heading)),
+        _signed(100 * (change["size_ratio"] - 1), _digits(size)),
+        ", ".join(known),
+    ]
+
+
+def _digits(deviation: float) -> int:
+    """Return the number of decimals of a value with a standard deviation."""
+    return 0 if deviation >= 0.95 else 1
+
+
+def _deviation(value: float) -> str:
+    return f"±{max(value, 0.1):.{_digits(value)}f}"
+
+
+def _signed(value: float, digits: int) -> str:
+    rounded = round(value, digits) + 0.0  # Adding 0.0 turns -0.0 into 0.0.
+    return f"{rounded:+.{digits}f}" if rounded else f"{rounded:.{digits}f}"
