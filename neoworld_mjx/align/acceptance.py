@@ -2,13 +2,14 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_erosion
 
 from .colors import LEAST_PIXELS, around, color_model, log_likelihood_ratio
 from .rasterize import DrawnObjects, draw_objects
 from .unknowns import Placement, Unknowns
 
-FEW_PIXELS = 20
-"""Number of differing pixels up to which two places are the same for the photograph."""
+SAME_PX = 0.5
+"""Distance between two outlines [px] up to which they are the same for the photograph."""
 
 
 def shown_at(
@@ -49,7 +50,8 @@ def gain(
         slice(max(int(columns[0]) - reach, 0), int(columns[-1]) + reach),
     )
     now, other, union, bins = now[window], other[window], union[window], bins[window]
-    if (now != other).sum() <= FEW_PIXELS:
+    outline = now & ~np.asarray(binary_erosion(now, border_value=1))
+    if (now != other).sum() <= SAME_PX * max(outline.sum(), 1):
         return 0.0
     common, ring = now & other, around(union, 1)
     if min(common.sum(), ring.sum()) < LEAST_PIXELS / 2:

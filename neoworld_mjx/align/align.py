@@ -92,10 +92,11 @@ def align(
     x = np.zeros(unknowns.size)
     for stage in STAGES:
         for _ in range(stage.steps):
-            x = problem.linearized(x, images[stage.width], stage, reasons)[0].solved()
+            equations, _ = problem.linearized(x, images[stage.width], stage, reasons)
+            x = problem.solved(equations)
     last = STAGES[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
-    x = equations.solved()
+    x = problem.solved(equations)
     refused = problem.refused(equations, drawn, images[last.width].bins)
     if refused:
         reasons |= dict.fromkeys(refused, "its colors do not tell it from what surrounds it")
@@ -104,7 +105,7 @@ def align(
             x[unknowns.columns(k)] = reset[unknowns.columns(k)]
         for _ in range(last.steps):
             equations, _ = problem.linearized(x, images[last.width], last, reasons)
-            x = equations.solved()
+            x = problem.solved(equations)
     return _result(unknowns, x, equations, reasons)
 
 
@@ -156,6 +157,13 @@ class _Problem:
             if contour is not None:
                 equations.add_contour(k, contour)
         return equations, drawn
+
+    def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
+        """Return new values of the unknowns; a camera that is not estimated stays as it is."""
+        x = equations.solved()
+        if not self.options.camera:
+            x[:CAMERA] = 0.0
+        return x
 
     def refused(
         self,

@@ -28,7 +28,7 @@ LOG_STRETCH = 0.03
 """Logarithm of the stretch of a program along an axis. The contours of a wrong shape disagree with
 one another; without these nuisance unknowns the layout and the camera would absorb it."""
 FIXED_YAW = 1e-4
-"""Heading of an object on a wall [rad]."""
+"""Heading of an object that is round or on a wall [rad]."""
 SUPPORTED = 0.15
 """Deviation of an object on a movable one, over the shorter side of what it stands on."""
 LEAST_CLEARANCE_M = 0.005
@@ -78,8 +78,10 @@ def prior_precision(
         whitening = unknowns.view_axes(now, k) / most[:, None]
         yaw = YAW
         if unknowns.in_wall[k].any():
-            # Along the wall and up; it does not turn.
-            whitening, yaw = np.eye(2) / (FASTENED * distance), FIXED_YAW
+            # Along the wall and up.
+            whitening = np.eye(2) / (FASTENED * distance)
+        if unknowns.in_wall[k].any() or unknowns.round[k]:
+            yaw = FIXED_YAW
         off = whitening @ own[:2]
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)

@@ -25,6 +25,8 @@ MARGIN_PX = 3.0
 """Margin along contours that color models leave out [px]."""
 LEAST_SPREAD = 0.5
 """Least robust spread of the displacements of a contour [px]."""
+LEAST_PRECISION = 1e-4
+"""Precision [1/px^2] below which the colors of a contour's two sides are the same."""
 OUTLYING = 2.0
 """Displacement, in robust spreads, at which a point has half of its weight."""
 BOX_PX, BOX = 3.0, 0.01
@@ -90,7 +92,7 @@ def contour_evidence(
         noise=noise,
         unit=unit,
     )
-    informed = moved.precision > 0
+    informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():
         return None
     center = np.median(moved.value)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotation
+from ..physics.outline import is_round
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, rearranged, world_poses
 from .rasterize import WorldMesh, pixels_of
@@ -62,6 +63,8 @@ class Unknowns:
     in_wall: Float[np.ndarray, "object 2"]
     """Horizontal direction in the wall that an object is attached to, in its support's frame; zero
     for other objects. Such an object moves along it and up: dx and dy are these two."""
+    round: Bool[np.ndarray, " object"]
+    """True for objects whose image does not depend on their heading."""
     lowest: Float[np.ndarray, " object"]
     """Height of each object's lowest point below or above its origin [m]."""
     middle_depth: float
@@ -81,6 +84,7 @@ class Unknowns:
             np.array(free, int),
             frames(scene),
             np.array([_direction_in_wall(scene, item) for item in scene.objects]),
+            np.array([is_round(item) for item in scene.objects]),
             np.array(lowest),
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
         )

@@ -3,14 +3,11 @@
 import functools
 import math
 
-import numpy as np
-from jaxtyping import UInt8
 from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.supports import support_program
-from neoworld_mjx.render import render
 from neoworld_mjx.spec import (
     Box2D,
     Box3D,
@@ -47,12 +44,6 @@ def photographed(declared: SceneDeclaration) -> SceneSpec:
     its camera sees.
     """
     return see(truth_scene(declared), finer=2)
-
-
-def photograph(scene: SceneSpec) -> UInt8[np.ndarray, "row column 3"]:
-    """Render the photograph of a scene with a camera (sRGB)."""
-    assert scene.camera is not None
-    return render(scene, scene.camera).color
 
 
 @functools.lru_cache(maxsize=1024)

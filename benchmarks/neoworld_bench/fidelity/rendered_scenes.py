@@ -8,9 +8,10 @@ import math
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, UInt8
 
 from neoworld_mjx.physics.support import posed_shapes
+from neoworld_mjx.render import render
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -193,6 +194,12 @@ def see(scene: SceneSpec, *, finer: int = 1) -> SceneSpec:
         update = {"box2d": Box2D(**edges), "depth": float(depth), "occluded": hidden}
         objects.append(item.model_copy(update=update))
     return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def photograph(scene: SceneSpec) -> UInt8[np.ndarray, "row column 3"]:
+    """Render the photograph of a scene with a camera (sRGB)."""
+    assert scene.camera is not None
+    return render(scene, scene.camera).color
 
 
 def occluders(scene: SceneSpec) -> dict[str, tuple[str, ...]]:

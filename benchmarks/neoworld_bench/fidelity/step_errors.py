@@ -2,7 +2,8 @@
 
 Responses are the ground truth with measured errors, and programs have the true shapes, so no model
 is needed. The steps are those of a run: the response, its fit, the scene composed from the fit,
-and the refined scene; in addition the scene composed from the response without a fit.
+the scene aligned with the photograph, and the refined scene; in addition the scene composed from
+the response without a fit.
 """
 
 import math
@@ -12,7 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.align.align import align
+from neoworld_mjx.compose.compose import compose, in_contact
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.fit.fit_tree import fit_tree
@@ -26,14 +28,15 @@ from neoworld_mjx.spec import Box3D, SceneSpec
 from ..measures.symmetry import symmetry
 from ..rows import Row
 from .rendered_responses import exact_response, noisy_response, upright_boxes
-from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene
+from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene, photograph
 
-STEPS = ("answer", "as_answered", "fit", "composed", "refined")
+STEPS = ("answer", "as_answered", "fit", "composed", "aligned", "refined")
 """Steps with errors; `as_answered` is composed from the response without a fit."""
 COMPARED = (
     ("answer", "fit", "as_answered"),
     ("fit", "composed", "as_answered"),
-    ("composed", "refined", "composed"),
+    ("composed", "aligned", "composed"),
+    ("aligned", "refined", "composed"),
 )
 """Steps before and after, and the scene whose invalid objects may move far."""
 MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
@@ -112,8 +115,13 @@ def photo_rows(
             "as_answered": as_answered,
             "composed": compose(again, shapes, c).scene,
         }
+        start = stages["composed"]
+        if c.align.enabled:
+            aligned = align(start, photograph(scene), c.align).scene
+            start, _ = in_contact(aligned, c)
+            stages["aligned"] = start
         if runner is not None:
-            stages["refined"] = refine(stages["composed"], o, seed=seed, engine=runner).scene
+            stages["refined"] = refine(start, o, seed=seed, engine=runner).scene
         checks = {
             step: measured(at if step == "refined" else snap_exactly(at), o)
             for step, at in stages.items()

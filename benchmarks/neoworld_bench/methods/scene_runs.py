@@ -12,7 +12,8 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
 from ..dataset.declaration import declaration, declarations
-from ..dataset.truth_scene import photograph, photographed
+from ..dataset.truth_scene import photographed
+from ..fidelity.rendered_scenes import photograph
 from ..noise.parse_noise import NoiseLog
 from ..row_files import stored_rows
 from .layout_errors import layout_errors

@@ -10,7 +10,7 @@ from pathlib import Path
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
-from ..dataset.truth_scene import photograph
+from ..fidelity.rendered_scenes import photograph
 from ..methods.method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..methods.validity import validity

@@ -1,0 +1,329 @@
+"""The alignment of rendered scenes: what comes back, and what does not move."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.align.align import NO_CONTOUR, align
+from neoworld_mjx.align.alignment import Alignment, ObjectAlignment
+from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.spec import Sphere
+from neoworld_mjx.spec.scene import PoseUncertainty
+from tests.align import desk
+
+DISPLACED = {
+    "box": (12.0, 0.0, 3.0, 2.0),
+    "can": (-6.0, 10.4, 3.0, -2.0),
+    "brick": (-6.0, -10.4, -3.0, 2.0),
+    "ball": (0.0, 12.0, 3.0, -2.0),
+    "tower": (0.0, -12.0, 3.0, 0.0),
+}
+"""By 12 mm, 3 deg and 2 %; with a mean of zero, as a photograph does not tell the scale of all."""
+
+
+@pytest.fixture(scope="module")
+def five():
+    return desk.five()
+
+
+@pytest.fixture(scope="module")
+def photo(five):
+    return desk.photograph(five, 640)
+
+
+def many():
+    """Nine things, near and far, of which some are as long as a camera's view is deep."""
+    return desk.on_desk(
+        (desk.block("box", 0.1, 0.08, 0.09, "red"), (-0.3, 0.1), 0.3, {}),
+        (desk.can("can", 0.04, 0.12, "blue"), (-0.05, -0.02), 0.0, {}),
+        (desk.block("brick", 0.2, 0.07, 0.06, "green"), (-0.25, -0.12), -0.4, {}),
+        (desk.thing("ball", Sphere(radius=0.045), "yellow"), (0.1, 0.15), 0.0, {}),
+        (desk.block("tower", 0.06, 0.06, 0.16, "purple"), (0.15, -0.25), 0.2, {}),
+        (desk.block("far", 0.08, 0.3, 0.1, "red"), (0.4, 0.2), 0.1, {}),
+        (desk.block("plank", 0.5, 0.06, 0.03, "white"), (0.15, 0.02), 0.1, {}),
+        (desk.block("tile", 0.3, 0.2, 0.02, "blue"), (0.25, -0.42), 0.0, {}),
+        (desk.block("mat", 0.3, 0.2, 0.02, "green"), (0.0, 0.38), 0.0, {}),
+    )
+
+
+def with_thing(scene, spec, xy, yaw=0.0, **more):
+    item = scene.objects[-1].model_copy(
+        update={"name": spec.name, "spec": spec, "parent": "desk", "xy": xy, "yaw": yaw, **more}
+    )
+    return scene.model_copy(update={"objects": (*scene.objects, item.model_copy())})
+
+
+def flat_photograph(scene, width=480):
+    """Every object in one color, without light and shadows."""
+    seen = desk.drawn(scene, width).owner
+    names = [item.spec.materials[0].name for item in scene.objects] + ["white"]
+    colors = np.array([desk.COLORS[name][:3] for name in names])
+    return (255 * colors[seen] + 0.5).astype(np.uint8)
+
+
+def test_displaced_objects_come_back(five, photo):
+    wrong = desk.displaced(five, **DISPLACED)
+    before = desk.distances(wrong, five)
+    assert list(before.values()) == pytest.approx([12.0] * 5, abs=0.5)
+    result = align(wrong, photo)
+    after = desk.distances(result.scene, five)
+    # What is left is mostly common to all, along the view, of which contours say least.
+    assert np.mean(list(after.values())) < 12.0 / 3
+    for name, distance in after.items():
+        assert distance < 0.4 * before[name], (name, distance)
+        assert result.objects[name].evidence == "pixels"
+        assert result.objects[name].reason == ""
+        assert result.objects[name].size_ratio == pytest.approx(
+            1 / (1 + DISPLACED[name][3] / 100), abs=0.015
+        )
+    # The headings of boxes show; those of a can and a ball do not.
+    turns = desk.turns(result.scene, five)
+    assert max(turns["box"], turns["brick"]) < 1.0
+    assert min(turns["can"], turns["ball"]) > 2.5
+    # What the result reports is what the scene has.
+    for name, change in result.objects.items():
+        item, was = result.scene.object(name), wrong.object(name)
+        assert np.add(was.xy, change.shift_m) == pytest.approx(item.xy)
+        assert item.yaw - was.yaw == pytest.approx(math.radians(change.yaw_deg))
+        assert item.uncertainty == change.uncertainty
+        assert min(change.uncertainty.model_dump().values()) > 0
+    # The desk has no unknowns of its own; with the focal length the camera's distance changes.
+    place = {"xy": wrong.object("desk").xy}
+    assert result.scene.object("desk").model_copy(update=place) == wrong.object("desk")
+
+
+def test_with_parsed_boxes_displaced_objects_come_back_too(five, photo):
+    right = desk.boxed(five)
+    result = align(desk.displaced(right, **DISPLACED), photo)
+    assert np.mean(list(desk.distances(result.scene, five).values())) < 4.0
+    known, plain = result.objects["brick"].uncertainty, align(five, photo).objects["brick"]
+    assert known.across < 1.01 * plain.uncertainty.across
+
+
+@pytest.mark.parametrize("degrees", [12.0, -12.0])
+def test_a_misjudged_field_of_view_comes_back(degrees):
+    scene = many()
+    wrong = desk.misjudged(scene, degrees)
+    off = lambda s: math.degrees(s.camera.fovy - scene.camera.fovy)
+    assert off(wrong) == pytest.approx(degrees)
+    result = align(wrong, desk.photograph(scene))
+    assert abs(off(result.scene)) < 4.0
+    assert result.fovy_deg == pytest.approx(off(result.scene) - degrees)
+    assert max(desk.distances(wrong, scene).values()) > 150
+    assert max(desk.distances(result.scene, scene).values()) < 80
+    ((which, _), *_) = result.notes(wrong)
+    assert which.startswith("a camera")
+
+
+def test_a_scene_that_is_right_hardly_moves(five, photo):
+    for scene in (five, desk.boxed(five)):
+        result = align(scene, photo)
+        # All objects together are less certain along the view than to one another.
+        assert max(desk.distances(result.scene, five).values()) < 5.0
+        assert max(desk.distances(result.scene, five, common=False).values()) < 2.0
+        assert {change.evidence for change in result.objects.values()} == {"pixels"}
+        assert max(desk.turns(result.scene, five).values()) < 0.5
+        changes = result.pitch_deg, result.roll_deg, result.fovy_deg
+        assert max(map(abs, changes)) < 0.2 and abs(result.height_m) < 0.005
+        assert list(result.notes(scene)) == []
+
+
+def test_a_camera_that_is_not_aligned_stays(five, photo):
+    wrong = desk.displaced(desk.boxed(five), **DISPLACED)
+    result = align(wrong, photo, AlignOptions(camera=False))
+    changes = result.pitch_deg, result.roll_deg, result.fovy_deg, result.height_m
+    assert changes == (0.0, 0.0, 0.0, 0.0)
+    was, now = (list(dict(s.camera).values()) for s in (wrong, result.scene))
+    assert now == pytest.approx(was, abs=1e-12)
+    assert now[-2:] == was[-2:]
+    assert np.mean(list(desk.distances(result.scene, five).values())) < 4.0
+    assert align(wrong, photo).scene.camera != wrong.camera
+
+
+def test_a_measured_parameter_of_the_camera_moves_less(five, photo):
+    tilted = five.camera.model_copy(update={"pitch": five.camera.pitch + math.radians(1.5)})
+    wrong = five.model_copy(update={"camera": tilted})
+    free, measured = align(wrong, photo), align(wrong, photo, measured=("pitch", "height"))
+    assert free.pitch_deg < measured.pitch_deg < 0
+    assert free.pitch_deg == pytest.approx(-1.5, abs=0.75)
+
+
+def test_without_contours_no_pixel_is_read(five, photo):
+    wrong = desk.displaced(desk.boxed(five), **DISPLACED)
+    options = AlignOptions(contours=False)
+    black = align(wrong, np.zeros_like(photo), options)
+    result = align(wrong, photo, options)
+    assert result.scene == black.scene and result.to_json() == black.to_json()
+    assert {change.evidence for change in result.objects.values()} == {"box"}
+    before, after = (desk.distances(s, five) for s in (wrong, result.scene))
+    assert np.mean(list(after.values())) < 0.8 * np.mean(list(before.values()))
+    # Nor is there anything else without boxes.
+    nothing = align(desk.displaced(five, **DISPLACED), photo, options)
+    assert {change.evidence for change in nothing.objects.values()} == {"none"}
+    assert max(abs(v) for c in nothing.objects.values() for v in c.shift_m) < 1e-12
+
+
+def test_a_black_photograph_moves_nothing(five, photo):
+    black = np.zeros_like(photo)
+    result, composed = align(five, black), align(five, black, AlignOptions(contours=False))
+    assert max(desk.distances(result.scene, five).values()) < 1e-6
+    for name, change in result.objects.items():
+        known, prior = (c.uncertainty.model_dump() for c in (change, composed.objects[name]))
+        assert known == pytest.approx(prior, rel=1e-6)
+
+
+def test_glass_keeps_its_composed_place(five):
+    scene = with_thing(five, desk.can("glass", 0.03, 0.1, "clear"), (-0.25, 0.02))
+    wrong = desk.displaced(scene, glass=(12.0, 0.0, 0.0, 2.0))
+    photo = desk.photograph(scene)
+    result = align(wrong, photo)
+    assert result.objects["glass"].evidence == "none"
+    assert result.objects["glass"].reason == "it is see-through"
+    assert result.objects["glass"].shift_m == pytest.approx((0.0, 0.0), abs=1e-6)
+    boxed = align(desk.boxed(wrong), photo).objects["glass"]
+    assert (boxed.evidence, boxed.reason) == ("box", "it is see-through")
+    assert boxed.uncertainty.across < result.objects["glass"].uncertainty.across
+
+
+def beside(color):
+    """A block on the desk with nothing behind it, beside others."""
+    spec = desk.block("same", 0.1, 0.08, 0.05, color)
+    return desk.on_desk(
+        (desk.block("other", 0.1, 0.08, 0.05, "red"), (-0.05, 0.18), 0.3, {}),
+        (desk.can("can", 0.04, 0.12, "blue"), (0.1, -0.02), 0.0, {}),
+        (spec, (-0.1, -0.15), 0.2, {}),
+    )
+
+
+def test_an_object_of_its_background_s_color_keeps_its_place():
+    scene = beside("gray")
+    wrong = desk.displaced(scene, same=(8.0, 6.0, 0.0, 0.0), other=(8.0, 6.0, 0.0, 0.0))
+    result = align(wrong, flat_photograph(scene))
+    moved = desk.distances(result.scene, wrong)
+    assert moved["same"] < 1.0
+    assert moved["other"] > 6.0
+    same, other = (result.objects[name].uncertainty for name in ("same", "other"))
+    for name, value in same.model_dump().items():
+        assert value > getattr(other, name)
+    assert same.across > 4 * other.across
+    # In another color it is found.
+    colored = beside("green")
+    found = align(desk.displaced(colored, same=(8.0, 6.0, 0.0, 0.0)), flat_photograph(colored))
+    assert desk.distances(found.scene, colored)["same"] < 3.5
+
+
+@pytest.mark.parametrize("xy", [(-0.2, 0.32), (-0.42, -0.1)], ids=["left", "below"])
+def test_an_object_that_the_border_cuts_stays(five, xy):
+    scene = with_thing(five, desk.block("cut", 0.2, 0.2, 0.1, "blue"), xy)
+    shown = desk.drawn(scene, 320).owner == 6
+    assert shown[:, 0].any() or shown[-1].any()
+    photo, right = desk.photograph(scene), desk.boxed(scene)
+    for wrong in (scene, desk.displaced(right, cut=(0.0, 12.0, 0.0, 0.0))):
+        result = align(wrong, photo)
+        assert desk.distances(result.scene, scene)["cut"] < 10.0
+        assert result.objects["cut"].size_ratio == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("color", ["white", "blue"])
+def test_a_cloth_does_not_push_what_stands_on_it(color):
+    cloth = desk.block("cloth", 0.35, 0.35, 0.004, color)
+    box = desk.block("on", 0.1, 0.1, 0.08, "red")
+    scene = desk.on_desk(
+        (cloth, (-0.05, 0.0), 0.0, {}),
+        (box, (0.0, 0.0), 0.4, {"parent": "cloth", "z": 0.004}),
+    )
+    photo = desk.photograph(scene)
+    for wrong in (scene, desk.displaced(scene, on=(8.0, 6.0, 0.0, 0.0))):
+        after = align(wrong, photo).scene
+        # In the frame of the cloth.
+        assert 1000 * np.hypot(*after.object("on").xy) < 3.0
+        assert desk.distances(after, scene)["on"] < 10.0
+        assert desk.turns(after, scene)["on"] < 0.5
+
+
+def test_scenes_without_a_camera_or_free_objects_are_returned(five, photo):
+    blind = five.model_copy(update={"camera": None})
+    assert align(blind, photo).scene is blind
+    empty = desk.on_desk()
+    result = align(empty, photo)
+    assert result.scene is empty and result.objects == {}
+    assert list(result.notes(empty)) == []
+
+
+def test_the_size_of_the_photograph_hardly_matters(five, photo):
+    wrong = desk.displaced(five, **DISPLACED)
+    one, other = align(wrong, photo), align(wrong, desk.photograph(five, 400))
+    for name, distance in desk.distances(one.scene, other.scene).items():
+        assert distance < 2.0, name
+    assert one.fovy_deg == pytest.approx(other.fovy_deg, abs=0.2)
+    # Neither does the size of the camera's image.
+    small = five.camera.model_copy(update={"width": 320, "height_px": 240})
+    half = align(wrong.model_copy(update={"camera": small}), photo)
+    assert max(desk.distances(one.scene, half.scene).values()) < 1e-6
+
+
+def test_the_report_is_json(five, photo):
+    result = align(desk.displaced(five, **DISPLACED), photo)
+    data = json.loads(json.dumps(result.to_json()))
+    assert data == result.to_json()
+    assert set(data["objects"]) == set(DISPLACED)
+    assert data["pitch_deg"] == pytest.approx(result.pitch_deg, abs=1e-5)
+    box = data["objects"]["box"]
+    assert box["evidence"] == "pixels"
+    assert box["shift_m"] == pytest.approx(result.objects["box"].shift_m, abs=1e-5)
+    assert set(box["uncertainty"]) == {"along", "across", "yaw", "log_scale"}
+    written = result.scene.model_dump_json()
+    assert type(result.scene).model_validate_json(written) == result.scene
+
+
+def test_an_object_that_moves_far_is_noted(five, photo):
+    wrong = desk.displaced(desk.boxed(five), brick=(0.0, 56.0, 0.0, 0.0))
+    result = align(wrong, photo)
+    assert desk.distances(result.scene, five)["brick"] < 5.0
+    ((which, reason),) = result.notes(wrong)
+    assert which == "brick far from its composed pose"
+    assert "moved it by 5." in reason
+
+
+@pytest.mark.parametrize(
+    ("change", "noted"),
+    [
+        ({}, False),
+        ({"shift_m": (0.03, 0.03)}, False),
+        ({"shift_m": (0.04, 0.04)}, True),
+        ({"yaw_deg": -9.0}, False),
+        ({"yaw_deg": -11.0}, True),
+        ({"size_ratio": 0.91}, False),
+        ({"size_ratio": 0.89}, True),
+    ],
+)
+def test_notes_have_thresholds(five, change, noted):
+    deviations = PoseUncertainty(along=0.01, across=0.01, yaw=0.01, log_scale=0.01)
+    fields = {"shift_m": (0.0, 0.0), "yaw_deg": 0.0, "size_ratio": 1.0, **change}
+    moved = ObjectAlignment("pixels", "", uncertainty=deviations, **fields)
+    notes = list(Alignment(five, objects={"box": moved}).notes(five))
+    assert [which for which, _ in notes] == ["box far from its composed pose"] * noted
+
+
+@pytest.mark.parametrize(
+    ("change", "noted"),
+    [
+        ({"pitch_deg": -1.9, "roll_deg": 1.9, "fovy_deg": 1.9, "height_m": 0.02}, False),
+        ({"pitch_deg": -2.1}, True),
+        ({"roll_deg": 2.1}, True),
+        ({"fovy_deg": 2.1}, True),
+        ({"height_m": -0.03}, True),
+    ],
+)
+def test_a_camera_that_moved_is_noted(five, change, noted):
+    notes = list(Alignment(five, **change).notes(five))
+    assert [which for which, _ in notes] == ["a camera that differs from the response's"] * noted
+    assert list(Alignment(five, **change).notes(five.model_copy(update={"camera": None}))) == []
+
+
+def test_a_picture_of_one_color_places_nothing(five):
+    result = align(five, np.zeros((480, 640, 3), np.uint8))
+    assert {change.evidence for change in result.objects.values()} == {"none"}
+    assert result.objects["box"].reason == NO_CONTOUR
