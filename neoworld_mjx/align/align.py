@@ -7,7 +7,7 @@ its composed place, and follows its 2D box if the camera moves.
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -18,11 +18,11 @@ from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .acceptance import gain, shown_at
 from .alignment import Alignment, Evidence, ObjectAlignment
-from .alignment_prior import camera_deviations, prior_precision
+from .alignment_prior import camera_deviations, is_misjudged, prior_precision
 from .colors import LabImage
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, draw_objects
-from .unknowns import CAMERA, Placement, Unknowns
+from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
 COARSE_PX, FINE_PX = 320, 640
 """Widths of the images [px]."""
@@ -45,13 +45,13 @@ class AlignmentStage:
     spacing: float = 0.0
     """Distance of the samples along normals, in the same unit."""
     open_focal: bool = False
-    """True while the field of view is not known."""
+    """True while it is not known whether the field of view is misjudged."""
 
 
 STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True),
     AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True),
-    AlignmentStage(2, FINE_PX, 10.0, 1.0),
+    AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True),
     AlignmentStage(2, FINE_PX, 6.0, 0.5),
 )
 
@@ -90,10 +90,15 @@ def align(
     if not options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = np.zeros(unknowns.size)
+    misjudged = True
     for stage in STAGES:
+        problem = replace(problem, misjudged=misjudged or stage.open_focal)
         for _ in range(stage.steps):
             equations, _ = problem.linearized(x, images[stage.width], stage, reasons)
             x = problem.solved(equations)
+        if stage.open_focal:
+            deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
+            misjudged = is_misjudged(float(x[FOCAL]), deviation)
     last = STAGES[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
@@ -114,6 +119,8 @@ class _Problem:
     unknowns: Unknowns
     options: AlignOptions
     measured: frozenset[str]
+    misjudged: bool = True
+    """True if the field of view is misjudged, or not yet known not to be."""
 
     def linearized(
         self,
@@ -134,7 +141,7 @@ class _Problem:
         now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
         meshes = [unknowns.mesh(now, k) for k in range(len(unknowns.surfaces))]
         drawn = draw_objects(meshes, now.camera, stage.width)
-        deviations = camera_deviations(self.measured, open_focal=stage.open_focal)
+        deviations = camera_deviations(self.measured, misjudged=self.misjudged)
         if not self.options.camera:
             deviations = np.full(CAMERA, 1e-9)
         equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)

@@ -4,6 +4,7 @@ Deviations are those of the fit of Step 4 (`fit.priors`), which placed the scene
 those of Student's t distribution: most objects are almost right, and some are far off.
 """
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -11,17 +12,16 @@ from jaxtyping import Float
 
 from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from ..spec import bounds
-from .unknowns import CAMERA, EACH, FOCAL, STRETCH, Placement, Unknowns
+from .unknowns import CAMERA, EACH, STRETCH, Placement, Unknowns
 
 FREEDOM = 4.0
 """Degrees of freedom of the t distribution."""
-FOCAL_FREEDOM = 1.5
-"""That of the focal length."""
 ROLL = np.radians(1.0)
 """Roll of the camera [rad]."""
-LOG_FOCAL, LOG_FOCAL_OPEN = 0.04, 0.2
-"""Logarithm of the focal length; and at first, as some responses misjudge the field of view by a
-quarter."""
+LOG_FOCAL, LOG_FOCAL_MISJUDGED = 0.04, 0.2
+"""Logarithm of the focal length, and the same for a misjudged field of view."""
+MISJUDGED = 0.4
+"""Share of responses that misjudge the field of view: two of five about rendered images."""
 MEASURED = 0.5
 """Factor of the deviations of what the response calls measured."""
 LOG_STRETCH = 0.03
@@ -35,16 +35,34 @@ LEAST_CLEARANCE_M = 0.005
 """Least clearance of a content in its container [m]."""
 
 
-def camera_deviations(measured: Collection[str], *, open_focal: bool) -> Float[np.ndarray, " 4"]:
+def camera_deviations(measured: Collection[str], *, misjudged: bool) -> Float[np.ndarray, " 4"]:
     """Return the deviations of pitch, roll [rad], log focal length and log height.
 
     Args:
         measured: what the response measured in the photograph, as in `SceneTree.camera_measured`.
-        open_focal: True while the focal length is not known.
+        misjudged: True if the field of view is misjudged, or not yet known not to be.
     """
     names = ("pitch", "roll", "fovy", "height")
-    deviations = np.array([PITCH, ROLL, LOG_FOCAL_OPEN if open_focal else LOG_FOCAL, LOG_HEIGHT])
+    deviations = np.array(
+        [PITCH, ROLL, LOG_FOCAL_MISJUDGED if misjudged else LOG_FOCAL, LOG_HEIGHT]
+    )
     return deviations * [MEASURED if name in measured else 1.0 for name in names]
+
+
+def is_misjudged(log_focal: float, deviation: float) -> bool:
+    """Return whether a field of view is more probably misjudged than not.
+
+    The prior of the log focal length is a mixture of two Gaussians, with the share MISJUDGED.
+
+    Args:
+        log_focal: its estimate with the wide prior, as a change of the response's.
+        deviation: standard deviation of the estimate.
+    """
+    log_odds = math.log(MISJUDGED / (1 - MISJUDGED))
+    for sign, width in ((1, LOG_FOCAL_MISJUDGED), (-1, LOG_FOCAL)):
+        variance = width**2 + deviation**2
+        log_odds -= sign * (math.log(variance) + log_focal**2 / variance) / 2
+    return log_odds > 0
 
 
 def prior_precision(
@@ -64,9 +82,7 @@ def prior_precision(
     count = len(unknowns.free)
     precision = np.zeros((unknowns.size + STRETCH * count,) * 2)
     camera = np.arange(CAMERA)
-    # Only the field of view is sometimes misjudged by far.
-    tail = np.array([0.0, 0.0, x[FOCAL] ** 2 / FOCAL_FREEDOM, 0.0])
-    precision[camera, camera] = 1 / (deviations**2 + tail)
+    precision[camera, camera] = 1 / deviations**2
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
     eye = now.camera.position()

@@ -9,6 +9,7 @@ from neoworld_mjx.align.alignment_prior import (
     FIXED_YAW,
     LOG_STRETCH,
     camera_deviations,
+    is_misjudged,
     prior_precision,
 )
 from neoworld_mjx.align.unknowns import CAMERA, EACH, FOCAL, STRETCH
@@ -19,15 +20,15 @@ from tests.align import desk
 
 def precision(unknowns, x):
     now = unknowns.place(x[None])[0]
-    return now, prior_precision(unknowns, now, x, camera_deviations((), open_focal=False))
+    return now, prior_precision(unknowns, now, x, camera_deviations((), misjudged=False))
 
 
 def test_what_the_response_measured_deviates_half_as_much():
-    usual = camera_deviations((), open_focal=False)
+    usual = camera_deviations((), misjudged=False)
     assert usual.shape == (CAMERA,) and (usual > 0).all()
-    measured = camera_deviations(("pitch", "height"), open_focal=False)
+    measured = camera_deviations(("pitch", "height"), misjudged=False)
     assert measured / usual == pytest.approx([0.5, 1, 1, 0.5])
-    opened = camera_deviations((), open_focal=True)
+    opened = camera_deviations((), misjudged=True)
     assert opened[FOCAL] > 4 * usual[FOCAL]
     assert opened[[0, 1, 3]] == pytest.approx(usual[[0, 1, 3]])
 
@@ -64,14 +65,14 @@ def test_tails_are_heavy():
     x[own] = (*(2 * DEPTH * np.linalg.norm(now.pos[1] - now.camera.position()) * along), 2 * YAW, 0)
     x[0], x[FOCAL] = 0.1, 0.08
     # At the old placement, so that only the weights change.
-    camera = camera_deviations((), open_focal=False)
+    camera = camera_deviations((), misjudged=False)
     after = prior_precision(unknowns, now, x, camera)
     assert after[own, own][:2, :2] == pytest.approx(before[own, own][:2, :2] / 2)
     assert after[own, own][2, 2] == pytest.approx(before[own, own][2, 2] / 2)
     assert after[own, own][3, 3] == before[own, own][3, 3]
     assert np.array_equal(after[other, other], before[other, other])
     assert after[0, 0] == before[0, 0]
-    assert after[FOCAL, FOCAL] == pytest.approx(1 / (camera[FOCAL] ** 2 + 0.08**2 / 1.5))
+    assert after[FOCAL, FOCAL] == pytest.approx(1 / camera[FOCAL] ** 2)
 
 
 def test_a_movable_support_limits_the_place():
@@ -104,3 +105,10 @@ def test_an_object_on_a_wall_does_not_turn():
     assert prior[first, first] == pytest.approx(prior[first + 1, first + 1])
     assert prior[first, first + 1] == 0.0
     assert prior[first + 2, first + 2] == pytest.approx(1e8)
+
+
+def test_a_field_of_view_is_misjudged_if_the_evidence_is_clear():
+    # 12 degrees of 43 are 0.27 in the logarithm.
+    assert is_misjudged(0.27, 0.03) and is_misjudged(-0.27, 0.03)
+    assert not is_misjudged(0.05, 0.03)
+    assert is_misjudged(0.2, 0.03) and not is_misjudged(0.2, 0.3)

@@ -38,7 +38,8 @@ COMPARED = (
     ("composed", "aligned", "composed"),
     ("aligned", "refined", "composed"),
 )
-"""Steps before and after, and the scene whose invalid objects may move far."""
+"""Steps before and after, and the scene whose invalid objects may move far. The refinement of a
+scene that was not aligned is compared with the composed one."""
 MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
 WORSE = {"position_mm": 20.0, "heading_deg": 3.0, "size_percent": 3.0}
 """Growth of an error from which a step counts as having made an object worse."""
@@ -254,6 +255,7 @@ def _growths(row: PhotoRow, before: str, after: str, excused: str) -> Iterator[s
     """Yield a line for each error that a step made worse, invalid objects excepted."""
     if row.unsound[excused]:
         return
+    before = before if before in row.errors else "composed"
     for name, bound in WORSE.items():
         old, new = (getattr(row.errors[step], name) for step in (before, after))
         if old is not None and new - old > bound:
