@@ -50,7 +50,7 @@ def gain(
         slice(max(int(columns[0]) - reach, 0), int(columns[-1]) + reach),
     )
     now, other, union, bins = now[window], other[window], union[window], bins[window]
-    outline = now & ~np.asarray(binary_erosion(now, border_value=1))
+    outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
     if (now != other).sum() <= SAME_PX * max(outline.sum(), 1):
         return 0.0
     common, ring = now & other, around(union, 1)

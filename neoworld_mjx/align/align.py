@@ -96,9 +96,9 @@ def align(
         for _ in range(stage.steps):
             equations, _ = problem.linearized(x, images[stage.width], stage, reasons)
             x = problem.solved(equations)
-        if stage.open_focal:
-            deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
-            misjudged = is_misjudged(float(x[FOCAL]), deviation)
+            if stage.open_focal:
+                deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
+                misjudged = is_misjudged(float(x[FOCAL]), deviation)
     last = STAGES[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
