@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_erosion
 
-from .colors import LEAST_PIXELS, around, color_model, log_likelihood_ratio
-from .rasterize import DrawnObjects, draw_objects
+from .colors import LEAST_PIXELS, around, color_model, log_likelihood_ratio, ring_width
+from .rasterize import DrawnObjects, draw_objects, window_of
 from .unknowns import Placement, Unknowns
 
 SAME_PX = 0.5
@@ -43,12 +43,7 @@ def gain(
     union = now | other
     if not union.any():
         return 0.0
-    rows, columns = (np.flatnonzero(union.any(axis=axis)) for axis in (1, 0))
-    reach = 4 + int(np.sqrt(union.sum()) / 2)
-    window = (
-        slice(max(int(rows[0]) - reach, 0), int(rows[-1]) + reach),
-        slice(max(int(columns[0]) - reach, 0), int(columns[-1]) + reach),
-    )
+    window = window_of(union, ring_width(int(union.sum())) + 2)
     now, other, union, bins = now[window], other[window], union[window], bins[window]
     outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
     if (now != other).sum() <= SAME_PX * max(outline.sum(), 1):

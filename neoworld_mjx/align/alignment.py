@@ -14,7 +14,7 @@ NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
 """Changes of the camera's angles and, relatively, of its height above which a note reports them."""
 
 Evidence = Literal["pixels", "box", "none"]
-"""What places an object: its contour in the pixels, its 2D box, or only the composition."""
+"""Source of an object's place: its contour in the pixels, its 2D box, or the composition."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Alignment:
     fovy_deg: float = 0.0
     height_m: float = 0.0
     objects: dict[str, ObjectAlignment] = field(default_factory=dict)
+    failure: str = ""
+    """Reason why the scene was not aligned and is as composed; empty if it was."""
 
     def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
         """Yield a note for the camera and for each object that moved far.

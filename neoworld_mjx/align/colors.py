@@ -8,6 +8,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from ..render.appearance import linear
+from .rasterize import window_of
 
 BINS = 24
 """Number of bins of a histogram along each axis."""
@@ -85,9 +86,8 @@ class LabImage(NamedTuple):
     """Bin of each pixel's color."""
 
     @classmethod
-    def of(cls, photo: UInt8[np.ndarray, "row column 3"], width: int) -> "LabImage":
-        """Resize a photograph (sRGB) to a width [px], and convert it."""
-        height = max(1, round(photo.shape[0] * width / photo.shape[1]))
+    def of(cls, photo: UInt8[np.ndarray, "_ _ 3"], width: int, height: int) -> "LabImage":
+        """Resize a photograph (sRGB) to a size [px], and convert it."""
         if photo.shape[:2] != (height, width):
             size = (width, height)
             photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
@@ -125,7 +125,8 @@ def color_models(
     Returns:
         None if there are too few pixels around the object.
     """
-    window = _window(owner == k, margin)
+    mask = owner == k
+    window = window_of(mask, margin + ring_width(int(mask.sum())) + 1)
     owner, bins = owner[window], bins[window]
     mask = owner == k
     ring = around(mask, margin)
@@ -154,18 +155,9 @@ def _band(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray,
 def around(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray, "row column"]:
     """Return the ring around a mask, without a margin."""
     distance = np.asarray(distance_transform_edt(~mask))
-    return (distance > margin) & (distance <= margin + _ring_width(int(mask.sum())))
+    return (distance > margin) & (distance <= margin + ring_width(int(mask.sum())))
 
 
-def _ring_width(area: int) -> int:
+def ring_width(area: int) -> int:
+    """Return the width of the ring around an object of an area [px^2], in pixels."""
     return max(LEAST_RING_PX, round(RING * area**0.5))
-
-
-def _window(mask: Bool[np.ndarray, "row column"], margin: int) -> tuple[slice, slice]:
-    """Return the window of a mask with its ring."""
-    reach = margin + _ring_width(int(mask.sum())) + 1
-    spans = []
-    for axis in (1, 0):
-        hit = np.flatnonzero(mask.any(axis=axis))
-        spans.append(slice(max(int(hit[0]) - reach, 0), int(hit[-1]) + reach + 1))
-    return spans[0], spans[1]

@@ -13,12 +13,14 @@ from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from .colors import ColorModels, bins_of, log_likelihood_ratio
-from .rasterize import DrawnObjects
+from .rasterize import DrawnObjects, window_of
 
 MOST_POINTS = 300
 """Largest number of points of a contour."""
 NORMAL_BLUR_PX = 1.5
 """Standard deviation of the smoothing of a mask whose gradient is the normal."""
+REACH_PX = 4
+"""Pixels around a mask that its gradient depends on."""
 LEAST_GRADIENT = 0.02
 """Gradient of the smoothed mask below which the normal is not defined, as on a line."""
 BORDER_PX = 3.0
@@ -56,9 +58,8 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
     if not mask.any():
         return None
     height, width = mask.shape
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    top, left = max(int(rows[0]) - 4, 0), max(int(columns[0]) - 4, 0)
-    window = slice(top, int(rows[-1]) + 5), slice(left, int(columns[-1]) + 5)
+    window = window_of(mask, REACH_PX)
+    top, left = (span.start for span in window)
     owner, depth = drawn.owner[window], drawn.depth[window]
     smooth = gaussian_filter((owner == k).astype(float), NORMAL_BLUR_PX, mode="nearest")
     down, right = np.gradient(smooth)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from .colors import LabImage, color_models
 from .contours import contour, displacements
-from .rasterize import DrawnObjects, pixels_of
+from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import STRETCH, Placement, Unknowns
 
 REFERENCE_PX = 640.0
@@ -141,7 +141,8 @@ def box_evidence(
     if depth.min() <= 0:
         return None
     box = np.array(item.box2d.as_tuple()) * width / unknowns.camera.width
-    visible = _box_of(shown)
+    rows, columns = window_of(shown)
+    visible = columns.start, rows.start, columns.stop, rows.stop
     limit = np.array([shown.shape[1], shown.shape[0]])
     ends, normals, residuals, deviations = [], [], [], []
     for side in range(4):
@@ -161,11 +162,6 @@ def box_evidence(
     robust = 1 / (1 + (residual / (BOX_OUTLYING * deviation)) ** 2)
     jacobian = unknowns.jacobian(now, neighbors, k, points[ends], np.array(normals), width)
     return Evidence(jacobian / unit, residual, robust / deviation**2)
-
-
-def _box_of(mask: Bool[np.ndarray, "row column"]) -> tuple[int, int, int, int]:
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 class NormalEquations:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import find_objects
 
 from ..spec import Camera
 
@@ -35,12 +36,24 @@ class DrawnObjects(NamedTuple):
     """Depth along the view [m]; inf for none."""
 
 
+def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:
+    """Return the rows and columns of a nonempty mask, with `reach` more on every side."""
+    rows, columns = find_objects(mask.astype(np.uint8))[0]
+    widened = lambda span: slice(max(span.start - reach, 0), span.stop + reach)
+    return widened(rows), widened(columns)
+
+
 def pixels_of(
     camera: Camera, points: Float[np.ndarray, "n 3"], width: int
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     """Project points to pixels of an image of another width; also return depths [m]."""
     pixels, depth = camera.project(points)
     return pixels * (width / camera.width), depth
+
+
+def height_of(camera: Camera, width: int) -> int:
+    """Return the height of an image of another width [px]."""
+    return max(1, round(camera.height_px * width / camera.width))
 
 
 def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> DrawnObjects:
@@ -51,7 +64,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         camera: the camera.
         width: width of the image [px]; the height follows from the camera's aspect ratio.
     """
-    height = max(1, round(camera.height_px * width / camera.width))
+    height = height_of(camera, width)
     size = np.array([width, height])
     corners, owners = [], []
     for k, mesh in enumerate(meshes):

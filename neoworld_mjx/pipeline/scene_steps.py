@@ -118,6 +118,8 @@ def _aligned(context: StepContext, scene: SceneSpec, tree: SceneTree, out: Path)
     if aligned.scene.camera is not None:
         (out / OUTLINES).parent.mkdir(exist_ok=True)
         (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned.scene)))
+    if aligned.failure:
+        context.run.fallback("compose", "a scene not aligned with the photograph", aligned.failure)
     for outcome, reason in aligned.notes(scene):
         context.run.note("compose", outcome, reason)
     return aligned.scene

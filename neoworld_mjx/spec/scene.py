@@ -76,7 +76,7 @@ class SceneObject(Spec):
     scale_residual: Vec3 | None = None
     """Object size over parsed size per axis, minus 1, after isotropic rescaling."""
     uncertainty: PoseUncertainty | None = None
-    """How well the photograph determines the object's place; None if it was not aligned."""
+    """Uncertainty of the place that the photograph leaves; None if it was not aligned."""
 
     @property
     def static(self) -> bool:

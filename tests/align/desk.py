@@ -1,4 +1,4 @@
-"""A desk with colored things, its photograph, and how far a scene is from another."""
+"""A desk with colored objects, its photograph, and the distance of a scene from another."""
 
 import math
 
@@ -35,21 +35,21 @@ COLORS = {
 CAMERA = Camera(width=640, height_px=480, fovy=0.75, height=0.55, pitch=0.55)
 
 
-def thing(name, shape, color):
+def colored(name, shape, color):
     material = Material(name=color, density=600, friction=0.5, rgba=COLORS[color])
     return single(name, (shape, (0, 0, 0)), material=material)
 
 
 def block(name, x, y, z, color):
-    return thing(name, Box(size=(x, y, z)), color)
+    return colored(name, Box(size=(x, y, z)), color)
 
 
 def can(name, radius, height, color):
-    return thing(name, Cylinder(radius=radius, height=height), color)
+    return colored(name, Cylinder(radius=radius, height=height), color)
 
 
 def on_desk(*items, camera=CAMERA, color="gray"):
-    """A fixed desk in front of the camera with things on it, each (spec, xy, yaw, more fields)."""
+    """A fixed desk in front of the camera with objects on it, each (spec, xy, yaw, more fields)."""
     desk = block("desk", 1.0, 1.2, TOP, color)
     objects = [SceneObject(name="desk", spec=desk, environment=True, xy=(0.9, 0.0), z=-TOP)]
     for spec, xy, yaw, more in items:
@@ -59,12 +59,12 @@ def on_desk(*items, camera=CAMERA, color="gray"):
 
 
 def five():
-    """Five things of five colors, none hidden."""
+    """Five objects of five colors, none hidden."""
     return on_desk(
         (block("box", 0.1, 0.08, 0.09, "red"), (-0.05, 0.18), 0.3, {}),
         (can("can", 0.04, 0.12, "blue"), (-0.02, -0.02), 0.0, {}),
         (block("brick", 0.12, 0.07, 0.06, "green"), (-0.1, -0.2), -0.4, {}),
-        (thing("ball", Sphere(radius=0.045), "yellow"), (0.15, 0.1), 0.0, {}),
+        (colored("ball", Sphere(radius=0.045), "yellow"), (0.15, 0.1), 0.0, {}),
         (block("tower", 0.06, 0.06, 0.16, "purple"), (0.15, -0.15), 0.2, {}),
     )
 

@@ -9,6 +9,7 @@ import pytest
 from neoworld_mjx.align.align import NO_CONTOUR, align
 from neoworld_mjx.align.alignment import Alignment, ObjectAlignment
 from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.spec import Sphere
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.align import desk
@@ -34,12 +35,12 @@ def photo(five):
 
 
 def many():
-    """Nine things, near and far, of which some are as long as a camera's view is deep."""
+    """Nine objects, near and far, of which some are as long as a camera's view is deep."""
     return desk.on_desk(
         (desk.block("box", 0.1, 0.08, 0.09, "red"), (-0.3, 0.1), 0.3, {}),
         (desk.can("can", 0.04, 0.12, "blue"), (-0.05, -0.02), 0.0, {}),
         (desk.block("brick", 0.2, 0.07, 0.06, "green"), (-0.25, -0.12), -0.4, {}),
-        (desk.thing("ball", Sphere(radius=0.045), "yellow"), (0.1, 0.15), 0.0, {}),
+        (desk.colored("ball", Sphere(radius=0.045), "yellow"), (0.1, 0.15), 0.0, {}),
         (desk.block("tower", 0.06, 0.06, 0.16, "purple"), (0.15, -0.25), 0.2, {}),
         (desk.block("far", 0.08, 0.3, 0.1, "red"), (0.4, 0.2), 0.1, {}),
         (desk.block("plank", 0.5, 0.06, 0.03, "white"), (0.15, 0.02), 0.1, {}),
@@ -187,8 +188,8 @@ def test_glass_keeps_its_composed_place(five):
     assert boxed.uncertainty.across < result.objects["glass"].uncertainty.across
 
 
-def beside(color):
-    """A block on the desk with nothing behind it, beside others."""
+def among_others(color):
+    """A block on the desk with nothing behind it, next to others."""
     spec = desk.block("same", 0.1, 0.08, 0.05, color)
     return desk.on_desk(
         (desk.block("other", 0.1, 0.08, 0.05, "red"), (-0.05, 0.18), 0.3, {}),
@@ -198,7 +199,7 @@ def beside(color):
 
 
 def test_an_object_of_its_background_s_color_keeps_its_place():
-    scene = beside("gray")
+    scene = among_others("gray")
     wrong = desk.displaced(scene, same=(8.0, 6.0, 0.0, 0.0), other=(8.0, 6.0, 0.0, 0.0))
     result = align(wrong, flat_photograph(scene))
     moved = desk.distances(result.scene, wrong)
@@ -209,7 +210,7 @@ def test_an_object_of_its_background_s_color_keeps_its_place():
         assert value > getattr(other, name)
     assert same.across > 4 * other.across
     # In another color it is found.
-    colored = beside("green")
+    colored = among_others("green")
     found = align(desk.displaced(colored, same=(8.0, 6.0, 0.0, 0.0)), flat_photograph(colored))
     assert desk.distances(found.scene, colored)["same"] < 3.5
 
@@ -327,3 +328,18 @@ def test_a_picture_of_one_color_places_nothing(five):
     result = align(five, np.zeros((480, 640, 3), np.uint8))
     assert {change.evidence for change in result.objects.values()} == {"none"}
     assert result.objects["box"].reason == NO_CONTOUR
+
+
+def test_a_failure_of_the_solver_leaves_the_scene(five, photo, monkeypatch):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(np.linalg, "solve", singular)
+    result = align(five, photo)
+    assert result.scene is five
+    assert result.failure == "the solver failed: Singular matrix"
+
+
+def test_a_photograph_of_another_aspect_ratio_is_refused(five, photo):
+    with pytest.raises(PhotoError, match=r"640 x 240 pixels.* \(640 x 480\)"):
+        align(five, photo[:240])

@@ -77,7 +77,7 @@ def test_tails_are_heavy():
 
 def test_a_movable_support_limits_the_place():
     """By half the clearance in a container, and by a share of the shorter side on an object."""
-    tray = desk.thing("tray", HollowBox(size=(0.12, 0.1, 0.05), wall=0.005), "white")
+    tray = desk.colored("tray", HollowBox(size=(0.12, 0.1, 0.05), wall=0.005), "white")
     block = desk.block("block", 0.08, 0.08, 0.04, "red")
     inside = {"parent": "tray", "z": 0.005}
     for relation, most in (("in", 0.01), ("on", 0.15 * 0.1), ("leaning", np.inf)):

@@ -65,7 +65,7 @@ def test_bins_are_valid_and_of_similar_colors():
 def test_a_photograph_is_resized():
     left = np.zeros((120, 160), bool)
     left[:, :80] = True
-    image = LabImage.of(picture((120, 160), GRAY, (left, RED)), 80)
+    image = LabImage.of(picture((120, 160), GRAY, (left, RED)), 80, 60)
     assert image.lab.shape == (60, 80, 3)
     assert (image.bins[:, :36] == bin_of(RED)).all() and (image.bins[:, 44:] == bin_of(GRAY)).all()
 
@@ -92,7 +92,7 @@ def test_the_inside_model_is_that_of_the_band_near_the_contour():
     """A plate whose middle looks like the table."""
     shape, middle, margin = (240, 320), (160, 120), 3
     plate, inner = disc(shape, middle, 70), disc(shape, middle, 45)
-    image = LabImage.of(picture(shape, GRAY, (plate, RED), (inner, GRAY)), 320)
+    image = LabImage.of(picture(shape, GRAY, (plate, RED), (inner, GRAY)), 320, 240)
     models = color_models(np.where(plate, 0, -1), image.bins, 0, margin)
     gray, red = bin_of(GRAY), bin_of(RED)
     assert color_model(image.bins[plate])[gray] > 0.05
@@ -105,7 +105,7 @@ def test_the_margin_along_the_contour_is_left_out():
     shape, middle = (240, 320), (160, 120)
     mask = disc(shape, middle, 50)
     rim = disc(shape, middle, 52) & ~disc(shape, middle, 48)
-    image = LabImage.of(picture(shape, GRAY, (mask, RED), (rim, BLUE)), 320)
+    image = LabImage.of(picture(shape, GRAY, (mask, RED), (rim, BLUE)), 320, 240)
     models = color_models(np.where(mask, 0, -1), image.bins, 0, 3)
     assert models.inside[bin_of(BLUE)] < 1e-6 and models.around[bin_of(BLUE)] < 1e-6
     bare = color_models(np.where(mask, 0, -1), image.bins, 0, 1)
@@ -116,7 +116,7 @@ def test_the_background_depends_on_what_is_behind():
     shape = (240, 320)
     mask = disc(shape, (160, 120), 40)
     owner = np.where(np.arange(320) < 160, 1, -1) * np.ones((240, 1), int)
-    image = LabImage.of(picture(shape, GRAY, (owner == 1, BLUE), (mask, RED)), 320)
+    image = LabImage.of(picture(shape, GRAY, (owner == 1, BLUE), (mask, RED)), 320, 240)
     models = color_models(np.where(mask, 0, owner), image.bins, 0, 3)
     assert set(models.behind) == {-1, 1}
     blue = bin_of(BLUE)
@@ -144,7 +144,7 @@ def test_the_ring_around_a_mask():
 def test_gain_prefers_the_mask_that_the_colors_show():
     shape = (240, 320)
     right, wrong = disc(shape, (160, 120), 40), disc(shape, (168, 120), 40)
-    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320).bins
+    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320, 240).bins
     better = gain(right, wrong, bins)
     # Every pixel that differs counts by at most LARGEST, and its colors are entirely distinct.
     differ = (right != wrong).sum()
@@ -156,7 +156,7 @@ def test_gain_prefers_the_mask_that_the_colors_show():
 def test_gain_without_evidence():
     shape = (240, 320)
     mask, apart = disc(shape, (100, 120), 30), disc(shape, (220, 120), 30)
-    bins = LabImage.of(picture(shape, GRAY, (mask, RED)), 320).bins
+    bins = LabImage.of(picture(shape, GRAY, (mask, RED)), 320, 240).bins
     assert gain(mask, apart, bins) == -np.inf
     assert gain(apart, mask, bins) == -np.inf
     none = np.zeros(shape, bool)

@@ -27,7 +27,7 @@ def photographed(middle, radius=RADIUS, inner=RED, outer=GRAY):
 
 
 def measured(drawn, photo, *, reach=12.0, k=0):
-    image = LabImage.of(photo, SHAPE[1])
+    image = LabImage.of(photo, SHAPE[1], SHAPE[0])
     models = color_models(drawn.owner, image.bins, k, 3)
     points = contour(drawn, k)
     return points, displacements(

@@ -51,7 +51,7 @@ def five():
 
 @pytest.fixture(scope="module")
 def image(five):
-    return LabImage.of(desk.photograph(five, WIDTH), WIDTH)
+    return LabImage.of(desk.photograph(five, WIDTH), WIDTH, WIDTH * 3 // 4)
 
 
 def test_boxes_of_whole_objects_have_four_sides_that_agree(five):

@@ -15,7 +15,7 @@ TITLE = "The photograph"
 UNSEEN = 0.9
 """Deviation of a heading, over that of its prior, from which the photograph does not show it."""
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
-"""What places an object, by the `evidence` of align.json."""
+"""Words for the `evidence` of align.json, which places an object."""
 _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
