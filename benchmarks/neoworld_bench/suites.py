@@ -25,6 +25,7 @@ MethodName = Literal[
     "without_d_drift",
     "without_photo",
     "without_contours",
+    "without_contacts",
     "without_camera",
     "algorithm1",
     "random",

@@ -1,8 +1,9 @@
 """Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
 
 The evidence is the contours of all objects in the photograph's pixels, coarse to fine, and the
-parsed 2D boxes; the prior is the composed scene. An object about which the pixels are silent keeps
-its composed place, and follows its 2D box if the camera moves.
+parsed 2D boxes. The prior is the composed scene, and contacts keep objects from overlapping. An
+object about which the pixels are silent keeps its composed place, and follows its 2D box if the
+camera moves.
 """
 
 import math
@@ -21,6 +22,7 @@ from .acceptance import gain, shown_at
 from .alignment import Alignment, Evidence, ObjectAlignment
 from .alignment_prior import camera_deviations, is_misjudged, prior_precision
 from .colors import LabImage
+from .contacts import Colliders, contacts
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, draw_objects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
@@ -99,7 +101,9 @@ def align(
     if not len(unknowns.free):
         return Alignment(scene)
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in (COARSE_PX, FINE_PX)}
-    problem = _Problem(unknowns, options or AlignOptions(), frozenset(measured))
+    o = options or AlignOptions()
+    colliders = Colliders.of(scene) if o.contacts else None
+    problem = _Problem(unknowns, o, frozenset(measured), colliders)
     try:
         return _solution(problem, images)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -143,6 +147,8 @@ class _Problem:
     unknowns: Unknowns
     options: AlignOptions
     measured: frozenset[str]
+    colliders: Colliders | None
+    """None if objects may overlap."""
     misjudged: bool = True
     """True if the field of view is misjudged, or not yet known not to be."""
 
@@ -169,6 +175,8 @@ class _Problem:
         if not self.options.camera:
             deviations = np.full(CAMERA, 1e-9)
         equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)
+        if self.colliders is not None:
+            equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
         for k in unknowns.free.tolist():
             box = box_evidence(unknowns, now, neighbors, drawn, k)
             if box is not None:

@@ -1,4 +1,4 @@
-"""Normal equations of the alignment: evidence of contours and of 2D boxes, by object."""
+"""Normal equations of the alignment: evidence of contours and of 2D boxes by object; contacts."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .colors import LabImage, color_models
+from .contacts import Contacts
 from .contours import contour, displacements
 from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import STRETCH, Placement, Unknowns
@@ -36,6 +37,12 @@ BOX_OUTLYING = 3.0
 END_PX = 2.5
 """Largest distance between the extreme point of an object and that of its visible part at which the
 object itself ends there."""
+OVERLAP_M = 0.002
+"""Standard deviation of the overlap of two objects [m]."""
+DEEP_M = 0.005
+"""Overlap at which a contact has half of its weight [m]: a deeper one is rather a wrong shape."""
+ACTIVE_SETS = 10
+"""Largest number of times that contacts are added to those that a step would violate."""
 
 
 @dataclass(frozen=True)
@@ -176,11 +183,16 @@ class NormalEquations:
         self._gradient = -prior[:, : unknowns.size] @ x
         self._contours: dict[int, _Block] = {}
         self._boxes: set[int] = set()
+        self._contacts = Contacts(np.zeros(0), np.zeros((0, len(prior))))
 
     def add_box(self, k: int, evidence: Evidence) -> None:
         """Add the evidence of an object's 2D box."""
         self._boxes.add(k)
         self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
+
+    def add_contacts(self, contacts: Contacts) -> None:
+        """Add the gaps between objects, which `solved` keeps from closing."""
+        self._contacts = contacts
 
     def add_contour(self, k: int, evidence: Evidence) -> None:
         """Add the evidence of an object's contour, which `solved` may omit."""
@@ -202,10 +214,26 @@ class NormalEquations:
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
             self._add(self._contours[k], -1.0, precision, gradient)
-        return self._x + np.linalg.solve(precision, gradient)[: len(self._x)]
+        return self._x + self._separated(precision, gradient)[: len(self._x)]
+
+    def _separated(self, precision: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Return the step in which a penalty acts on every gap that would be negative."""
+        step = np.linalg.solve(precision, gradient)
+        gap, jacobian = self._contacts
+        weight = 1 / (OVERLAP_M**2 * (1 + (np.minimum(gap, 0.0) / DEEP_M) ** 2))
+        violated = np.zeros(len(gap), bool)
+        for _ in range(ACTIVE_SETS):
+            more = (gap + jacobian @ step < 0) & ~violated
+            if not more.any():
+                break
+            violated |= more
+            rows = jacobian[violated]
+            weighted = rows.T * weight[violated]
+            step = np.linalg.solve(precision + weighted @ rows, gradient - weighted @ gap[violated])
+        return step
 
     def covariance(self) -> Float[np.ndarray, "u u"]:
-        """Return the covariance of the unknowns."""
+        """Return the covariance of the unknowns, in which contacts do not count."""
         return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
 
     def _block(self, k: int, evidence: Evidence) -> "_Block":

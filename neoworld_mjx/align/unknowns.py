@@ -190,7 +190,7 @@ class Unknowns:
         along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
         start = along(now.world(k, points), now.camera)
         result = np.zeros((len(points), self.size + STRETCH))
-        for u in [*range(CAMERA), *self._columns_of(k)]:
+        for u in [*range(CAMERA), *self.columns_of(k)]:
             near = neighbors[u]
             result[:, u] = (along(near.world(k, points), near.camera) - start) / STEP
         foot = self.lowest[k] * now.turn[k][2]
@@ -215,7 +215,7 @@ class Unknowns:
         c, s = math.cos(heading), math.sin(heading)
         return np.array([along, [-along[1], along[0]]]) @ np.array([[c, -s], [s, c]])
 
-    def _columns_of(self, k: int) -> list[int]:
+    def columns_of(self, k: int) -> list[int]:
         """Return the indices of the unknowns that move an object: its own and its supports'."""
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))

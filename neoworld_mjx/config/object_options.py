@@ -255,6 +255,7 @@ class AlignOptions(Options):
     contours: bool = option(
         True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
     )
+    contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
 
 
 class ComposeOptions(Options):

@@ -74,6 +74,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
+    "without_contacts": AlignOptions(contacts=False),
     "without_camera": AlignOptions(camera=False),
 }
 """Ablations of the alignment with the photograph."""

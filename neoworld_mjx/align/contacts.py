@@ -1,0 +1,168 @@
+"""Contacts of a placement: objects do not overlap, which the alignment keeps as inequalities.
+
+The contour of an object says little about its distance along the view. Without contacts, neighbors
+slide into each other, and settling then pushes them apart, away from the photograph.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..physics.exact import geom_distance, object_of_geom, start_state
+from ..spec import SceneSpec, world_poses
+from ..spec.pose import matrix
+from .unknowns import EACH, STEP, STRETCH, Placement, Unknowns
+
+REACH_M = 0.01
+"""Largest gap between two geoms that is a contact [m]."""
+STEEPEST = 0.8
+"""Largest vertical component of a contact's normal, as supports determine heights."""
+MOST_CONTACTS = 6
+"""Largest number of contacts of two objects: those of the smallest gaps."""
+LEAST_LINE_M = 1e-7
+"""Distance of the nearest points of two geoms below which their normal is not defined [m]."""
+
+
+class Contacts(NamedTuple):
+    """Linearized gaps between objects: gap + jacobian @ change is to be at least zero."""
+
+    gap: Float[np.ndarray, " n"]
+    """Signed distance [m]; negative is penetration depth."""
+    jacobian: Float[np.ndarray, "n v"]
+    """Derivatives by all unknowns and stretches [m]; zero by sizes, as otherwise a content that is
+    too large for its container would shrink."""
+
+
+@dataclass(frozen=True)
+class Colliders:
+    """Collision geoms of a scene in their objects' frames; `place` changes the model in place."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    geom: Int[np.ndarray, " geom"]
+    """Index of each collision geom in the model."""
+    owner: Int[np.ndarray, " geom"]
+    """Its object."""
+    pos: Float[np.ndarray, "geom 3"]
+    """Its position at the composed size [m]."""
+    mat: Float[np.ndarray, "geom 3 3"]
+    """Its rotation."""
+    size: Float[np.ndarray, "geom 3"]
+    """Its composed size, as MuJoCo's `geom_size` [m]."""
+    radius: Float[np.ndarray, " geom"]
+    """Radius of its bounding sphere [m]."""
+    vertex: Float[np.ndarray, "vertex 3"]
+    """Vertices of all meshes at the composed size [m]."""
+    vertex_owner: Int[np.ndarray, " vertex"]
+    """Object of each vertex; -1 for none."""
+
+    @classmethod
+    def of(cls, scene: SceneSpec) -> "Colliders":
+        """Compile a scene once."""
+        model, data = start_state(scene)
+        owner = object_of_geom(scene, model)
+        collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        geom = np.flatnonzero((owner >= 0) & collides)
+        owner = owner[geom]
+        poses = list(world_poses(scene).values())
+        origin = np.array([pose.pos for pose in poses])[owner]
+        turn = np.array([matrix(pose.quat) for pose in poses])[owner]
+        vertex_owner = np.full(model.nmeshvert, -1)
+        for mesh, k in zip(model.geom_dataid[geom].tolist(), owner.tolist(), strict=True):
+            if mesh >= 0:
+                first = int(model.mesh_vertadr[mesh])
+                vertex_owner[first : first + int(model.mesh_vertnum[mesh])] = k
+        return cls(
+            model,
+            data,
+            geom,
+            owner,
+            np.einsum("nji,nj->ni", turn, data.geom_xpos[geom] - origin),
+            np.einsum("nji,njk->nik", turn, data.geom_xmat[geom].reshape(-1, 3, 3)),
+            model.geom_size[geom].copy(),
+            model.geom_rbound[geom].copy(),
+            model.mesh_vert.copy(),
+            vertex_owner,
+        )
+
+    def place(self, place: Placement) -> None:
+        """Move and scale the geoms as a placement does their objects."""
+        m, d, k = self.model, self.data, self.owner
+        scale, turn = place.scale[k], place.turn[k]
+        at = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
+        d.geom_xpos[self.geom] = place.pos[k] + at
+        d.geom_xmat[self.geom] = (turn @ self.mat).reshape(-1, 9)
+        m.geom_size[self.geom] = scale[:, None] * self.size
+        m.geom_rbound[self.geom] = scale * self.radius
+        m.mesh_vert[:] = self.vertex * np.append(place.scale, 1.0)[self.vertex_owner, None]
+
+    def near(self, counts: Bool[np.ndarray, "object object"]) -> Int[np.ndarray, "pair 2"]:
+        """Return pairs of geoms, as rows of `geom`, whose bounding spheres are within REACH_M.
+
+        Args:
+            counts: mask of the objects between which contacts count.
+        """
+        m, at = self.model, self.data.geom_xpos[self.geom]
+        # The bounding radius of a plane is zero.
+        radius = np.where(self.radius > 0, m.geom_rbound[self.geom], np.inf)
+        first, second = np.nonzero(np.triu(counts[self.owner[:, None], self.owner], 1))
+        apart = np.linalg.norm(at[first] - at[second], axis=1)
+        rows = apart - radius[first] - radius[second] < REACH_M
+        return np.stack([first[rows], second[rows]], axis=1)
+
+
+def contacts(
+    colliders: Colliders, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
+) -> Contacts:
+    """Return the contacts of a placement whose normals are not vertical.
+
+    Args:
+        colliders: the scene's collision geoms.
+        unknowns: the unknowns.
+        now: the placement.
+        neighbors: of `Unknowns.neighbors`.
+    """
+    colliders.place(now)
+    found: dict[tuple[int, int], list[tuple[float, np.ndarray]]] = {}
+    for a, b in colliders.near(_counts(unknowns)).tolist():
+        ends = np.zeros(6)
+        geoms = int(colliders.geom[a]), int(colliders.geom[b])
+        gap = geom_distance(colliders.model, colliders.data, *geoms, REACH_M, ends)
+        line = ends[3:] - ends[:3]
+        length = float(np.linalg.norm(line))
+        if gap < REACH_M and length > LEAST_LINE_M and abs(line[2]) < STEEPEST * length:
+            pair = int(colliders.owner[a]), int(colliders.owner[b])
+            found.setdefault(pair, []).append((gap, ends.reshape(2, 3)))
+    nearest = [
+        (pair, gap, ends)
+        for pair, entries in found.items()
+        for gap, ends in sorted(entries, key=lambda entry: entry[0])[:MOST_CONTACTS]
+    ]
+    jacobian = np.zeros((len(nearest), unknowns.size + STRETCH * len(unknowns.free)))
+    for row, (pair, gap, ends) in zip(jacobian, nearest, strict=True):
+        normal = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        for k, point, sign in zip(pair, ends, (-1.0, 1.0), strict=True):
+            local = now.local(k, point[None])
+            for u in unknowns.columns_of(k):
+                if u % EACH != EACH - 1:  # not a size
+                    moved = (neighbors[u].world(k, local) - now.world(k, local))[0] / STEP
+                    row[u] += sign * (moved @ normal) * np.sign(gap)
+    return Contacts(np.array([gap for _, gap, _ in nearest]), jacobian)
+
+
+def _counts(unknowns: Unknowns) -> Bool[np.ndarray, "object object"]:
+    """Return a mask of the objects between which contacts count.
+
+    One of the two has to be free, and neither is attached to the other.
+    """
+    items = unknowns.scene.objects
+    free = np.isin(np.arange(len(items)), unknowns.free)
+    counts = (free[:, None] | free) & ~np.eye(len(items), dtype=bool)
+    for k, item in enumerate(items):
+        if item.parent is not None and item.relation == "attached":
+            parent = unknowns.scene.index(item.parent)
+            counts[k, parent] = counts[parent, k] = False
+    return counts
