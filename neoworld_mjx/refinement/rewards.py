@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..errors import ConfigError
@@ -23,7 +24,7 @@ from ..physics.model import SceneModel
 from ..physics.placed import pair_depths
 from ..physics.scene_arrays import SceneArrays
 from ..physics.visibility import Visible, visibility
-from ..spec.pose import angle_between
+from ..spec.pose import angle_between, length
 from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
@@ -124,7 +125,11 @@ def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = N
 
 
 def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """Compute the geometric S_sem, and per object by the criteria that involve it."""
+    """Compute the geometric S_sem, and per object by the criteria that involve it.
+
+    Visibility has no gradient, and a part of the gradient would mislead: all of it is zero.
+    """
+    layouts, rollout = lax.stop_gradient((layouts, rollout))
     if isinstance(rollout, MeasuredRollout):
         visible = rollout.visible
     else:
@@ -186,7 +191,7 @@ def drifts(
 
     They refer to its base; `joint_drift` measures its joints.
     """
-    distance = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
+    distance = length(rollout.pos - rollout.start.pos[:, None], jnp)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(distance, axis=1), jnp.max(angle, axis=1)
 
@@ -283,7 +288,7 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """Compute the geometric S_sem in [0, 1] at the placed poses; see `semantic`.
 
-    `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
+    `rollout` is unused. Compiled; may be jitted and vmapped. Its gradient is zero.
 
     Raises:
         TypeError: an argument is of another type.
