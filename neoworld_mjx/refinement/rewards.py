@@ -243,7 +243,28 @@ def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -
         if not isinstance(value, kind):
             wanted = getattr(kind, "__name__", "Rollout")
             raise TypeError(f"{name} takes a {wanted} ({hint}), got a {type(value).__name__}")
+    _check_shapes(name, scene, layouts, rollout)
     return _compiled(fn, scene, layouts, rollout)
+
+
+def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) -> None:
+    """Raise a ValueError where a layout's or a rollout's axes do not fit the scene."""
+    pop, count = np.shape(layouts.yaw)[0] if np.ndim(layouts.yaw) else 0, scene.count
+    shapes = {"xy": (pop, count, 2), "yaw": (pop, count), "log_scale": (pop, count)}
+    for part, shape in shapes.items():
+        found = np.shape(getattr(layouts, part))
+        if found != shape:
+            raise ValueError(
+                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it is "
+                f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
+            )
+    if rollout is not None:
+        moving = np.shape(rollout.pos)
+        if moving[:1] + moving[2:3] != (pop, count):
+            raise ValueError(
+                f"{name}: rollout.pos has shape {list(moving)}, for {pop} candidates of {count} "
+                f"objects it is [{pop}, time, {count}, 3]"
+            )
 
 
 def d_pen(
@@ -256,6 +277,7 @@ def d_pen(
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
+        ValueError: an axis does not fit the scene.
     """
     return _call(penetration, "d_pen", scene, layouts, rollout)
 
@@ -277,6 +299,7 @@ def d_drift(
 
     Raises:
         TypeError: an argument is of another type.
+        ValueError: an axis does not fit the scene.
     """
     if rollout is None:
         raise TypeError("d_drift takes a Rollout (of neoworld_mjx.rollout), got None")
@@ -292,6 +315,7 @@ def s_sem(
 
     Raises:
         TypeError: an argument is of another type.
+        ValueError: an axis does not fit the scene.
     """
     return _call(semantics, "s_sem", scene, layouts, rollout)
 

@@ -74,4 +74,4 @@ def success_interval(
     rows: Sequence[SuccessRow], share: str
 ) -> tuple[float | None, float | None, float | None]:
     """Return one of SHARES with its bootstrap interval; starts of a task are drawn together."""
-    return ratio_interval([(row.task, float(SHARES[share](row)), 1.0) for row in rows])
+    return ratio_interval([(row.task, float(SHARES[share](row)), 1.0) for row in rows], share=True)
