@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper as data and pure functions: init, propose, evaluate, update, converged.
 
-They may be jitted, vmapped over problems and states, and sharded. `loop.search` calls them for one
-run or many; docs/architecture.md maps them to the paper's lines.
+They may be jitted, vmapped over problems and states from `stack`, and sharded. `loop.search` calls
+them for one run or many; docs/architecture.md maps them to the paper's lines.
 
     problem = open_problem(scene, RefineOptions())
     state = init(problem, seed=0)
@@ -30,12 +30,25 @@ from ..physics.engine import Rollout
 from ..physics.layout import Layout
 from ..physics.placed import Placed, placed_at_rest
 from ..physics.scene_arrays import SceneArrays, on_device
+from .batching import stack
 from .cem import elite_count, elite_rows
 from .objective import Objective, Scores, open_objective
 from .objective import evaluate as score
 from .optimizer import Optimizer, open_optimizer
 from .rewards import Term
 from .strategies import Strategy
+
+__all__ = [
+    "Problem",
+    "SearchState",
+    "converged",
+    "evaluate",
+    "init",
+    "open_problem",
+    "propose",
+    "stack",
+    "update",
+]
 
 
 class Problem(eqx.Module):

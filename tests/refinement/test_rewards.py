@@ -177,7 +177,8 @@ class TestCompiled:
         d_pen, d_drift = map(unwrap, (rewards.d_pen, rewards.d_drift))
         zero = Layout.zero(2, 3)
         still = unmoved(scene, scene.place(zero))
-        more = unwrap(Layout)(np.zeros((2, 3, 2)), np.zeros((2, 3)), np.zeros(2))
+        more = Layout.zero(2, 3)
+        object.__setattr__(more, "log_scale", np.zeros(2))  # Checks of annotations are for tests.
         for call, match in (
             (lambda: d_pen(scene, Layout.zero(2, 4)), r"layouts.xy has shape \[2, 4, 2\], for 3"),
             (lambda: d_pen(scene, more), r"layouts.log_scale has shape \[2\].*\[pop, 3\]"),
