@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from .physics.model import load_scene as load_scene
     from .physics.simulate import rollout as rollout
     from .pipeline import reconstruct as reconstruct
-    from .refinement import rewards
+    from .refinement import algorithm, rewards
+    from .refinement.algorithm import Problem as Problem
     from .refinement.cem import CEM as CEM
     from .refinement.cem import CEMParams as CEMParams
     from .refinement.cem import CEMState as CEMState
+    from .refinement.rewards import Term as Term
     from .refinement.scene_refinement import refine as refine
+    from .sweeps.run import ablate as ablate
     from .sweeps.run import sweep as sweep
 
 __version__ = "0.1.0"
@@ -38,8 +41,11 @@ _LOCATIONS = {
     "CEMState": "refinement.cem",
     "Gripper": "physics.gripper",
     "Layout": "physics.layout",
+    "Problem": "refinement.algorithm",
     "ResetNoise": "environments.controlled_scene",
     "SceneModel": "physics.model",
+    "Term": "refinement.rewards",
+    "ablate": "sweeps.run",
     "gym_env": "environments.gym_environment",
     "load_scene": "physics.model",
     "mjx_batch": "physics.mjx_model",
@@ -50,7 +56,11 @@ _LOCATIONS = {
     "rollout": "physics.simulate",
     "sweep": "sweeps.run",
 }
-_MODULES = {"measure": "measure", "rewards": "refinement.rewards"}
+_MODULES = {
+    "algorithm": "refinement.algorithm",
+    "measure": "measure",
+    "rewards": "refinement.rewards",
+}
 
 __all__ = [
     "CEM",
@@ -58,8 +68,12 @@ __all__ = [
     "CEMState",
     "Gripper",
     "Layout",
+    "Problem",
     "ResetNoise",
     "SceneModel",
+    "Term",
+    "ablate",
+    "algorithm",
     "gym_env",
     "load_scene",
     "measure",

@@ -89,8 +89,12 @@ def parse(name: str, args: Sequence[str]) -> Any:
     import tyro
     from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
+    command = COMMANDS[name].load()
+    verbs: dict[str, type] = getattr(command, "verbs", {})
+    if args and args[0] in verbs:
+        name, command, args = f"{name} {args[0]}", verbs[args[0]], args[1:]
     return tyro.cli(
-        OmitSubcommandPrefixes[COMMANDS[name].load()],
+        OmitSubcommandPrefixes[command],
         prog=f"neoworld {name}",
         args=args,
         config=(FlagCreatePairsOff, DisallowNone),

@@ -76,8 +76,8 @@ def _crowded_start(scene: SceneModel, seed: int) -> Layout:
     return noisy_layouts(scene, 1, seed=100 + seed, noise=CROWDED_NOISE)
 
 
-def _layout_errors(truth: SceneSpec, model: SceneModel, layout: Layout) -> dict[str, float]:
-    errors = layout_errors(model.apply(layout, 0), truth)
+def _layout_errors(truth: SceneSpec, scene: SceneSpec) -> dict[str, float]:
+    errors = layout_errors(scene, truth)
     return {
         "xy_m": errors["xy_error_m"],
         "yaw_deg": errors["yaw_error_deg"],
@@ -85,7 +85,7 @@ def _layout_errors(truth: SceneSpec, model: SceneModel, layout: Layout) -> dict[
     }
 
 
-def _box_iou(model: SceneModel, layout: Layout) -> dict[str, float]:
-    """Compare the visible boxes of a layout, pop axis of length 1, with those of the photograph."""
-    ious = visible_box_iou(model.apply(layout, 0))
+def _box_iou(scene: SceneSpec) -> dict[str, float]:
+    """Compare the visible boxes of a scene with those of the photograph."""
+    ious = visible_box_iou(scene)
     return {"box_iou": float(np.mean(list(ious.values())))} if ious else {}

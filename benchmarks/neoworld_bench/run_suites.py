@@ -97,14 +97,16 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
     from .methods.method_runs import RunSettings
+    from .methods.named_methods import read_methods
     from .methods.scene_runs import chosen_scenes
     from .methods.scene_runs import run_scenes as run_methods_on_scenes
     from .tables.scene_summary import summarise
 
+    methods, named = read_methods(o.method, o.label, config)
     rows = run_methods_on_scenes(
         chosen_scenes(o.scenes),
-        o.method,
-        RunSettings(o.seed, config.refine, config.compose, o.noise),
+        methods,
+        RunSettings(o.seed, config.refine, config.compose, o.noise, named),
         starts=o.starts,
         workers=o.workers,
         out=o.out,

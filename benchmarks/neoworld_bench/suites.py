@@ -190,7 +190,7 @@ class SceneSet(NoisyRuns):
 
     scenes: tuple[str, ...] = ()
     """Names of scenes, or a single number of scenes; all by default."""
-    method: tuple[MethodName, ...] = (
+    method: tuple[str, ...] = (
         "ours",
         "open_loop",
         "gravity",
@@ -198,9 +198,12 @@ class SceneSet(NoisyRuns):
         "no_simulation",
         "algorithm1",
     )
-    """Methods. random and cma_es get as many rollouts as ours; without_... omits a term of the
-    reward, as the paper's ablations do.
+    """Methods: also random, cma_es, evosax:STRATEGY or package.module:function, which get as many
+    rollouts as ours; without_s_sem, without_d_pen, without_d_drift, without_photo,
+    without_contours and without_camera; and NAME=FILE, the search with the options of a YAML file.
     """
+    label: str | None = None
+    """Name of the row of ours, to compare runs with different options."""
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and

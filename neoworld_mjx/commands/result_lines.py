@@ -131,7 +131,8 @@ def sweep_lines(result: CommandResult) -> list[str]:
     points = result["points"]
     valid = sum(point.get("passed", 0) * point.get("n", 0) for point in points)
     best = max(points, key=lambda point: point.get("reward") or float("-inf"), default=None)
-    rows = [f"{count(result['runs'], 'run')}, {valid:.0f} of them valid, in {result['folder']}"]
+    passed = f"{valid:.0f} of them passed the final check"
+    rows = [f"{count(result['runs'], 'run')}, {passed}, in {result['folder']}"]
     if best is not None and best.get("reward") is not None:
         rows.append(f"best reward: {best['reward']:.4g} at {best['point']}")
     rows.append(f"table: {result['table']}")

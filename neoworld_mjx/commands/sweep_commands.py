@@ -1,21 +1,17 @@
 """Commands of sweeps and ablations."""
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
+from ..errors import ConfigError
 from .base_command import Command, CommandResult
 from .result_lines import sweep_lines
 
 if TYPE_CHECKING:
-    from ..sweeps.cases import Source
     from ..sweeps.run import SweepResult
-
-SCENE_SOURCES = "neoworld_bench.named_scenes:SOURCES"
-"""Location of the sources of named scenes, which plans use as KIND:NAME."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +26,9 @@ class PlanCommand(Command):
     """Continue the sweep in --out."""
     overwrite: bool = False
     """Replace the sweep in --out."""
+    shard: str | None = None
+    """K/N computes the K-th of N shares of the runs, into a folder of its own; `neoworld sweep
+    merge` joins the folders."""
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
@@ -39,14 +38,58 @@ class PlanCommand(Command):
         from ..cache import keep_compilations
 
         keep_compilations()
-        module, name = SCENE_SOURCES.split(":")
-        sources: dict[str, Source] = getattr(import_module(module), name)
-        return {"sources": sources, "resume": self.resume, "overwrite": self.overwrite}
+        return {
+            "resume": self.resume,
+            "overwrite": self.overwrite,
+            "shard": (1, 1) if self.shard is None else shard_of(self.shard),
+        }
+
+
+def shard_of(text: str) -> tuple[int, int]:
+    """Return the numbers of a shard K/N.
+
+    Raises:
+        ConfigError: the text is something else.
+    """
+    number, slash, of = text.partition("/")
+    if not (slash and number.isdecimal() and of.isdecimal()):
+        raise ConfigError(f"--shard takes K/N, such as 2/4, got {text!r}")
+    return int(number), int(of)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MergeCommand(Command):
+    """Join the folders of a sweep's or an ablation's shards into one, with its table and figure."""
+
+    folders: Positional[tuple[Path, ...]]
+    """Folders of the shards."""
+    out: Path
+    """Folder for the merged files; new or empty."""
+    overwrite: bool = False
+    """Replace the sweep in --out."""
+
+    def run(self) -> CommandResult:
+        """Merge the folders."""
+        from ..sweeps import merge
+
+        result = merge(self.folders, self.out, overwrite=self.overwrite)
+        return _summary(result, self.out) | {"missing": result.about["missing"]}
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        missing = result["missing"]
+        more = [f"{missing} runs are missing: complete the shards, or sweep with --resume"]
+        return [*sweep_lines(result), *(more if missing else [])]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepCommand(PlanCommand):
-    """Refine scenes with every combination of some options' values and several seeds."""
+    """Refine scenes with every combination of some options' values and several seeds.
+
+    `neoworld sweep merge DIR... --out DIR` joins the folders of shards.
+    """
+
+    verbs: ClassVar[dict[str, type]] = {"merge": MergeCommand}
 
     def run(self) -> CommandResult:
         """Run the sweep."""
@@ -57,7 +100,12 @@ class SweepCommand(PlanCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class AblateCommand(PlanCommand):
-    """Refine scenes with base options and named variants, and list the differences."""
+    """Refine scenes with base options and named variants, and list the differences.
+
+    `neoworld ablate merge DIR... --out DIR` joins the folders of shards.
+    """
+
+    verbs: ClassVar[dict[str, type]] = {"merge": MergeCommand}
 
     def run(self) -> CommandResult:
         """Run the ablation."""

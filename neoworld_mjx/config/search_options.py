@@ -92,7 +92,7 @@ class CEMOptions(Options):
             "In a scene of many objects hardly any candidate is good for all of them.",
         ),
     )
-    stop_by: Literal["best", "elites"] = option(
+    stop_by: Literal["best", "elites"] = traced(
         "best",
         "Quantity whose gain decides when the search stops. best: the best valid candidate so far. "
         "elites: the mean absolute reward of the elites, as in Algorithm 1.",
@@ -103,7 +103,7 @@ class CEMOptions(Options):
     stop_gain: float = traced(
         0.005, "Gain in absolute reward below which an iteration counts towards `patience`.", ge=0
     )
-    patience: int = option(
+    patience: int = traced(
         1, "Consecutive iterations below `stop_gain` that end the search; 1 is Algorithm 1.", ge=1
     )
 
@@ -305,8 +305,16 @@ class RefineOptions(Options):
     optimizer: str = static(
         _PROGRAM,
         "cem",
-        'cem, cma_es (extra `baselines`), random, or the import path "package.module:function" '
-        "of a function that builds an optimizer from the scene and `cem`.",
+        "cem, random, cma_es or evosax:STRATEGY such as evosax:SNES (extra `baselines`), or the "
+        'import path "package.module:function" of a function that builds an optimizer from the '
+        "scene and `cem`.",
+    )
+    strategy: dict[str, float] = static(
+        _PROGRAM,
+        {},
+        "Parameters of the strategy evosax:STRATEGY by their names in evosax, such as `std_init`, "
+        "in units of the initial deviations; `learning_rate` is that of Adam where it has a "
+        "gradient optimizer.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()
@@ -324,6 +332,18 @@ class RefineOptions(Options):
         0.001, "Maximum penetration of a valid candidate and in the final check.", unit="m", gt=0
     )
     settle: SettleOptions = SettleOptions()
+    merit: Literal["fidelity", "absolute"] = traced(
+        "fidelity",
+        "Value by which valid candidates compete to be the result, and by whose gain `cem.stop_by: "
+        "best` stops; all others rank behind them by the absolute reward. fidelity: the absolute "
+        "reward without D_pen and D_drift, less a cost for displacement by settling. absolute: the "
+        "absolute reward.",
+        difference=PaperDifference(
+            "absolute",
+            "Within the bounds of a valid candidate, penetration and drift hardly differ from what "
+            "settling leaves.",
+        ),
+    )
     finalists: int = option(
         4,
         "Number of best candidates whose final scenes may be checked.",

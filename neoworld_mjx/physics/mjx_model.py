@@ -163,8 +163,12 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
     fields, qpos = _candidates(scene, layouts)
     axes = with_fields(jax.tree.map(lambda _: None, model), dict.fromkeys(fields, 0))
     spread = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))
-    data = jax.device_put(jax.tree.map(spread, make_data(model)))
-    return with_fields(model, fields), axes, data.replace(qpos=qpos)
+    data = jax.tree.map(spread, make_data(model)).replace(qpos=qpos)
+    # MJX commits its model to a device. The first step would commit the data, too, and the second
+    # one be compiled anew for that.
+    device = model.mjx.qpos0.device
+    put = lambda tree: jax.tree.map(lambda x: jax.device_put(x, device), tree)
+    return put(with_fields(model, fields)), axes, put(data)
 
 
 @eqx.filter_jit

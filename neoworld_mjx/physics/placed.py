@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 
+from ..spec.pose import length
 from ..traces import stored_trace
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
@@ -108,7 +109,7 @@ def settled_by(
     size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
     before, after = (_z_axes(quat, xp) for quat in (start.quat, end.quat))
-    sine = xp.linalg.norm(xp.cross(before, after), axis=-1)
+    sine = length(xp.cross(before, after), xp)
     tilt = xp.arctan2(sine, xp.sum(before * after, axis=-1))
     tilt = xp.where(ball | (size < SMALL_M), 0.0, tilt)
     first, last = (
@@ -116,7 +117,7 @@ def settled_by(
         for at in (start, end)
     )
     shift = last - first
-    sideways = xp.linalg.norm(shift[..., :2], axis=-1) / (SIDEWAYS * size)
+    sideways = length(shift[..., :2], xp) / (SIDEWAYS * size)
     vertical = xp.abs(shift[..., 2]) / (DOWN[0] * size + DOWN[1])
     rolls = xp.min(box, axis=-1) > COMPACT * xp.max(box, axis=-1)
     bound = xp.where((before[..., 2] > UPRIGHT) & ~rolls, TILTED, TOPPLED)

@@ -311,8 +311,11 @@ def height_above(
     nearest = jnp.where(v > 0.5, jnp.where(u > 0.5, d, c), jnp.where(u > 0.5, b, a))
     surface = jnp.where(highest - lowest < 2.0 * table.cell, blended, nearest)
     surface = jnp.where(within & between, surface, NO_SURFACE)
-    gap = surface * parent_size - table.foot[:, 2] * size
-    return jnp.max(jnp.where(jnp.isfinite(gap) & (surface > NO_SURFACE / 2), gap, NO_SURFACE))
+    # An infinite height times the size has the gradient NaN, masked or not.
+    used = jnp.isfinite(table.foot[:, 2])
+    gap = surface * parent_size - jnp.where(used, table.foot[:, 2], 0.0) * size
+    used &= jnp.isfinite(gap) & (surface > NO_SURFACE / 2)
+    return jnp.max(jnp.where(used, gap, NO_SURFACE))
 
 
 def _cell(

@@ -1,7 +1,13 @@
-"""Algorithm 1 of the paper as data and pure functions: propose, update, converged.
+"""Algorithm 1 of the paper as data and pure functions: init, propose, evaluate, update, converged.
 
-`loop.search` calls them for one run or many; docs/architecture.md maps them to the
-paper's lines. `evaluate` is in `objective`.
+They may be jitted, vmapped over problems and states from `stack`, and sharded. `loop.search` calls
+them for one run or many; docs/architecture.md maps them to the paper's lines.
+
+    problem = open_problem(scene, RefineOptions())
+    state = init(problem, seed=0)
+    layouts = propose(scene, problem, state, population)
+    scores = evaluate(scene, problem, layouts, nw.rollout(scene, layouts))
+    state = update(scene, problem, state, layouts, scores)
 
 Beyond Algorithm 1, one rule says what moves. The deviations of each object have a factor: it is 0
 for an object that rests where it should in the initial layout, and doubles in every iteration in
@@ -16,31 +22,52 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer, Key, UInt32
 
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
+from ..physics.engine import Rollout
 from ..physics.layout import Layout
+from ..physics.placed import Placed, placed_at_rest
 from ..physics.scene_arrays import SceneArrays, on_device
+from .batching import stack
 from .cem import elite_count, elite_rows
 from .objective import Objective, Scores, open_objective
+from .objective import evaluate as score
 from .optimizer import Optimizer, open_optimizer
 from .rewards import Term
+from .strategies import Strategy
+
+__all__ = [
+    "Problem",
+    "SearchState",
+    "converged",
+    "evaluate",
+    "init",
+    "open_problem",
+    "propose",
+    "stack",
+    "update",
+]
 
 
 class Problem(eqx.Module):
-    """Constants of one run; arrays are traced, so runs can be mapped over."""
+    """Constants of one run; arrays are traced, so runs can be mapped over.
+
+    The scene is an argument of each function instead, so that many runs share its arrays.
+    """
 
     objective: Objective
-    optimizer: Optimizer
+    optimizer: Optimizer | Strategy
     origin: Layout
     """Initial layout, pop axis of length 1."""
     widest: Float[Array, ""]
     """Limit of the factor of an object's deviations."""
     by_object: bool = eqx.field(static=True)
     """True if objects learn from the candidates in which they rest, until one is valid."""
-    stop_by: str = eqx.field(static=True)
-    """Quantity whose gain is tested for convergence: `best` or `elites`."""
+    stop_by_best: Bool[Array, ""]
+    """True if the gain of the best valid candidate is tested for convergence, False if that of the
+    elites."""
     stop_gain: Float[Array, ""]
     patience: Int[Array, ""]
     elite_ratio: float = eqx.field(static=True)
@@ -51,13 +78,15 @@ class SearchState(eqx.Module):
 
     optimizer: Any
     """The optimizer's state."""
+    seed: UInt32[Array, ""]
+    """The run's seed; keys are folded from it and the iteration."""
     factor: Float[Array, " object"]
     """Factor of each object's deviations."""
     iteration: Int[Array, ""]
     elite_mean: Float[Array, ""]
     """Mean absolute reward of the last elites; initially -inf."""
     best: Float[Array, ""]
-    """Fidelity of the best valid candidate so far; initially -inf."""
+    """Merit of the best valid candidate so far; initially -inf."""
     seen_valid: Bool[Array, ""]
     """True once any candidate was valid."""
     stalled: Int[Array, ""]
@@ -69,7 +98,7 @@ class SearchState(eqx.Module):
 def open_problem(
     scene: SceneArrays,
     options: RefineOptions,
-    origin: Layout,
+    origin: Layout | None = None,
     *,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
@@ -79,7 +108,7 @@ def open_problem(
     Args:
         scene: the scene's arrays.
         options: options of the search and the rewards.
-        origin: initial layout, pop axis of length 1.
+        origin: initial layout, pop axis of length 1; None is the composed scene.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
 
@@ -87,24 +116,38 @@ def open_problem(
         ConfigError: options exclude each other, or name something that does not exist.
     """
     o = options
+    origin = Layout.zero(1, scene.count) if origin is None else origin
     return Problem(
         objective=open_objective(o, origin, terms),
-        optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem),
+        optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem, o.strategy),
         origin=origin,
         widest=on_device(o.cem.widest),
         by_object=o.cem.credit == "object",
-        stop_by=o.cem.stop_by,
+        stop_by_best=on_device(np.bool_(o.cem.stop_by == "best")),
         stop_gain=on_device(o.cem.stop_gain),
         patience=on_device(o.cem.patience),
         elite_ratio=o.cem.elite_ratio,
     )
 
 
-def initial_state(problem: Problem, factor: Float[np.ndarray, " object"]) -> SearchState:
-    """Return the initial state of a run, with the factors of the objects' deviations."""
+def init(
+    problem: Problem,
+    seed: Integer[AnyArray, ""] | int = 0,
+    factor: Float[np.ndarray, " object"] | None = None,
+) -> SearchState:
+    """Return the initial state of a run.
+
+    Args:
+        problem: the run's problem.
+        seed: the run's seed.
+        factor: factors of the objects' deviations; None is 1 for all.
+    """
+    if factor is None:
+        factor = np.ones(problem.origin.yaw.shape[1])
     low, none = on_device((-np.inf, np.int32(0)))
     return SearchState(
         optimizer=problem.optimizer.init(problem.origin),
+        seed=on_device(np.asarray(seed, np.uint32)),
         factor=on_device(np.asarray(factor, np.float32)),
         iteration=none,
         elite_mean=low,
@@ -116,34 +159,53 @@ def initial_state(problem: Problem, factor: Float[np.ndarray, " object"]) -> Sea
 
 
 @eqx.filter_jit
-def propose(
-    scene: SceneArrays,
-    problem: Problem,
-    state: SearchState,
-    seed: Integer[AnyArray, ""],
-    population: int,
-) -> Layout:
+def propose(scene: SceneArrays, problem: Problem, state: SearchState, population: int) -> Layout:
     """Draw the population of an iteration (Algorithm 1, line 3).
 
     Args:
         scene: the scene's arrays.
         problem: the run's problem.
         state: the run's state.
-        seed: the run's seed; the iteration is folded in.
         population: N.
     """
     del scene
-    key = jax.random.fold_in(jax.random.key(seed), state.iteration)
-    drawn = problem.optimizer.ask(key, state.optimizer, population)
+    drawn = problem.optimizer.ask(_key(state), state.optimizer, population)
     return jax.tree.map(
         lambda z, o, f: o + f * (z - o), drawn, problem.origin, _factors(state.factor)
     )
+
+
+def _key(state: SearchState) -> Key[Array, ""]:
+    """Return the key of an iteration."""
+    return jax.random.fold_in(jax.random.key(state.seed), state.iteration)
 
 
 def _factors(factor: Float[Array, " object"]) -> Layout:
     """Return the factors of a layout's numbers; only positions get more than their deviation."""
     least = jnp.minimum(factor, 1.0)[None]
     return Layout(jnp.tile(factor[None, :, None], 2), least, least)
+
+
+def evaluate(
+    scene: SceneArrays,
+    problem: Problem,
+    layouts: Layout,
+    rollout: Rollout,
+    candidates: Placed | None = None,
+) -> Scores:
+    """Score an iteration's population (Algorithm 1, lines 5 to 10).
+
+    Args:
+        scene: the scene's arrays.
+        problem: the run's problem.
+        layouts: the candidates.
+        rollout: their free fall.
+        candidates: their poses at the start of the rollout with their measures, from
+            `placed_at_rest` if they were settled; None measures the rollout's initial poses.
+    """
+    if candidates is None:
+        candidates = placed_at_rest(scene, rollout.start, rollout.start)
+    return score(scene, layouts, candidates, rollout, problem.objective)
 
 
 @eqx.filter_jit
@@ -167,15 +229,19 @@ def update(
     rows, weight = elite_rows(scores.reward, elite_count(problem.elite_ratio, len(scores.reward)))
     absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[rows], 0.0))
     elite_mean = jnp.where(jnp.any(weight > 0), absolute / jnp.maximum(weight.sum(), 1.0), -jnp.inf)
-    best = jnp.maximum(state.best, jnp.max(jnp.where(scores.valid, scores.fidelity, -jnp.inf)))
-    current, previous = (
-        (best, state.best) if problem.stop_by == "best" else (elite_mean, state.elite_mean)
-    )
+    best = jnp.maximum(state.best, jnp.max(jnp.where(scores.valid, scores.merit, -jnp.inf)))
+    current = jnp.where(problem.stop_by_best, best, elite_mean)
+    previous = jnp.where(problem.stop_by_best, state.best, state.elite_mean)
     gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
-    return SearchState(
-        optimizer=problem.optimizer.tell(
+    if isinstance(problem.optimizer, Strategy):
+        told = problem.optimizer.tell_with_key(_key(state), state.optimizer, drawn, scores.absolute)
+    else:
+        told = problem.optimizer.tell(
             state.optimizer, drawn, scores.reward, absolute=scores.absolute, credit=credit
-        ),
+        )
+    return SearchState(
+        optimizer=told,
+        seed=state.seed,
         factor=jnp.where(never, jnp.minimum(2 * state.factor, problem.widest), state.factor),
         iteration=state.iteration + 1,
         elite_mean=elite_mean,
@@ -192,5 +258,5 @@ def converged(problem: Problem, state: SearchState) -> bool:
     It has if the best valid candidate (or the elites, by `stop_by`) gained less than `stop_gain`
     for `patience` iterations.
     """
-    valid = problem.stop_by == "elites" or bool(state.seen_valid)
+    valid = not bool(problem.stop_by_best) or bool(state.seen_valid)
     return valid and int(state.stalled) >= int(problem.patience)

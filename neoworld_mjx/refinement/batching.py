@@ -43,7 +43,7 @@ def map_runs(
     results = []
     for first in range(0, len(rows), tile):
         tile_rows = list(rows[first : first + tile])
-        stacked_rows = _stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
+        stacked_rows = stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
         stacked_results = jax.device_get(_mapped(fn)(scene, stacked_rows))
         results += [
             jax.tree.map(lambda x, k=k: x[k], stacked_results) for k in range(len(tile_rows))
@@ -56,11 +56,17 @@ def _mapped(fn: Callable[..., Any]) -> Callable[..., Any]:
     return eqx.filter_jit(lambda scene, rows: eqx.filter_vmap(lambda row: fn(scene, *row))(rows))
 
 
-def _stack(rows: Sequence[Any]) -> Any:
-    """Stack the arrays of trees of equal structure; other leaves are taken from the first tree.
+def stack(rows: Sequence[Any]) -> Any:
+    """Stack the arrays of trees, such as problems or states of runs, on a new leading axis.
 
-    Stacking on the host transfers one array; on the device each row would be an operation.
+    Other leaves, such as the functions of terms, are taken from the first tree. Stacking on the
+    host transfers one array; on the device each row would be an operation.
+
+    Raises:
+        ValueError: the trees differ in structure, such as runs with different static options.
     """
+    if len({str(jax.tree.structure(row)) for row in rows}) > 1:
+        raise ValueError("stack: the trees differ in structure, such as in a static option")
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
     return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])
 

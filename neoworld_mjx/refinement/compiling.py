@@ -6,12 +6,26 @@ from ..config import RefineOptions
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
 
+LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7
+"""Smallest reach, that of the default sigma_xy, and reach per sigma_xy."""
+
+
+def reach_of(options: RefineOptions) -> float:
+    """Return how far from its composed position an object is snapped, over its diagonal.
+
+    It is a power of two times LEAST_REACH, so that many values of sigma_xy share one compiled scene
+    whatever others a sweep has.
+    """
+    reach = LEAST_REACH
+    while reach < 0.999 * REACH_IN_SIGMAS * options.cem.sigma_xy:
+        reach *= 2
+    return reach
+
 
 def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
     """Compile a scene for a search with these options; the last four results are cached."""
-    reach = max(1 / 3, 6.7 * options.cem.sigma_xy)
     r = options.rollout
-    return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach)
+    return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach_of(options))
 
 
 @functools.lru_cache(maxsize=4)

@@ -20,6 +20,7 @@ from ..physics.placed import (
     poses_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays, pad_objects
+from ..spec import SceneSpec
 from ..traces import computes_on_cpu
 from .batching import map_runs, pad_rollout, roll_out, settle_candidates
 from .finishing import resting_poses
@@ -77,7 +78,7 @@ class Evaluation(NamedTuple):
         rollouts: Sequence[Rollout],
         s_sem: np.ndarray | None = None,
     ) -> list[Scores]:
-        """Score the candidates of several runs, and record the time of the first valid one.
+        """Score the candidates of several runs.
 
         Args:
             live: the runs.
@@ -93,31 +94,51 @@ class Evaluation(NamedTuple):
         ]
         scored = map_runs(evaluate, self.arrays, rows, self.tile)
         self.clock["score"] += time.perf_counter() - began
-        for r, scores in zip(live, scored, strict=True):
-            if np.isnan(r.first_valid_s) and bool(np.any(scores.valid)):
-                r.first_valid_s = time.perf_counter() - self.began
         return scored
 
     def initial(self, r: SearchResult) -> Round:
-        """Return the initial layout, at its exact resting pose, as an iteration of one candidate.
+        """Return the initial layout at its exact resting pose, an iteration of one candidate."""
+        origin = r.problem.origin
+        rest = self.resting(r.initial.scene, origin)
+        scores = self.of_one(r, origin, rest, rest)
+        return self.unpadded_round(origin, rest, scores)
+
+    def resting(self, scene: SceneSpec, layout: Layout) -> Poses:
+        """Return the poses of a scene at rest, padded; the padded layout gives the scales."""
+        scale = np.exp(np.asarray(layout.log_scale)[:, : len(self.scene.names)])
+        rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
+        return jax.tree.map(np.float32, rest)
+
+    def of_one(
+        self,
+        r: SearchResult,
+        layout: Layout,
+        start: Poses,
+        rest: Poses,
+        s_sem: np.ndarray | None = None,
+    ) -> Scores:
+        """Roll out and score a single candidate from its resting pose.
 
         It is repeated to the population size, to reuse compiled programs.
+
+        Args:
+            r: the run.
+            layout: the padded layout, pop axis of length 1.
+            start: its placed poses, from which it has settled.
+            rest: its resting poses.
+            s_sem: score by a model [pop], which replaces the geometric one.
         """
 
         def repeated(tree: Any) -> Any:
             rows = np.zeros(self.options.cem.population, int)
             return jax.tree.map(lambda x: np.asarray(x)[rows], tree)
 
-        origin, log_scale = r.problem.origin, np.asarray(r.problem.origin.log_scale)
-        count = len(self.scene.names)
-        rest = resting_poses(r.initial.scene, np.exp(log_scale[:, :count]))
-        rest = jax.tree.map(np.float32, pad_objects(rest, self.arrays.count))
-        candidate = measured_in_chunks(self.arrays, rest, rest)
+        candidate = measured_in_chunks(self.arrays, start, rest)
         (rollout,) = roll_out(self.scene, [rest], self.engine, self.options, 1)
         rollouts = eqx.tree_at(lambda x: x.time, repeated(rollout), rollout.time)
-        (scores,) = self.score([r], [repeated(origin)], [repeated(candidate)], [rollouts])
-        scores = jax.tree.map(lambda x: np.asarray(x)[:1], scores)
-        return self.unpadded_round(origin, rest, scores)
+        s_sem = None if s_sem is None else repeated(s_sem)
+        (scores,) = self.score([r], [repeated(layout)], [repeated(candidate)], [rollouts], s_sem)
+        return jax.tree.map(lambda x: np.asarray(x)[:1], scores)
 
     def before_physics(self, r: SearchResult, layouts: Layout, placed: Placed) -> Scores:
         """Score candidates as if nothing moved, with the geometric S_sem."""

@@ -21,18 +21,24 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import on_device, pad_objects, pad_scene
 from ..progress import update as update_progress
-from .algorithm import converged, initial_state, open_problem, propose, update
+from .algorithm import converged, init, open_problem, propose, update
 from .batching import map_runs, take, tile_of
 from .compiling import compile_for_search
 from .evaluation import Evaluation
 from .finishing import Finished, finish, held
-from .objective import Scores, has_builtin_terms_only, open_objective, try_terms
+from .objective import (
+    Scores,
+    has_builtin_terms_only,
+    open_objective,
+    refuse_not_finite,
+    try_terms,
+)
 from .optimizer import Optimizer
 from .outcome import iteration_summary
 from .rewards import Term
 from .rounds import Round, best_first
 from .scorer import Mark, SemanticScorer
-from .search_run import SearchResult, SearchRun
+from .search_run import FirstValid, SearchResult, SearchRun
 
 PADDED = ("cem", "random")
 """Optimizers that accept a padded scene."""
@@ -68,7 +74,7 @@ def search(
         progress: called with one line per run and iteration.
 
     Raises:
-        ConfigError: options exclude each other, or a reward term is invalid.
+        ConfigError: options exclude each other, or a reward term is invalid or not finite.
     """
     clock = {} if clock is None else clock
     clock |= dict.fromkeys(CLOCKS, 0.0) | clock
@@ -101,10 +107,14 @@ def search(
         states = map_runs(update, arrays, rows, tile)
         for k, (r, state) in enumerate(zip(live, states, strict=True)):
             r.state = state
+            status = np.asarray(rollouts[k].status)
+            refuse_not_finite(objective, scores[k], status, f"iteration {_drawn(r) + 1}")
             round_ = evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k])
             r.rounds.append(round_ if keep else _finalists(round_, r.run.options))
             r.summaries.append(_summary(scores[k]))
             r.rollouts += len(scores[k].valid)
+            if bool(np.any(scores[k].valid)):
+                _note_valid(r, evaluation.began)
             if progress is not None:
                 progress(_line(r, scores[k]))
             r.finished = converged(r.problem, state)
@@ -142,8 +152,7 @@ def _searched(
     first = initials[0]
     shared = all(run.start is None and run.options.cem.hold_resting for run in runs)
     shared &= all(initial is first for initial in initials)
-    # As in a sweep's compiled scene, objects reach as far as the widest deviation takes them.
-    o = max((run.options for run in runs), key=lambda o: o.cem.sigma_xy)
+    o = runs[0].options
     if not shared or first.passed or not first.rests(o).any():
         return scene
     return compile_for_search(held(scene.spec, first, o), o)
@@ -169,20 +178,26 @@ def _opened(
         start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
         origin = on_device(pad_objects(start, arrays.count))
         problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
-        state = initial_state(
-            problem, _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
-        )
-        result = SearchResult(run, problem, state, scene, initial, plain)
+        factor = _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
+        state = init(problem, run.seed, factor)
+        result = SearchResult(run, problem, state, scene, arrays, initial, plain)
         if o.settle.enabled:
             result.rounds.append(evaluation.initial(result))
             result.summaries.append(_summary(result.rounds[0].scores))
             result.marks.append(np.array([Mark.GEOMETRIC], np.int8))
             result.rollouts = 1
             result.finished = initial.passed and plain
-            if initial.passed:
-                result.first_valid_s = time.perf_counter() - evaluation.began
+            if initial.passed or bool(result.rounds[0].scores.valid[0]):
+                _note_valid(result, evaluation.began)
         results.append(result)
     return results
+
+
+def _note_valid(r: SearchResult, began: float) -> None:
+    """Record the iteration as the first with a valid candidate, unless an earlier one had one."""
+    if r.first_valid is None:
+        r.first_valid = FirstValid(_drawn(r), r.rollouts)
+        r.first_valid_s = time.perf_counter() - began
 
 
 def _factors(
@@ -206,10 +221,7 @@ def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str
 
 def _propose(evaluation: Evaluation, live: Sequence[SearchResult]) -> list[Layout]:
     began = time.perf_counter()
-    rows = [
-        (r.problem, r.state, np.asarray(r.run.seed, np.uint32), r.run.options.cem.population)
-        for r in live
-    ]
+    rows = [(r.problem, r.state, r.run.options.cem.population) for r in live]
     layouts = map_runs(propose, evaluation.arrays, rows, evaluation.tile)
     evaluation.clock["propose"] += time.perf_counter() - began
     return layouts
@@ -246,7 +258,7 @@ def _finalists(round_: Round, o: RefineOptions) -> Round:
     """Keep the candidates of an iteration that may be among the best `finalists` of all."""
     host: Round = jax.tree.map(np.asarray, round_)
     scores = host.scores
-    order = best_first(*map(np.asarray, (scores.valid, scores.fidelity, scores.absolute)))
+    order = best_first(*map(np.asarray, (scores.valid, scores.merit, scores.absolute)))
     # Sorted, because candidates of equal reward keep the order of the population.
     return take(host, np.sort(order[: o.finalists]))
 
@@ -255,6 +267,7 @@ def _summary(scores: Scores) -> dict[str, Any]:
     host: Scores = jax.tree.map(np.asarray, scores)
     values: dict[str, Any] = {
         "absolute": host.absolute,
+        "merit": host.merit,
         "valid": host.valid,
         "status": host.status,
         **host.terms,

@@ -30,6 +30,7 @@ from .rewards import (
     measured_rollout,
     penetration,
     semantics,
+    source,
     term_value,
     try_term,
 )
@@ -69,7 +70,17 @@ names them, with the weight given there."""
 ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
 PHYSICAL = ("d_pen", "d_drift")
 """Terms that the validity bounds limit for a valid candidate."""
-RESERVED = ("reward", "absolute", "status", "valid", "xy", "yaw", "log_scale", "s_sem_from")
+RESERVED = (
+    "reward",
+    "absolute",
+    "merit",
+    "status",
+    "valid",
+    "xy",
+    "yaw",
+    "log_scale",
+    "s_sem_from",
+)
 RESERVED += ("object_names", "term_names", "term_weights")
 """Keys of the history, which are not available as names of terms."""
 
@@ -84,6 +95,8 @@ class Objective(eqx.Module):
     """Stability bound of an object's translation [m]."""
     angle: Float[Array, ""]
     """Stability bound of its rotation [rad]."""
+    by_fidelity: Bool[Array, ""]
+    """True if the merit is the fidelity, False if it is the absolute reward; see `Scores.merit`."""
     normalisation: str = eqx.field(static=True)
     """`fixed` or `iteration`; see `contribution`."""
 
@@ -126,6 +139,7 @@ def open_objective(
         max_depth=scalar(options.max_depth_m),
         distance=scalar(options.reward.drift_scale_m),
         angle=scalar(np.radians(options.reward.tilt_scale_deg)),
+        by_fidelity=jax.device_put(np.bool_(options.merit == "fidelity")),
         normalisation=options.reward.normalisation,
     )
 
@@ -210,6 +224,32 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
         try_term(term, scene, still, layouts)
 
 
+def refuse_not_finite(
+    objective: Objective, scores: "Scores", status: Int[np.ndarray, " pop"], iteration: str
+) -> None:
+    """Reject a user-defined term that is not finite for a candidate whose rollout has not failed.
+
+    Args:
+        objective: the objective.
+        scores: scores of an iteration's candidates.
+        status: status of their rollouts.
+        iteration: which iteration, for the message.
+
+    Raises:
+        ConfigError: a term is not finite; the message names the term, its file and line.
+    """
+    went = ~np.isin(status, (RolloutStatus.FAILED, RolloutStatus.TRUNCATED))
+    for term in objective.terms:
+        values = np.asarray(scores.terms[term.name])
+        bad = went & ~np.isfinite(values)
+        if term.name not in TERMS and bad.any():
+            raise ConfigError(
+                f"reward term {term.name} ({source(term.fn)}) is {values[bad][0]} for "
+                f"{int(bad.sum())} of {len(bad)} candidates in {iteration}: return a finite "
+                "number for every candidate, for example by jnp.where"
+            )
+
+
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
     """Return a rollout without motion or penetration, with all objects visible as parsed."""
     still = unmoved(scene, scene.place(layouts))
@@ -237,9 +277,12 @@ class Scores(eqx.Module):
     """Reward by which Algorithm 1 ranks; -inf for failed candidates."""
     absolute: Float[AnyArray, " pop"]
     """Reward with fixed scales, comparable between iterations; -inf as in `reward`."""
-    fidelity: Float[AnyArray, " pop"]
-    """Absolute reward without D_pen and D_drift, which the validity bounds limit, but with a cost
-    for displacement by settling; -inf as in `reward`."""
+    merit: Float[AnyArray, " pop"]
+    """Value that ranks valid candidates; -inf as in `reward`.
+
+    By `refine.merit` the absolute reward, or the fidelity: the absolute reward without D_pen and
+    D_drift, which the validity bounds limit, less a cost for displacement by settling.
+    """
     drift: Float[AnyArray, "pop object"]
     """Largest drift of each object in units of the stability bounds."""
     depth: Float[AnyArray, "pop object"]
@@ -296,6 +339,7 @@ def evaluate(
     fidelity += sum(
         absolute_contribution(term, settled) for term in objective.terms if term.name == "d_drift"
     )
+    absolute = total(absolute_contribution)
     reward = total(lambda t, x: contribution(t, x, alive, objective.normalisation))
     shares = [
         contribution(term, share, alive[:, None], "fixed")
@@ -315,8 +359,8 @@ def evaluate(
             int(RolloutStatus.FAILED),
         ),
         reward=jnp.where(alive, reward, -jnp.inf),
-        absolute=jnp.where(alive, total(absolute_contribution), -jnp.inf),
-        fidelity=jnp.where(alive, fidelity, -jnp.inf),
+        absolute=jnp.where(alive, absolute, -jnp.inf),
+        merit=jnp.where(alive, jnp.where(objective.by_fidelity, fidelity, absolute), -jnp.inf),
         drift=drift,
         depth=deepest,
         rested=rested,

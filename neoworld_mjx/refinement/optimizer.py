@@ -1,18 +1,20 @@
 """Optimizer protocol of Algorithm 1's loop, and the table of the built-in optimizers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
+from ..errors import ConfigError
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import draw, initial_sigma, open_cem
-from .cma_es import open_cma_es
 from .objective import imported
+from .strategies import EVOSAX, Strategy, open_strategy, strategy_class
 
 
 @runtime_checkable
@@ -75,20 +77,47 @@ def _open_random(scene: SceneArrays, options: CEMOptions) -> RandomSearch:
     return RandomSearch(initial_sigma(scene, options))
 
 
-OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
+OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]] = {
     "cem": open_cem,
-    "cma_es": open_cma_es,
+    "cma_es": partial(open_strategy, "CMA_ES", parameters={}),
     "random": _open_random,
 }
 """Factories of the optimizers that `refine.optimizer` names, from the scene and `refine.cem`."""
 
 
-def open_optimizer(name: str, scene: SceneArrays, options: CEMOptions) -> Optimizer:
-    """Build an optimizer by name, or by a factory's import path "package.module:function".
+def open_optimizer(
+    name: str,
+    scene: SceneArrays,
+    options: CEMOptions,
+    parameters: Mapping[str, float] | None = None,
+) -> Optimizer | Strategy:
+    """Build an optimizer.
+
+    Args:
+        name: of OPTIMIZERS, evosax:STRATEGY, or a factory's path "package.module:function".
+        scene: the scene's arrays.
+        options: options of the Gaussian.
+        parameters: parameters of a strategy of evosax, by name.
 
     Raises:
-        ConfigError: the optimizer does not exist.
+        ConfigError: the optimizer or a parameter does not exist.
         EngineError: its package is not installed.
     """
-    build = OPTIMIZERS.get(name) or imported("refine.optimizer", name, OPTIMIZERS)
-    return build(scene, options)
+    if name == "cma_es" or name.startswith(f"{EVOSAX}:"):
+        strategy = "CMA_ES" if name == "cma_es" else name.partition(":")[2]
+        return open_strategy(strategy, scene, options, parameters or {})
+    if parameters:
+        raise ConfigError(
+            f"refine.strategy: {', '.join(parameters)}: only evosax:STRATEGY has parameters, "
+            f"not {name}"
+        )
+    return optimizer_factory(name)(scene, options)
+
+
+def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]:
+    """Return the factory of an optimizer; names and errors are those of `open_optimizer`."""
+    kind, colon, strategy = name.partition(":")
+    if colon and kind == EVOSAX:
+        strategy_class(strategy)
+        return partial(open_strategy, strategy, parameters={})
+    return OPTIMIZERS.get(name) or imported("refine.optimizer", name, OPTIMIZERS)

@@ -14,7 +14,7 @@ from ..spec import SceneSpec
 from .choosing import Winner
 from .objective import Objective
 from .rounds import NOT_DRAWN, Round, stacked
-from .search_run import SearchResult
+from .search_run import FirstValid, SearchResult
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,9 +30,9 @@ class Refined:
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
-    """All candidates, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each
-    term under its name, `xy`, `yaw`, `log_scale`; in addition `object_names`, `term_names` and
-    `term_weights`."""
+    """All candidates, leading axes [iteration, pop]: `reward`, `absolute`, `merit`, `status`,
+    `valid`, each term under its name, `xy`, `yaw`, `log_scale`; in addition `object_names`,
+    `term_names` and `term_weights`."""
     engine: str
     iterations: int
     winner: tuple[int, int]
@@ -52,6 +52,10 @@ class Refined:
     """Objects that rested where they should in the initial layout."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without one."""
+    delivered: dict[str, float] = field(default_factory=dict)
+    """`absolute`, `merit` and each term of `scene`; those of its candidate are in the history."""
+    first_valid: FirstValid | None = None
+    """When the search found its first valid candidate; None if it found none."""
 
     def __repr__(self) -> str:
         """Summarise the search and the final check in a few lines."""
@@ -77,17 +81,20 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     """Summarize an iteration.
 
     Args:
-        values: `absolute`, `valid`, `status` and reward terms of the candidates, each [pop].
+        values: `absolute`, `merit`, `valid`, `status` and reward terms of the candidates, each
+            [pop].
         terms: names of the reward terms.
 
     Returns:
-        "best" and "mean" of the finite absolute rewards, the share "valid" of all drawn candidates,
-        and the terms of the best one; None if no candidate has a finite reward.
+        "best" and "mean" of the finite absolute rewards, "rollouts", the share "valid" of them,
+        the largest "merit" of a valid one, and the terms of the best one; None if there is none.
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
-    drawn = max(int(np.sum(np.asarray(values["status"]) != NOT_DRAWN)), 1)
-    share = {"valid": float(np.sum(values["valid"]) / drawn)}
+    drawn = int(np.sum(np.asarray(values["status"]) != NOT_DRAWN))
+    valid = np.asarray(values["valid"])
+    share: dict[str, Any] = {"rollouts": drawn, "valid": float(np.sum(valid) / max(drawn, 1))}
+    share["merit"] = float(np.asarray(values["merit"])[valid].max()) if valid.any() else None
     if not finite.any():
         return {"best": None, "mean": None, **share, **dict.fromkeys(terms)}
     k = int(np.where(finite, absolute, -np.inf).argmax())
@@ -103,6 +110,7 @@ def outcome(
     *,
     engine: str,
     clock: dict[str, float],
+    delivered: dict[str, float],
     semantic: np.ndarray | None = None,
     scoring: dict[str, Any] | None = None,
     fallbacks: tuple[str, ...] = (),
@@ -116,6 +124,7 @@ def outcome(
         winner: the winner.
         engine: name of the physics engine.
         clock: seconds spent, by step.
+        delivered: values of the final scene; see `delivery.delivered`.
         semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
         scoring: summary of the semantic scorer.
         fallbacks: descriptions of the fallbacks of earlier steps.
@@ -162,11 +171,19 @@ def outcome(
         fallbacks=fallbacks,
         kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
         scoring=scoring or {},
+        delivered=delivered,
+        first_valid=result.first_valid,
     )
 
 
 def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> dict[str, np.ndarray]:
-    fill = {"reward": -np.inf, "absolute": -np.inf, "status": NOT_DRAWN, "valid": False}
+    fill = {
+        "reward": -np.inf,
+        "absolute": -np.inf,
+        "merit": -np.inf,
+        "status": NOT_DRAWN,
+        "valid": False,
+    }
     history = {
         name: stacked([getattr(r.scores, name) for r in rounds], empty)
         for name, empty in fill.items()

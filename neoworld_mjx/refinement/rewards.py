@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..errors import ConfigError
@@ -23,7 +24,7 @@ from ..physics.model import SceneModel
 from ..physics.placed import pair_depths
 from ..physics.scene_arrays import SceneArrays
 from ..physics.visibility import Visible, visibility
-from ..spec.pose import angle_between
+from ..spec.pose import angle_between, length
 from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
@@ -124,7 +125,11 @@ def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = N
 
 
 def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """Compute the geometric S_sem, and per object by the criteria that involve it."""
+    """Compute the geometric S_sem, and per object by the criteria that involve it.
+
+    Visibility has no gradient, and a part of the gradient would mislead: all of it is zero.
+    """
+    layouts, rollout = lax.stop_gradient((layouts, rollout))
     if isinstance(rollout, MeasuredRollout):
         visible = rollout.visible
     else:
@@ -186,7 +191,7 @@ def drifts(
 
     They refer to its base; `joint_drift` measures its joints.
     """
-    distance = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
+    distance = length(rollout.pos - rollout.start.pos[:, None], jnp)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(distance, axis=1), jnp.max(angle, axis=1)
 
@@ -238,7 +243,28 @@ def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -
         if not isinstance(value, kind):
             wanted = getattr(kind, "__name__", "Rollout")
             raise TypeError(f"{name} takes a {wanted} ({hint}), got a {type(value).__name__}")
+    _check_shapes(name, scene, layouts, rollout)
     return _compiled(fn, scene, layouts, rollout)
+
+
+def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) -> None:
+    """Raise a ValueError where a layout's or a rollout's axes do not fit the scene."""
+    pop, count = np.shape(layouts.yaw)[0] if np.ndim(layouts.yaw) else 0, scene.count
+    shapes = {"xy": (pop, count, 2), "yaw": (pop, count), "log_scale": (pop, count)}
+    for part, shape in shapes.items():
+        found = np.shape(getattr(layouts, part))
+        if found != shape:
+            raise ValueError(
+                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it is "
+                f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
+            )
+    if rollout is not None:
+        moving = np.shape(rollout.pos)
+        if moving[:1] + moving[2:3] != (pop, count):
+            raise ValueError(
+                f"{name}: rollout.pos has shape {list(moving)}, for {pop} candidates of {count} "
+                f"objects it is [{pop}, time, {count}, 3]"
+            )
 
 
 def d_pen(
@@ -251,6 +277,7 @@ def d_pen(
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
+        ValueError: an axis does not fit the scene.
     """
     return _call(penetration, "d_pen", scene, layouts, rollout)
 
@@ -272,6 +299,7 @@ def d_drift(
 
     Raises:
         TypeError: an argument is of another type.
+        ValueError: an axis does not fit the scene.
     """
     if rollout is None:
         raise TypeError("d_drift takes a Rollout (of neoworld_mjx.rollout), got None")
@@ -283,10 +311,11 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """Compute the geometric S_sem in [0, 1] at the placed poses; see `semantic`.
 
-    `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
+    `rollout` is unused. Compiled; may be jitted and vmapped. Its gradient is zero.
 
     Raises:
         TypeError: an argument is of another type.
+        ValueError: an axis does not fit the scene.
     """
     return _call(semantics, "s_sem", scene, layouts, rollout)
 

@@ -21,7 +21,7 @@ class Round(NamedTuple):
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
-    """Rank all candidates: valid ones first, by fidelity, then the others, by absolute reward.
+    """Rank all candidates: valid ones first, by merit, then the others, by absolute reward.
 
     Returns:
         ((iteration, candidate), absolute reward) of each.
@@ -30,15 +30,15 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
         return []
     valid = stacked([r.scores.valid for r in rounds], False)
     absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
-    fidelity = stacked([r.scores.fidelity for r in rounds], -np.inf)
+    merit = stacked([r.scores.merit for r in rounds], -np.inf)
     pop = valid.shape[1]
-    order = best_first(valid.ravel(), fidelity.ravel(), absolute.ravel())
+    order = best_first(valid.ravel(), merit.ravel(), absolute.ravel())
     return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
 
 
-def best_first(valid: np.ndarray, fidelity: np.ndarray, absolute: np.ndarray) -> np.ndarray:
+def best_first(valid: np.ndarray, merit: np.ndarray, absolute: np.ndarray) -> np.ndarray:
     """Return the indices of candidates [pop], best first; see `ranked`."""
-    return np.lexsort((-np.where(valid, fidelity, absolute), ~valid))
+    return np.lexsort((-np.where(valid, merit, absolute), ~valid))
 
 
 def stacked(rows: list[Any], fill: Any) -> np.ndarray:

@@ -20,6 +20,7 @@ from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
 from .choosing import choose
 from .compiling import compile_for_search
+from .delivery import delivered
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
 from .outcome import Refined, outcome
@@ -54,8 +55,9 @@ def refine(
     The composed scene is settled under guidance. If it passes the final check, it is the result.
     Otherwise the search perturbs it, for T iterations or until some candidate was valid and the
     best one (or the elites, by `stop_by`) gained less than `stop_gain` for `patience` iterations.
-    The winner is the best valid candidate that also passes the final check; if none passes, the
-    one closest to passing is returned with `passed` False.
+    Valid candidates rank first, by merit (see `Scores.merit`), then the others, by absolute reward.
+    The winner is the first in this order that passes the final check. If none of the first
+    `finalists` passes, the one closest to passing is returned with `passed` False.
 
     Args:
         scene: the composed scene, compiled or not. A path names a scene.json, or a run folder, of
@@ -126,6 +128,11 @@ def refine(
             result.scene,
             accept_initial=result.accept_initial,
         )
+        by_model = None
+        if scorer is not None and winner.index[0] >= 0:
+            t, k = winner.index
+            by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
+        values = delivered(result, winner, engine, by_model)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,
@@ -134,6 +141,7 @@ def refine(
             winner,
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
+            delivered=values,
             semantic=None if scorer is None else stacked(marks, 0),
             scoring=None if scorer is None else scorer.summary(),
             fallbacks=(tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
@@ -192,13 +200,13 @@ def _with_late_scores(
             change[k] = late.value - float(s_sem[k])
             marks[k] = Mark.SCORED
     scores = eqx.tree_at(
-        lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.fidelity),
+        lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.merit),
         round_.scores,
         (
             jnp.asarray(s_sem + change),
             round_.scores.reward + weight * change,
             round_.scores.absolute + weight * change,
-            round_.scores.fidelity + weight * change,
+            round_.scores.merit + weight * change,
         ),
     )
     return round_._replace(scores=scores)

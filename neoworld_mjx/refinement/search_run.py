@@ -8,6 +8,7 @@ import numpy as np
 from ..config import RefineOptions
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays
 from .algorithm import Problem, SearchState
 from .finishing import Finished
 from .rounds import Round
@@ -22,6 +23,16 @@ class SearchRun(NamedTuple):
     """Pop axis of length 1; None is the composed scene."""
 
 
+class FirstValid(NamedTuple):
+    """When a search found its first valid candidate."""
+
+    iteration: int
+    """Counted from 1; 0 is the initial layout."""
+    rollouts: int
+    """Candidates that had been rolled out by the end of this iteration, which draws a whole
+    population at once."""
+
+
 @dataclass
 class SearchResult:
     """Progress and results of a run's search, before the exact check of its winner."""
@@ -31,6 +42,8 @@ class SearchResult:
     state: SearchState
     scene: SceneModel
     """The scene of the candidates, in which objects may be held; see `finishing.held`."""
+    arrays: SceneArrays
+    """Its arrays, padded or not."""
     initial: Finished
     """The initial layout at rest, with its final check."""
     accept_initial: bool
@@ -42,6 +55,8 @@ class SearchResult:
     """Summary of each iteration; see `outcome.iteration_summary`."""
     first_valid_s: float = float("nan")
     """Time from the start of the search to the score of the first valid candidate [s]."""
+    first_valid: FirstValid | None = None
+    """None if no candidate was valid."""
     marks: list[np.ndarray] = field(default_factory=list)
     """Source of each S_sem, by iteration; see `scorer.Mark`."""
     stuck: tuple[str, ...] = ()

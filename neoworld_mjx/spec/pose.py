@@ -10,6 +10,8 @@ ArrayLike = NDArray | Sequence[Any] | float
 """Input of np.asarray; NumPy's own ArrayLike cannot be checked at run time."""
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
+SINGLE_ROUNDING = 2e-7
+"""Angle [rad] that single precision does not resolve."""
 
 
 class Pose(NamedTuple):
@@ -162,12 +164,26 @@ def angle_between(a: Any, b: Any, xp: Any = np) -> Any:
     Args:
         a: quaternions [..., 4].
         b: quaternions [..., 4]; leading axes broadcast.
-        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays.
+        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays, whose
+            angles below SINGLE_ROUNDING are 0.
     """
     if xp is np:
         a, b = np.asarray(a, float), np.asarray(b, float)
     turn = a[..., :1] * b[..., 1:] - b[..., :1] * a[..., 1:] - xp.cross(a[..., 1:], b[..., 1:])
-    return 2 * xp.arctan2(xp.linalg.norm(turn, axis=-1), xp.abs(xp.sum(a * b, axis=-1)))
+    # Of equal quaternions, fused products leave a rotation about an arbitrary axis.
+    sine = length(turn, xp, least=0.0 if xp is np else SINGLE_ROUNDING / 2)
+    return 2 * xp.arctan2(sine, xp.abs(xp.sum(a * b, axis=-1)))
+
+
+def length(v: Any, xp: Any = np, *, least: float = 0.0) -> Any:
+    """Return the lengths of vectors [..., n]; those of at most `least` are 0, with gradient 0.
+
+    `jnp.linalg.norm` has the gradient NaN at zero.
+    """
+    square = xp.sum(v * v, axis=-1)
+    # NaN must stay NaN.
+    short = square <= least**2
+    return xp.where(short, 0.0, xp.sqrt(xp.where(short, 1.0, square)))
 
 
 def tilt_between(a: ArrayLike, b: ArrayLike) -> NDArray:

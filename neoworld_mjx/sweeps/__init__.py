@@ -1,7 +1,9 @@
 """Sweeps over the options of the search, and ablations."""
 
-from .cases import Case, Source
+from .cases import Case, Source, case
+from .merge import merge
 from .plan import Ablation, Plan
-from .run import SweepResult, ablate, sweep
+from .result import SweepResult
+from .run import ablate, sweep
 
-__all__ = ["Ablation", "Case", "Plan", "Source", "SweepResult", "ablate", "sweep"]
+__all__ = ["Ablation", "Case", "Plan", "Source", "SweepResult", "ablate", "case", "merge", "sweep"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from ..errors import SpecError, choices
@@ -24,24 +25,37 @@ class Case:
     """Function that returns the initial layout for a seed, with a population axis of length 1.
 
     None starts the search at the composed scene."""
-    errors: Callable[[SceneModel, Layout], dict[str, float]] | None = None
-    """Function that returns the errors of a layout; None without ground truth."""
+    errors: Callable[[SceneSpec], dict[str, float]] | None = None
+    """Function that returns the errors of a delivered scene; None without ground truth."""
     photo: Path | None = None
     """File of the photograph, for scores by a model; None if there is none."""
 
 
 Source = Callable[[str], Case]
 """Function that returns a scene from the name after the colon."""
+SOURCES = "neoworld_bench.named_scenes:SOURCES"
+"""Location of the sources of the benchmark's scenes."""
 
 
-def case(name: str, sources: Mapping[str, Source]) -> Case:
+def bench_sources() -> Mapping[str, Source]:
+    """Return the sources of named scenes, by kind: `bench`, `crowded` and `photo`."""
+    module, name = SOURCES.split(":")
+    return getattr(import_module(module), name)
+
+
+def case(name: str, sources: Mapping[str, Source] | None = None) -> Case:
     """Return a scene by name: KIND:NAME of a source, a scene.json or a run folder.
 
     A run folder gives the composed scene, before refinement.
 
+    Args:
+        name: its name or path.
+        sources: functions that return scenes, by kind; None is `bench_sources`.
+
     Raises:
         SpecError: the scene does not exist.
     """
+    sources = bench_sources() if sources is None else sources
     kind, colon, inner = name.partition(":")
     if colon and kind in sources:
         return sources[kind](inner)

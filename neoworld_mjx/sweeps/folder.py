@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import RunError
 from ..io import read_object
 from ..io.files import write_output
-from ..run_folder import refuse_links
+from ..run_folder import LOCK, lock_folder, refuse_links
 from .figure import draw
 from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterations, write_runs
 
@@ -18,7 +18,10 @@ FORMAT = "neoworld-sweep/1"
 
 
 class SweepFolder:
-    """Output folder of a sweep, with the runs completed before it was resumed in `rows`."""
+    """Output folder of a sweep, locked, with the runs completed before it was resumed in `rows`.
+
+    Use it in a `with` statement.
+    """
 
     def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
         """Create the folder, or continue in an existing one.
@@ -43,24 +46,41 @@ class SweepFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             refuse_links(self.path)
-            if any(self.path.iterdir()):
-                self._open_existing(kind, resume, overwrite)
+            existing = any(entry.name != LOCK for entry in self.path.iterdir())
+            if existing:
+                self._refuse_foreign(kind)
+            self._lock = lock_folder(self.path)
+            try:
+                if existing:
+                    self._open_existing(kind, resume, overwrite)
+                if not self.rows:
+                    self.write_about({"format": FORMAT, "kind": kind, "finished": False})
+            except BaseException:
+                self._lock.close()
+                raise
         except OSError as error:
             raise RunError(f"cannot write {path}: {error.strerror}") from None
-        if not self.rows:
-            self.write_about({"format": FORMAT, "kind": kind, "finished": False})
 
-    def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
-        try:
-            about = read_object(self.path / ABOUT, RunError)
-        except RunError:
-            about = {}
-        if about.get("format") != FORMAT or not isinstance(about.get("kind"), str):
+    def __enter__(self) -> "SweepFolder":
+        """Return this folder."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Unlock the folder."""
+        self._lock.close()
+
+    def _refuse_foreign(self, kind: str) -> dict[str, Any]:
+        about = sweep_of(self.path)
+        if about is None:
             raise RunError(f"{self.path} is not empty and holds no {kind}: name a new folder")
         if about["kind"] != kind:
             raise RunError(
                 f"{self.path} holds another kind of run, {about['kind']}: name a new folder"
             )
+        return about
+
+    def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
+        about = self._refuse_foreign(kind)
         if overwrite:
             for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
@@ -77,7 +97,7 @@ class SweepFolder:
                 self.groups = list(about.get("groups", []))
 
     def completed(self, expected: Mapping[Key, str]) -> dict[Key, Row]:
-        """Return the rows that need not be computed again.
+        """Return the rows that need not be computed again, whatever the labels of their points.
 
         Args:
             expected: fingerprint of every requested run, by scene, point and seed.
@@ -85,15 +105,20 @@ class SweepFolder:
         Raises:
             RunError: the folder has rows of runs that are not requested, which would be lost.
         """
-        rows = {row_key(row): row for row in self.rows}
-        lost = [run for run in rows if run not in expected]
+        rows = {row["fingerprint"]: row for row in self.rows}
+        known = set(expected.values())
+        lost = [
+            row_key(row)
+            for row in self.rows
+            if row["fingerprint"] not in known and row_key(row) not in expected
+        ]
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
                 f"{self.path} has {len(lost)} rows that this plan does not contain, such as scene "
                 f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {run: row for run, row in rows.items() if row["fingerprint"] == expected[run]}
+        return {run: rows[mark] for run, mark in expected.items() if mark in rows}
 
     def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
         """Write all rows so far, and further text files by name.
@@ -125,3 +150,13 @@ class SweepFolder:
             RunError: it cannot be written.
         """
         write_output(self.path / ABOUT, json.dumps(about, indent=1) + "\n", RunError)
+
+
+def sweep_of(path: Path) -> dict[str, Any] | None:
+    """Return the content of a folder's sweep.json; None if it holds no sweep."""
+    try:
+        about = read_object(path / ABOUT, RunError)
+    except RunError:
+        return None
+    known = about.get("format") == FORMAT and isinstance(about.get("kind"), str)
+    return about if known else None

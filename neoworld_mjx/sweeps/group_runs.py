@@ -1,6 +1,7 @@
 """Runs of one group of points on one scene: searched together, or refined one by one."""
 
 import json
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,15 +9,21 @@ from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
+from ..refinement.batching import TILE
+from ..refinement.delivery import delivered
 from ..refinement.loop import search
 from ..refinement.scene_refinement import refine
 from ..refinement.search_run import SearchRun
+from ..traces import computes_on_cpu
 from .cases import Case
-from .grouping import TRACED
+from .grouping import TRACED, holding_part
 from .model_scores import ModelScores, scored_by_model
 from .plan import Point
 from .run_rows import Row, iteration_rows, row_of_refined, row_of_search, summaries
 from .winners import winners
+
+CANDIDATES_AT_ONCE = 1024
+"""Candidates that occupy four cores for a while."""
 
 
 def search_together(
@@ -26,19 +33,38 @@ def search_together(
     runs: Sequence[SearchRun],
     engine: Engine,
 ) -> list[Row]:
-    """Search all runs in one computation."""
-    clock: dict[str, float] = {}
-    before = compiled().seconds
-    results = search(model, runs, engine, keep=False, clock=clock)
-    seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
-    shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
-    chosen = winners(case.scene, compile_options, model, results)
-    return [
-        row_of_search(case, model, result, winner)
-        | shared
-        | {"history": iteration_rows(result.summaries)}
-        for result, winner in zip(results, chosen, strict=True)
-    ]
+    """Search all runs in one computation, or in one for each set of held objects.
+
+    On a CPU, a row does not depend on the other runs.
+    """
+    alike: dict[str, list[int]] = {}
+    for k, run in enumerate(runs):
+        alike.setdefault(holding_part(run.options), []).append(k)
+    rows: list[Row] = [{}] * len(runs)
+    for members in alike.values():
+        clock: dict[str, float] = {}
+        before = compiled().seconds
+        own = [runs[k] for k in members]
+        results = search(model, own, engine, keep=False, clock=clock)
+        seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(own)
+        shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
+        chosen = winners(case.scene, compile_options, model, results)
+        for k, result, winner in zip(members, results, chosen, strict=True):
+            values = delivered(result, winner, engine)
+            row = row_of_search(case, model, result, winner, values)
+            rows[k] = row | shared | {"history": iteration_rows(result.summaries)}
+    return rows
+
+
+def runs_at_once(options: RefineOptions) -> int:
+    """Return the number of runs that share a computation before their rows are saved.
+
+    A killed sweep loses these rows at most. They are enough to occupy an engine.
+    """
+    candidates = CANDIDATES_AT_ONCE * max(1, (os.cpu_count() or 1) // 4)
+    if not computes_on_cpu():
+        candidates = max(candidates, 4 * TILE)
+    return max(1, candidates // options.cem.population)
 
 
 def refine_separately(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from ..config import RefineOptions, list_options, option_values
 from ..refinement.batching import early_stop_rule
+from ..refinement.compiling import reach_of
 
 _OPTIONS = tuple(list_options(RefineOptions))
 TRACED = tuple(option.path for option in _OPTIONS if option.kind == "traced")
@@ -22,7 +23,18 @@ class PointGroup(NamedTuple):
     members: tuple[int, ...]
     """Indices of the points."""
     compile_options: RefineOptions
-    """Options to compile a scene with: those of the first member, with the largest sigma_xy."""
+    """Options to compile a scene with, those of the first member."""
+
+
+def holding_part(options: RefineOptions) -> str:
+    """Return the values that decide which objects a search holds, as JSON.
+
+    Runs of one search hold the same objects, so runs that differ here are searched one after the
+    other; otherwise the result of a run would depend on the other runs.
+    """
+    o = options
+    bounds = (o.max_depth_m, o.max_drift_m, o.max_tilt_deg, o.check_duration_s, o.check_timestep_s)
+    return json.dumps(bounds if o.cem.hold_resting else None)
 
 
 def static_part(options: RefineOptions) -> str:
@@ -30,6 +42,7 @@ def static_part(options: RefineOptions) -> str:
     values = option_values(options)
     static = {path: values[path] for path in STATIC}
     static["terms"] = list(values["reward.terms"])
+    static["reach"] = reach_of(options)
     if options.rollout.early_stop:
         rule = early_stop_rule(options)
         static["rule"] = [rule.distance, rule.angle, rule.drift, rule.tilt]
@@ -37,21 +50,11 @@ def static_part(options: RefineOptions) -> str:
 
 
 def grouped(points: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
-    """Group points by static options; without `fold` each point is its own group.
-
-    All groups have the largest sigma_xy of the sweep, so that one compiled scene serves all points
-    with the same time step and samples.
-    """
+    """Group points by static options; without `fold` each point is its own group."""
     groups: dict[str, list[int]] = {}
     for k, options in enumerate(points):
         groups.setdefault(static_part(options) if fold else str(k), []).append(k)
-    sigma = max(options.cem.sigma_xy for options in points)
-    result = []
-    for members in groups.values():
-        first = points[members[0]]
-        cem = first.cem.model_copy(update={"sigma_xy": sigma})
-        result.append(PointGroup(tuple(members), first.model_copy(update={"cem": cem})))
-    return result
+    return [PointGroup(tuple(members), points[members[0]]) for members in groups.values()]
 
 
 def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
@@ -69,4 +72,6 @@ def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
             lines.append(f"refine.{name} = {listed} ({reason}): compiles {len(values)} times")
     if len({tuple(table["reward.terms"]) for table in tables}) > 1:
         lines.append("refine.reward.terms: other terms are another program")
+    if len({reach_of(options) for options in points}) > 1:
+        lines.append("refine.cem.sigma_xy: a wider one needs a wider surface under each object")
     return [*lines, f"so {len(points)} points are {count} computations per scene"]

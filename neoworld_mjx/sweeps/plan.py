@@ -1,21 +1,31 @@
 """Plans of sweeps and ablations: YAML files that are fully validated before the first run."""
 
-import itertools
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
 from ..errors import ConfigError, choices
 from ..io.validation_message import validation_message
+from .axes import MAX_POINTS, combinations, read_axes
 
 ROOT = "refine"
 """Group of options that plans may set."""
-MAX_POINTS, MAX_SEEDS = 10_000, 10_000
+MAX_SEEDS = 10_000
+
+
+def _seeds(value: Any) -> Any:
+    """Return the seeds that a number stands for, and everything else unchanged."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        if not 1 <= value <= MAX_SEEDS:
+            raise ValueError(f"must be a number of seeds from 1 to {MAX_SEEDS}, or a list of seeds")
+        return tuple(range(value))
+    if not isinstance(value, list | tuple):
+        raise ValueError("must be a number of seeds or a list of seeds")
+    return value
 
 
 class _Request(Options):
@@ -25,7 +35,10 @@ class _Request(Options):
     """YAML file of options that all points share."""
     base: dict[str, Any] = {}
     """Options that override those of `config`."""
-    seeds: tuple[int, ...] = Field(default=(0, 1, 2, 3), min_length=1)
+    seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)] = Field(
+        default=(0, 1, 2, 3), min_length=1
+    )
+    """Seeds of the search; a number N stands for 0 to N - 1."""
     scores: Path | None = None
     """Folder of semantic scores recorded by an earlier run of the plan; replaces model calls."""
     tapes: tuple[Path, ...] = ()
@@ -35,8 +48,15 @@ class _Request(Options):
 class Plan(_Request):
     """A sweep: every combination of the axes' values, with every seed, on every scene."""
 
-    axes: dict[str, list[Any]] = {}
-    """Values by the path of an option, such as `refine.reward.w_drift`."""
+    axes: dict[str, Any] = {}
+    """Values by the path of an option, such as `refine.reward.w_drift`: a list, or an `AxisRange`
+    such as `{low: 0.01, high: 0.1, log: true, n: 4}`; without `n` values are drawn."""
+    zip: tuple[tuple[str, ...], ...] = ()
+    """Groups of axes whose values advance together instead of being combined."""
+    samples: int = Field(default=0, ge=0, le=MAX_POINTS)
+    """Number of draws from the axes that are ranges without `n`."""
+    draw_seed: int = Field(default=0, ge=0)
+    """Seed of the draws."""
     fold: bool = True
     """True if runs that differ only in traced options share a computation."""
 
@@ -110,7 +130,7 @@ def points(plan: Plan | Ablation) -> list[Point]:
     # Points override the complete options of the base, including defaults.
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
-        return _grid(plan.axes, base)
+        return _points(plan, base)
     variants = [Point(BASE, {"variant": BASE}, shared.refine)]
     for name, values in plan.variants.items():
         if name == BASE:
@@ -126,37 +146,54 @@ def points(plan: Plan | Ablation) -> list[Point]:
     return variants
 
 
-def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
-    for path, values in axes.items():
-        if not values:
-            raise ConfigError(f"axes: {path} has no values")
+def _points(plan: Plan, base: dict[str, Any]) -> list[Point]:
+    for path in plan.axes:
+        _annotation(path, "axes")
+    axes = read_axes(plan.axes, takes_integers)
+    ends = {path: [limits.low, limits.high] for path, limits in axes.ranges.items()}
+    for path, values in (axes.lists | ends).items():
         for value in values:
-            _with_values(base, {path: value}, "axes")
-    count = math.prod(map(len, axes.values()))
-    if count > MAX_POINTS:
-        raise ConfigError(
-            f"axes: {count} points, at most {MAX_POINTS} are allowed; use fewer values or "
-            "several plans"
-        )
-    grid: dict[str, Point] = {}
-    for combination in itertools.product(*axes.values()):
-        options = _with_values(base, dict(zip(axes, combination, strict=True)), "axes")
-        # Validated values make 1 and 1.0 the same point.
-        dump = {ROOT: options.model_dump(mode="json")}
-        values = {path: _value_at(dump, path) for path in axes}
-        label = ", ".join(
-            f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in axes
-        )
-        if label in grid:
-            raise ConfigError(f"axes: the point {label} appears twice")
-        grid[label] = Point(label or BASE, values, options)
-    return list(grid.values())
+            _with_values(base, {path: round(value) if path in ends and takes_integers(path)
+                                else value}, "axes")  # fmt: skip
+    found: dict[str, Point] = {}
+    every = combinations(axes, plan.zip, plan.samples, plan.draw_seed, takes_integers)
+    for chosen in every:
+        point = point_of(base, chosen)
+        if point.label in found and plan.samples:
+            continue  # Integers are drawn twice.
+        if point.label in found:
+            raise ConfigError(f"axes: the point {point.label} appears twice")
+        found[point.label] = point
+    return list(found.values())
+
+
+def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
+    """Return the point with some options' values, by path.
+
+    Args:
+        base: the complete options that it overrides.
+        chosen: values by path.
+
+    Raises:
+        ConfigError: a value is invalid.
+    """
+    options = _with_values(base, chosen, "axes")
+    # Validated values make 1 and 1.0 the same point.
+    dump = {ROOT: options.model_dump(mode="json")}
+    values = {path: _value_at(dump, path) for path in chosen}
+    label = ", ".join(f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in chosen)
+    return Point(label or BASE, values, options)
+
+
+def takes_integers(path: str) -> bool:
+    """Return whether an option's values are integers."""
+    return _annotation(path, "axes") is int
 
 
 def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) -> RefineOptions:
     overrides: dict[str, Any] = {}
     for path, value in values.items():
-        _check_path(path, where)
+        _annotation(path, where)
         tree = overrides
         *heads, last = path.split(".")
         for name in heads:
@@ -176,7 +213,8 @@ def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]
     return result
 
 
-def _check_path(path: str, where: str) -> None:
+def _annotation(path: str, where: str) -> Any:
+    """Return the type of an option; a ConfigError suggests similar ones."""
     head, *names = path.split(".")
     if head != ROOT:
         raise ConfigError(
@@ -193,6 +231,7 @@ def _check_path(path: str, where: str) -> None:
     if isinstance(group, type) and issubclass(group, BaseModel):
         members = ", ".join(f"{path}.{name}" for name in group.model_fields)
         raise ConfigError(f"{where}: {path} is a group of options: name one of {members}")
+    return group
 
 
 def _value_at(tree: dict[str, Any], path: str) -> Any:

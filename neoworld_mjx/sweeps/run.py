@@ -3,58 +3,32 @@
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from ..compilations import compiled
-from ..config import option_values
+from ..config import RefineOptions, option_values
 from ..errors import ConfigError
 from ..io.files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
 from ..progress import report
-from ..refinement.scene_refinement import compile_for_search
+from ..refinement.compiling import compile_for_search, reach_of
 from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
-from .folder import CSV, FORMAT, LATEX, TABLE, SweepFolder
-from .group_runs import refine_separately, search_together
+from .folder import FORMAT, SweepFolder
+from .group_runs import refine_separately, runs_at_once, search_together
 from .grouping import PointGroup, grouped, reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, points, read, shared_config
+from .plan import Ablation, Plan, Point, points, read, shared_config
+from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row
-from .table import comma_separated, differences, summary, text_table
-
-NOTES = (
-    "Means over scenes and seeds with 95 % intervals: Wilson's for rates, Student's t for the "
-    "others. n is the number of runs. Runs on one scene are correlated, so intervals over few "
-    "scenes are too narrow to generalize. The reward uses each point's own weights: if weights "
-    "differ, compare the terms."
-)
-DIFFERENCE_NOTES = "Paired over scenes and seeds; a positive value is larger than the base."
-
-
-@dataclass(frozen=True)
-class SweepResult:
-    """Result of a sweep or an ablation."""
-
-    rows: list[Row]
-    """One row per scene, point and seed with the columns `run_rows.COLUMNS`, and under "history"
-    the iterations with the columns `run_rows.ITERATION_COLUMNS`."""
-    points: list[dict[str, Any]]
-    """Summary of each point over scenes and seeds; see `table.summary`."""
-    differences: list[dict[str, Any]]
-    """Differences of an ablation's variants from the base; see `table.differences`."""
-    table: str
-    """Both summaries as Markdown."""
-    about: dict[str, Any] = field(default_factory=dict)
-    """Content of sweep.json."""
 
 
 def sweep(
@@ -66,6 +40,7 @@ def sweep(
     engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    shard: tuple[int, int] = (1, 1),
 ) -> SweepResult:
     """Refine scenes with every combination of some options' values and several seeds.
 
@@ -75,17 +50,20 @@ def sweep(
         plan: a plan, or its YAML file or mapping.
         out: folder for results.parquet, table.md, sweep.json and others; None writes no files.
         cases: scenes in addition to those of the plan.
-        sources: functions that return the scenes named KIND:NAME, by KIND.
+        sources: functions that return the scenes named KIND:NAME, by KIND; None is `bench:NAME`,
+            `crowded:N` and `photo:NAME` of the benchmark.
         engine: physics engine; chosen by the options by default.
         resume: continue the sweep in `out`.
         overwrite: replace the sweep in `out`.
+        shard: (K, N) computes the K-th of N shares of the runs, each for a process or machine of
+            its own; `merge` joins their folders.
 
     Raises:
         ConfigError: the plan is invalid; raised before any run.
         SpecError: a scene does not exist.
-        RunError: the folder cannot be written, or holds files that must not be replaced.
+        RunError: the folder cannot be written, is in use, or holds files that must not be replaced.
     """
-    runner = _Runner(read(plan, Plan), cases, sources or {}, engine)
+    runner = _Runner(read(plan, Plan), cases, sources, engine, shard)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -98,13 +76,14 @@ def ablate(
     engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    shard: tuple[int, int] = (1, 1),
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
     Unless the plan sets `fold`, runs are separate refinements; the first of each kind runs twice,
     so that times exclude compilation. Arguments and errors are those of `sweep`.
     """
-    runner = _Runner(read(plan, Ablation), cases, sources or {}, engine)
+    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -115,9 +94,13 @@ class _Runner:
         self,
         plan: Plan | Ablation,
         scenes: Sequence[Case | SceneSpec],
-        sources: Mapping[str, Source],
+        sources: Mapping[str, Source] | None,
         engine: Engine | None,
+        shard: tuple[int, int],
     ) -> None:
+        number, of = self.shard = shard
+        if not 1 <= number <= of:
+            raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{of}")
         self.plan, self.engine = plan, engine
         self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
         self.points = points(plan)
@@ -130,7 +113,11 @@ class _Runner:
         self.static = reasons(options, fold=self.fold)
         if plan.fold and self.by_model:
             self.static.append("scores by a model: every run is a separate refinement")
-        self.fingerprints = self._fingerprints()
+        # Neighbouring runs cost about the same, so every N-th one balances the shards.
+        every = list(self._fingerprints().items())
+        self.fingerprints = dict(every[number - 1 :: of])
+        if not self.fingerprints:
+            raise ConfigError(f"shard: {number}/{of} of {len(every)} runs is empty")
         self.total = len(self.fingerprints)
         self.completed: dict[Key, Row] = {}
         self.folder: SweepFolder | None = None
@@ -139,133 +126,141 @@ class _Runner:
 
     def run(self, out: Path | str | None, *, resume: bool, overwrite: bool) -> SweepResult:
         """Compute all runs that `out` does not hold yet, saving after each group."""
+        number, of = self.shard
+        share = f", of which shard {number}/{of} has {self.total}" if of > 1 else ""
+        every = len(self.points) * len(self.plan.seeds) * len(self.cases)
         report(
             f"{self.kind}: {len(self.points)} points x {len(self.plan.seeds)} seeds x "
-            f"{len(self.cases)} scenes = {self.total} runs",
+            f"{len(self.cases)} scenes = {every} runs{share}",
             step=f"{self.kind} of {self.total} runs",
         )
         for line in self.static:
             report(f"static: {line}")
-        if out is not None:
-            self.folder = SweepFolder(Path(out), self.kind, resume=resume, overwrite=overwrite)
-            self.completed = self.folder.completed(self.fingerprints)
+        if out is None:
+            return self._run_groups()
+        with SweepFolder(Path(out), self.kind, resume=resume, overwrite=overwrite) as self.folder:
+            heads = self._heads()
+            completed = self.folder.completed(self.fingerprints)
+            self.completed = {key: row | heads[key] for key, row in completed.items()}
             if self.completed:
                 report(f"{len(self.completed)} of {self.total} runs are complete")
+            return self._run_groups()
+
+    def _run_groups(self) -> SweepResult:
         if self.by_model:
             self.scores = self._open_scores()
         self.about = self._about()
         began, before = time.perf_counter(), len(self.completed)
         for scene in self.cases:
-            models: dict[tuple[float, int], SceneModel] = {}
+            models: dict[tuple[float, int, float], SceneModel] = {}
             compiled_kinds: set[str] = set()
             for number, group in enumerate(self.groups, start=1):
-                timing = self._run_group(scene, group, models, compiled_kinds)
-                if timing is None:
-                    continue
-                done = len(self.completed)
-                rate = (time.perf_counter() - began) / (done - before)
-                left = (self.total - done) * rate
-                report(
-                    f"{scene.name}, group {number} of {len(self.groups)}: {timing['runs']} runs in "
-                    f"{timing['seconds']:.1f} s, {timing['compile_s']:.1f} s of it compiling "
-                    f"{timing['compilations']} programs; {done} of {self.total} runs done, about "
-                    f"{left:.0f} s left",
-                    step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
-                )
-                self._save(finished=False)
+                for timing in self._run_group(scene, group, models, compiled_kinds):
+                    done = len(self.completed)
+                    rate = (time.perf_counter() - began) / (done - before)
+                    left = (self.total - done) * rate
+                    report(
+                        f"{scene.name}, group {number} of {len(self.groups)}: {timing['runs']} "
+                        f"runs in {timing['seconds']:.1f} s, {timing['compile_s']:.1f} s of it "
+                        f"compiling {timing['compilations']} programs; {done} of {self.total} "
+                        f"runs done, about {left:.0f} s left",
+                        step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
+                    )
+                    self._save(finished=False)
         result = self._save(finished=True)
         if self.scores is not None:
             self.scores.close()
         return result
 
+    def _heads(self) -> dict[Key, Row]:
+        """Return the columns that name each run."""
+        values = {point.label: point.values for point in self.points}
+        return {
+            (scene, point, seed): {"scene": scene, "point": point, "seed": seed} | values[point]
+            for scene, point, seed in self.fingerprints
+        }
+
     def _run_group(
         self,
         scene: Case,
         group: PointGroup,
-        models: dict[tuple[float, int], SceneModel],
+        models: dict[tuple[float, int, float], SceneModel],
         compiled_kinds: set[str],
-    ) -> dict[str, Any] | None:
-        """Compute the missing runs of a group on a scene; return their timing, None without any.
+    ) -> Iterator[dict[str, Any]]:
+        """Compute the missing runs of a group on a scene; yield the timing of every part.
 
         Args:
             scene: the scene.
             group: the points.
-            models: compiled models of the scene, by time step and samples; updated in place.
+            models: compiled models of the scene, by time step, samples and reach; updated in place.
             compiled_kinds: see `refine_separately`.
         """
         pending = [
             (point, seed)
             for point in (self.points[k] for k in group.members)
             for seed in self.plan.seeds
-            if (scene.name, point.label, seed) not in self.completed
+            if (key := (scene.name, point.label, seed)) in self.fingerprints
+            and key not in self.completed
         ]
         if not pending:
-            return None
-        start, before = time.perf_counter(), compiled()
-        rollout = group.compile_options.rollout
-        shape = (rollout.timestep_s, rollout.samples_per_object)
-        if shape not in models:
-            models[shape] = compile_for_search(scene.scene, group.compile_options)
-        model = models[shape]
+            return
+        options = group.compile_options
+        rollout = options.rollout
+        shape = (rollout.timestep_s, rollout.samples_per_object, reach_of(options))
         engine = self.engine or open_engine(rollout.engine)
+        size = runs_at_once(options) if self.fold else 1
+        for first in range(0, len(pending), size):
+            part = pending[first : first + size]
+            start, before = time.perf_counter(), compiled()
+            if shape not in models:
+                models[shape] = compile_for_search(scene.scene, options)
+            rows = self._rows(scene, options, models[shape], part, engine, compiled_kinds)
+            heads = self._heads()
+            for (point, seed), row in zip(part, rows, strict=True):
+                key = (scene.name, point.label, seed)
+                self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
+            programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
+            timing = {
+                "scene": scene.name,
+                "points": list(dict.fromkeys(point.label for point, _ in part)),
+                "runs": len(part),
+                "seconds": time.perf_counter() - start,
+                "compilations": int(programs),
+                "compile_s": compile_s,
+            }
+            self.about["groups"].append(timing)
+            yield timing
+
+    def _rows(
+        self,
+        scene: Case,
+        options: RefineOptions,
+        model: SceneModel,
+        part: Sequence[tuple[Point, int]],
+        engine: Engine,
+        compiled_kinds: set[str],
+    ) -> list[Row]:
         runs = [
             SearchRun(
                 point.options, seed, None if scene.start is None else scene.start(model, seed)
             )
-            for point, seed in pending
+            for point, seed in part
         ]
         if self.fold:
-            rows = search_together(scene, group.compile_options, model, runs, engine)
-        else:
-            pairs = [(point, run) for (point, _), run in zip(pending, runs, strict=True)]
-            try:
-                rows = refine_separately(scene, model, pairs, engine, compiled_kinds, self.scores)
-            except BaseException:
-                self._save(finished=False)  # Record the costs so far.
-                raise
-        for (point, seed), row in zip(pending, rows, strict=True):
-            key = (scene.name, point.label, seed)
-            head = {"scene": scene.name, "point": point.label, "seed": seed, **point.values}
-            self.completed[key] = head | row | {"fingerprint": self.fingerprints[key]}
-        programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
-        timing = {
-            "scene": scene.name,
-            "points": [self.points[k].label for k in group.members],
-            "runs": len(runs),
-            "seconds": time.perf_counter() - start,
-            "compilations": int(programs),
-            "compile_s": compile_s,
-        }
-        self.about["groups"].append(timing)
-        return timing
+            return search_together(scene, options, model, runs, engine)
+        pairs = [(point, run) for (point, _), run in zip(part, runs, strict=True)]
+        try:
+            return refine_separately(scene, model, pairs, engine, compiled_kinds, self.scores)
+        except BaseException:
+            self._save(finished=False)  # Record the costs so far.
+            raise
 
     def _save(self, *, finished: bool) -> SweepResult:
         """Return the result so far, and write it into the folder."""
-        about: dict[str, Any] = {**self.about, "finished": finished}
-        for name in ("seconds", "compilations", "compile_s"):
-            about[name] = sum(group.get(name, 0) for group in about["groups"])
         if self.scores is not None:
-            about["mllm"] = self.scores.ledger
+            self.about["mllm"] = self.scores.ledger
         rows = [self.completed[key] for key in self.fingerprints if key in self.completed]
-        present = {row["point"] for row in rows}
-        labels = [point.label for point in self.points if point.label in present]
-        summaries = summary(rows, labels)
-        compared = differences(rows, labels) if self.kind == "ablation" else []
-        title = self.kind.capitalize()
-        markdown = f"# {title}\n\n{text_table(NOTES, summaries).markdown()}"
-        tex = text_table(f"{title}. {NOTES}", summaries).latex()
-        if compared:
-            table = text_table(DIFFERENCE_NOTES, compared, signed=True)
-            markdown += f"\n## Differences from the base\n\n{table.markdown()}"
-            tex += "\n" + table.latex()
-        if self.folder is not None:
-            axes = list(self.points[0].values)
-            texts = {TABLE: markdown, CSV: comma_separated(summaries), LATEX: tex}
-            self.folder.write(rows, axes, texts)
-            self.folder.write_about(about)
-            if finished:
-                about["figure"] = self.folder.write_figure(rows, axes)
-        return SweepResult(rows, summaries, compared, markdown, about)
+        return stored_result(rows, self.about, self.folder, finished=finished)
 
     def _open_scores(self) -> ModelScores:
         scores = ModelScores(
@@ -285,7 +280,6 @@ class _Runner:
             "versions": versions(),
             "fold": self.fold,
             "engine": None if self.engine is None else self.engine.name,
-            "sigma_xy": self.groups[0].compile_options.cem.sigma_xy,
         }
         config = shared_config(self.plan)
         scoring = {"provider": config.provider, "model": config.mllm.critic.model}
@@ -307,6 +301,9 @@ class _Runner:
             "format": FORMAT,
             "kind": self.kind,
             "plan": self.plan.model_dump(mode="json"),
+            "scenes": [scene.name for scene in self.cases],
+            "shard": list(self.shard),
+            "commit": commit(),
             "points": [{"label": point.label, **point.values} for point in self.points],
             "options": {"refine": self.points[0].options.model_dump(mode="json")},
             "static": self.static,
@@ -321,7 +318,7 @@ class _Runner:
 
 
 def _cases(
-    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source]
+    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source] | None
 ) -> list[Case]:
     cases = [case(name, sources) for name in plan.scenes]
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]

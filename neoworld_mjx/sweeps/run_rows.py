@@ -13,7 +13,8 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..refinement.choosing import Winner
 from ..refinement.outcome import Refined, iteration_summary
-from ..refinement.search_run import SearchResult
+from ..refinement.search_run import FirstValid, SearchResult
+from ..spec import SceneSpec
 from .cases import Case
 from .plan import plain
 
@@ -24,17 +25,21 @@ Key = tuple[str, str, int]
 KEYS: dict[str, type] = {"scene": str, "point": str, "seed": int}
 TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
 """Columns of the built-in reward terms."""
-TERM = "term_"
-"""Prefix of the columns of custom reward terms in the rows of runs."""
+TERM, CANDIDATE = "term_", "candidate_"
+"""Prefixes of the columns of custom reward terms, and of the values of the winning candidate."""
 _TERMS: dict[str, type] = dict.fromkeys(TERM_COLUMNS.values(), float)
 
 COLUMNS: dict[str, type] = {
     "valid": bool,
     "passed": bool,
     "reward": float,
+    "merit": float,
     **_TERMS,
+    **{CANDIDATE + name: float for name in ("reward", "merit", *_TERMS)},
     "iterations": int,
     "rollouts": int,
+    "iterations_to_valid": int,
+    "rollouts_to_valid": int,
     "mean_log_scale": float,
     "max_depth_m": float,
     "max_drift_m": float,
@@ -48,22 +53,31 @@ COLUMNS: dict[str, type] = {
     "engine": str,
     "fingerprint": str,
 }
-"""Columns of a run; None where one does not apply. `valid` is the result of the search, `passed` of
-the final check; `reward` (absolute) and the terms are the winner's. `seconds` is the time of the
-search without compilation, for runs in one computation an equal share. Depth, drift and tilt are
-measured in the final check; `box_iou` compares the visible boxes with the parsed ones."""
+"""Columns of a run; None where one does not apply.
+
+A row describes the delivered scene, the winner at rest: `passed` is the result of its final check,
+which also measures depth, drift and tilt; `reward` (absolute), `merit` and the terms are its own;
+`box_iou` compares its visible boxes with the parsed ones. `candidate_*` are the values of the
+candidate that it was made from, by which the search ranked it, and `valid` says whether that was
+valid. `seconds` is the time of the search without compilation, for runs in one computation an equal
+share. `iterations_to_valid` and `rollouts_to_valid` count up to the end of the first iteration with
+a valid candidate; 0 and 1 mean the initial layout.
+"""
 
 ITERATION_COLUMNS: dict[str, type] = {
     **KEYS,
     "iteration": int,
+    "rollouts": int,
     "best": float,
+    "merit": float,
     "mean": float,
     "valid": float,
     **_TERMS,
 }
-"""Columns of an iteration, counted from 1: best absolute reward so far, mean over the candidates
-that have one, fraction of valid candidates, and terms of the iteration's best candidate. Further
-columns are custom reward terms."""
+"""Columns of an iteration, counted from 1: rollouts so far, best absolute reward so far, largest
+merit of a valid candidate so far, mean absolute reward over the candidates that have one, fraction
+of valid candidates, and terms of the iteration's best candidate. Further columns are custom reward
+terms."""
 
 
 def row_key(row: Mapping[str, Any]) -> Key:
@@ -81,44 +95,74 @@ def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
         "passed": refined.passed,
         "iterations": refined.iterations,
         "rollouts": refined.rollouts,
+        **_first_valid_columns(refined.first_valid),
         "seconds": refined.seconds["search"],
         "to_valid_s": None if np.isnan(to_valid) else to_valid,
         "engine": refined.engine,
-        **_winner_columns(values, history["term_names"]),
-        **_layout_columns(case, model, refined.layout, refined.measure),
+        **_value_columns(values, refined.delivered, history["term_names"]),
+        **_scene_columns(case, model, refined.layout, refined.scene, refined.measure),
     }
 
 
-def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: Winner) -> Row:
-    """Return the columns of one run of a search; the caller adds time and engine."""
+def row_of_search(
+    case: Case,
+    model: SceneModel,
+    result: SearchResult,
+    winner: Winner,
+    delivered: Mapping[str, float],
+) -> Row:
+    """Return the columns of one run of a search; the caller adds time and engine.
+
+    Args:
+        case: the scene.
+        model: the compiled scene.
+        result: the search.
+        winner: its winner.
+        delivered: values of the winner's final scene; see `delivery.delivered`.
+    """
     t, k = winner.index
     values = None
     if t >= 0:
         scores = result.rounds[t].scores
         values = {name: x[k] for name, x in scores.terms.items()}
         values |= {"valid": scores.valid[k], "absolute": scores.absolute[k]}
+        values |= {"merit": scores.merit[k]}
     return {
         "passed": winner.passed,
         "iterations": len(result.rounds),
         "rollouts": result.rollouts,
-        **_winner_columns(values, [term.name for term in result.problem.objective.terms]),
-        **_layout_columns(case, model, winner.layout, winner.measure),
+        **_first_valid_columns(result.first_valid),
+        **_value_columns(values, delivered, [term.name for term in result.problem.objective.terms]),
+        **_scene_columns(case, model, winner.layout, winner.scene, winner.measure),
     }
 
 
-def _winner_columns(values: Mapping[str, Any] | None, terms: Iterable[Any]) -> Row:
-    """Return the columns of the winning candidate; None if every candidate failed."""
-    columns = {TERM_COLUMNS.get(name, TERM + name): name for name in map(str, terms)}
-    columns = {"reward": "absolute"} | columns
-    valid = values is not None and bool(values["valid"])
-    return {"valid": valid} | {
-        column: None if values is None else float(values[name]) for column, name in columns.items()
+def _first_valid_columns(first: FirstValid | None) -> Row:
+    return {
+        "iterations_to_valid": None if first is None else first.iteration,
+        "rollouts_to_valid": None if first is None else first.rollouts,
     }
 
 
-def _layout_columns(case: Case, model: SceneModel, layout: Layout, measure: SceneMeasure) -> Row:
+def _value_columns(
+    candidate: Mapping[str, Any] | None, delivered: Mapping[str, float], terms: Iterable[Any]
+) -> Row:
+    """Return the values of the delivered scene and of its candidate; None where not finite."""
+    columns = {"reward": "absolute", "merit": "merit"}
+    columns |= {TERM_COLUMNS.get(name, TERM + name): name for name in map(str, terms)}
+    row: Row = {"valid": candidate is not None and bool(candidate["valid"])}
+    for prefix, values in (("", delivered), (CANDIDATE, candidate or {})):
+        for column, name in columns.items():
+            value = float(values.get(name, np.nan))
+            row[prefix + column] = value if np.isfinite(value) else None
+    return row
+
+
+def _scene_columns(
+    case: Case, model: SceneModel, layout: Layout, scene: SceneSpec, measure: SceneMeasure
+) -> Row:
     log_scales = np.asarray(layout.log_scale[0])[np.asarray(model.optimised)]
-    errors = case.errors(model, layout) if case.errors is not None else {}
+    errors = case.errors(scene) if case.errors is not None else {}
     return {
         "mean_log_scale": float(log_scales.mean()) if len(log_scales) else 0.0,
         "max_depth_m": measure.max_depth_m,
@@ -134,7 +178,7 @@ def _layout_columns(case: Case, model: SceneModel, layout: Layout, measure: Scen
 def summaries(history: Mapping[str, np.ndarray]) -> list[Row]:
     """Summarize the iterations of a refinement's history; see `iteration_summary`."""
     terms = [str(name) for name in history["term_names"]]
-    names = ("absolute", "valid", "status", *terms)
+    names = ("absolute", "merit", "valid", "status", *terms)
     return [
         iteration_summary({name: history[name][t] for name in names}, terms)
         for t in range(len(history["absolute"]))
@@ -144,17 +188,22 @@ def summaries(history: Mapping[str, np.ndarray]) -> list[Row]:
 def iteration_rows(steps: Sequence[Row]) -> list[Row]:
     """Return the rows of a run's iterations, without the key, from their summaries."""
     rows: list[Row] = []
-    best = -np.inf
+    so_far: Row = {"best": None, "merit": None}
+    rollouts = 0
     for t, step in enumerate(steps, start=1):
-        best = best if step["best"] is None else max(best, step["best"])
+        rollouts += step["rollouts"]
+        for name, value in so_far.items():
+            known = [x for x in (value, step[name]) if x is not None]
+            so_far[name] = max(known, default=None)
         columns = {TERM_COLUMNS.get(name, name): value for name, value in step.items()}
-        rows.append({"iteration": t, **columns, "best": best if np.isfinite(best) else None})
+        rows.append({"iteration": t, **columns, **so_far, "rollouts": rollouts})
     return rows
 
 
 def term_columns(rows: Sequence[Row]) -> list[str]:
     """Return the columns of custom reward terms, in order."""
-    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(TERM)))
+    prefixes = (TERM, CANDIDATE + TERM)
+    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(prefixes)))
 
 
 def write_runs(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:

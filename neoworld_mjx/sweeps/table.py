@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from ..io.text_tables import TextTable
-from .intervals import Estimate, mean, rate, rate_difference
+from .intervals import Estimate, holm, mean, paired_test, rate, rate_difference
 from .plan import BASE
 from .run_rows import TERM, Row, row_key, term_columns
 
@@ -25,6 +25,7 @@ TABLE_COLUMNS = (
     TableColumn("passed", "passed, %", 100.0, 1),
     TableColumn("valid", "valid, %", 100.0, 1),
     TableColumn("reward", "reward"),
+    TableColumn("merit", "merit"),
     TableColumn("d_pen_m", "D_pen, mm", 1e3),
     TableColumn("d_drift", "D_drift"),
     TableColumn("s_sem", "S_sem"),
@@ -36,24 +37,32 @@ TABLE_COLUMNS = (
     TableColumn("box_iou", "box IoU"),
     TableColumn("iterations", "iterations", 1.0, 2),
     TableColumn("rollouts", "rollouts", 1.0, 1),
+    TableColumn("iterations_to_valid", "iterations to valid", 1.0, 2),
+    TableColumn("rollouts_to_valid", "rollouts to valid", 1.0, 1),
     TableColumn("to_valid_s", "time to valid, s"),
     TableColumn("seconds", "search, s"),
 )
 RATES = ("passed", "valid")
+TESTED = ("passed", "reward", "merit", "d_pen_m", "d_drift", "s_sem")
+"""Columns whose differences are tested; p values are adjusted for the number of variants."""
 
 
 def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
     """Return n and the mean, low and high of each column, for each point."""
     return [
-        _estimates(rows, point, [(row,) for row in rows if row["point"] == point], _values_estimate)
+        _estimates(rows, point, [(row,) for row in rows if row["point"] == point], _of_values)
         for point in points
     ]
 
 
 def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
-    """Return each point's differences from the base, paired over scenes and seeds."""
+    """Return each point's differences from the base, paired over scenes and seeds.
+
+    Each of TESTED has further `wins`, `losses`, `sign_p` and `effect` of `paired_test`, and
+    `holm_p`, adjusted over the points.
+    """
     base = {row_key(row): row for row in rows if row["point"] == BASE}
-    return [
+    compared = [
         _estimates(
             rows,
             point,
@@ -62,25 +71,32 @@ def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, An
                 for row in rows
                 if row["point"] == point and (row["scene"], BASE, row["seed"]) in base
             ],
-            _pairs_estimate,
+            _of_pairs,
         )
         for point in points
         if point != BASE
     ]
+    for name in TESTED:
+        tested = [each[name] for each in compared if name in each]
+        for entry, p in zip(tested, holm([entry["sign_p"] for entry in tested]), strict=True):
+            entry["holm_p"] = p
+    return compared
 
 
 def _estimates(
     rows: Sequence[Row],
     point: str,
     groups: Sequence[tuple[Row, ...]],
-    estimate: Callable[[str, Sequence[Any]], Estimate],
+    estimate: Callable[[str, Sequence[Any], Sequence[str]], dict[str, Any]],
 ) -> dict[str, Any]:
-    result: dict[str, Any] = {"point": point, "n": len(groups)}
+    scenes = [group[0]["scene"] for group in groups]
+    result: dict[str, Any] = {"point": point, "n": len(groups), "scenes": len(set(scenes))}
     for column in _columns(rows):
         values = [tuple(row.get(column.name) for row in group) for group in groups]
-        known = [group for group in values if all(map(_known, group))]
+        known = [k for k, group in enumerate(values) if all(map(_known, group))]
         if known:
-            result[column.name] = estimate(column.name, known)._asdict()
+            chosen = ([x[k] for k in known] for x in (values, scenes))
+            result[column.name] = estimate(column.name, *chosen)
     return result
 
 
@@ -93,25 +109,30 @@ def _columns(rows: Sequence[Row]) -> list[TableColumn]:
     return [*TABLE_COLUMNS, *custom]
 
 
-def _values_estimate(name: str, values: Sequence[tuple[Any]]) -> Estimate:
-    return (rate if name in RATES else mean)([value for (value,) in values])
+def _of_values(name: str, values: Sequence[tuple[Any]], scenes: Sequence[str]) -> dict[str, Any]:
+    estimate = rate if name in RATES else mean
+    return estimate([value for (value,) in values], scenes)._asdict()
 
 
-def _pairs_estimate(name: str, pairs: Sequence[tuple[Any, Any]]) -> Estimate:
+def _of_pairs(name: str, pairs: Sequence[tuple[Any, Any]], scenes: Sequence[str]) -> dict[str, Any]:
+    differences = [float(a) - float(b) for a, b in pairs]
+    found: Estimate = mean(differences, scenes)
     if name in RATES:
-        return rate_difference([a for a, _ in pairs], [b for _, b in pairs])
-    return mean([a - b for a, b in pairs])
+        found = rate_difference([a for a, _ in pairs], [b for _, b in pairs], scenes)
+    tested = paired_test(differences, scenes)._asdict() if name in TESTED else {}
+    return found._asdict() | tested
 
 
 def flat(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return summaries with one value per key: the mean by its name, `_low`, `_high` and `_n`."""
     return [
-        {"point": row["point"], "n": row["n"]}
+        {"point": row["point"], "n": row["n"], "scenes": row["scenes"]}
         | {
             name if part == "mean" else f"{name}_{part}": value
             for name, estimate in row.items()
             if isinstance(estimate, dict)
             for part, value in estimate.items()
+            if part != "scenes"
         }
         for row in summaries
     ]
@@ -132,9 +153,9 @@ def text_table(
 ) -> TextTable:
     """Return summaries as a table of formatted means with intervals."""
     columns = [column for column in _columns(summaries) if any(column.name in s for s in summaries)]
-    head = ["point", "n", *(column.title for column in columns)]
+    head = ["point", "n", "scenes", *(column.title for column in columns)]
     rows = [
-        [row["point"], str(row["n"])]
+        [row["point"], str(row["n"]), str(row["scenes"])]
         + [_cell(row.get(column.name), column, row["n"], signed) for column in columns]
         for row in summaries
     ]
@@ -151,3 +172,22 @@ def _cell(estimate: dict[str, Any] | None, column: TableColumn, n: int, signed: 
     text = f"{mean} [{low}, {high}]" if math.isfinite(estimate["low"]) else mean
     # Some runs lack a value, such as the time to valid of a run that never became valid.
     return text if estimate["n"] == n else f"{text} (n {estimate['n']})"
+
+
+def tests_table(note: str, compared: Sequence[dict[str, Any]]) -> TextTable:
+    """Return the tests of `differences` as a table: scenes won and lost, p and effect size."""
+    columns = [c for c in TABLE_COLUMNS if c.name in TESTED and any(c.name in s for s in compared)]
+    # The units of the other tables do not matter for a test.
+    head = ["point", "scenes", *(column.title.partition(",")[0] for column in columns)]
+    rows = [
+        [row["point"], str(row["scenes"]), *(_tested(row.get(column.name)) for column in columns)]
+        for row in compared
+    ]
+    return TextTable(note, head, rows)
+
+
+def _tested(entry: dict[str, Any] | None) -> str:
+    if entry is None:
+        return ""
+    effect = f", d {entry['effect']:+.2f}" if math.isfinite(entry["effect"]) else ""
+    return f"{entry['wins']} : {entry['losses']}, p {entry['holm_p']:.3f}{effect}"

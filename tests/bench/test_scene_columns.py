@@ -134,4 +134,4 @@ def test_curves_count_at_every_threshold():
 def test_shares_of_empty_sets_are_none():
     assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
     mean, low, high = ratio_interval([("a", 1.0, 1.0), ("b", 0.0, 0.0)])
-    assert (mean, low, high) == (1.0, 1.0, 1.0)
+    assert (mean, low, high) == (1.0, None, None)

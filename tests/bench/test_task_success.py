@@ -192,19 +192,20 @@ def test_success_summary_by_method_and_kind():
     summary = success_summary(rows)
     ours = summary["methods"]["ours"]
     assert (ours["n"], ours["success_on_truth"], ours["success_in_scene"]) == (4, 0.5, 1.0)
-    assert ours["success_on_truth_interval"] == [0.0, 1.0]
+    assert ours["success_on_truth_interval"] == pytest.approx([0.0, 1.0])
     assert summary["evaluation"]["ours"]["n"] == 2
     assert summary["kinds"]["pushing"]["gravity"]["no_plan"] == 1
     assert summary["kinds"]["stacking"]["ours"]["success_on_truth"] == 1.0
     assert summary["paper"]["success"]["NeoWorld-Pro"] == 0.9285
-    assert success_interval(rows[:2], "success_on_truth") == (1.0, 1.0, 1.0)
+    assert success_interval(rows[:2], "success_on_truth") == (1.0, None, None)
 
 
 def test_success_table_has_intervals_and_marks_the_papers_rows():
     rows = [_row("a", "stacking", "ours", True), _row("b", "pushing", "ours", False, 1)]
     text = success_table(rows).markdown()
-    assert "| ours | all | 2 | 50.0 (0.0 to 100.0) | 100.0 (100.0 to 100.0) |" in text
-    assert "| ours | evaluation | 1 | 0.0 (0.0 to 0.0) |" in text
+    # Clopper and Pearson's intervals of one and of two of two tasks, none of a single task.
+    assert "| ours | all | 2 | 50.0 (1.3 to 98.7) | 100.0 (15.8 to 100.0) |" in text
+    assert "| ours | evaluation | 1 | 0.0 |" in text
     assert "| NeoWorld-Pro* |  |  |  | 92.85 |  |  |" in text
 
 

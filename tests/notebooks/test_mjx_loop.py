@@ -22,6 +22,7 @@ def test_the_pages_loop_steps_as_mujoco_does(tmp_path, monkeypatch, capsys):
     space = {}
     exec(code, space)
     scene, data = space["scene"], space["data"]
+    assert space["step"]._cache_size() == 1  # A second compilation takes as long as the first.
     assert re.match(r"\d+ of 16 candidates", capsys.readouterr().out)
     theirs = NativeEngine().rollout(scene, scene.place(space["layouts"]), duration=0.1)
     free = np.flatnonzero(np.asarray(scene.movable))

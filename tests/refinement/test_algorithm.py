@@ -12,7 +12,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.algorithm import (
     converged,
-    initial_state,
+    init,
     open_problem,
     propose,
     update,
@@ -32,11 +32,11 @@ def scene():
     return compile_scene(scenes.blocks(), samples=16)
 
 
-def opened(scene, factor=1.0, **cem):
+def opened(scene, factor=1.0, seed=0, **cem):
     o = RefineOptions.model_validate({"cem": cem, "settle": {"enabled": False}})
     count = len(scene.names)
     problem = open_problem(scene, o, Layout.zero(1, count))
-    return problem, initial_state(problem, np.broadcast_to(np.float32(factor), count))
+    return problem, init(problem, seed, np.broadcast_to(np.float32(factor), count))
 
 
 def scored(reward, valid=False, rested=True, credit=None):
@@ -89,14 +89,14 @@ def standard_normal(scene, seed, iteration):
 
 
 def test_with_the_papers_options_the_updates_are_those_of_algorithm_1(scene):
-    problem, state = opened(scene, **PAPER)
     iterations, seed = 5, 11
+    problem, state = opened(scene, seed=seed, **PAPER)
     draws = [standard_normal(scene, seed, t) for t in range(iterations)]
     diagonal = np.asarray(scene.diagonal, float) * np.asarray(scene.optimised)
     free = np.asarray(scene.optimised, float)
     sigma = np.concatenate([np.repeat(0.05 * diagonal, 2), np.radians(15.0) * free, 0.1 * free])
     for candidates, mean, std in listing(draws, 0.0 * sigma, sigma, elite_count=8):
-        layouts = propose(scene, problem, state, np.uint32(seed), POP)
+        layouts = propose(scene, problem, state, POP)
         np.testing.assert_allclose(flat(layouts), candidates, atol=2e-6)
         rested = np.zeros((POP, 4), bool)  # which must not matter
         rewards = [toy_reward(z) for z in flat(layouts)]
@@ -124,7 +124,7 @@ def test_the_factor_doubles_while_an_object_rests_in_no_candidate(scene):
     rested[1:, ball] = False  # the ball rests in one candidate
     seen = []
     for _ in range(4):
-        layouts = propose(scene, problem, state, np.uint32(0), POP)
+        layouts = propose(scene, problem, state, POP)
         state = update(scene, problem, state, layouts, scored(np.arange(POP), rested=rested))
         seen.append((float(state.factor[high]), bool(state.stuck[high])))
     assert seen == [(2.0, False), (4.0, False), (6.0, False), (6.0, True)]
@@ -136,8 +136,8 @@ def test_the_factor_widens_positions_but_never_yaw_or_scale(scene):
     problem, state = opened(scene, factor=(1.0, 1.0, 4.0, 0.25), zero_candidate=False)
     near, _ = opened(scene, zero_candidate=False)
     _, plain = opened(scene)
-    one = propose(scene, near, plain, np.uint32(3), POP)
-    many = propose(scene, problem, state, np.uint32(3), POP)
+    one = propose(scene, near, plain, POP)
+    many = propose(scene, problem, state, POP)
     for name, factors in (
         ("xy", (1, 1, 4, 0.25)),
         ("yaw", (1, 1, 1, 0.25)),
@@ -152,7 +152,7 @@ def test_an_object_of_factor_zero_stays_at_the_initial_layout(scene):
     problem, state = opened(scene, factor=(1.0, 0.0, 1.0, 1.0))
     low = scene.names.index("low")
     for _ in range(2):
-        layouts = propose(scene, problem, state, np.uint32(0), POP)
+        layouts = propose(scene, problem, state, POP)
         for name in LEAVES:
             assert not np.asarray(getattr(layouts, name))[:, low].any()
         state = update(scene, problem, state, layouts, scored(np.arange(POP)))
@@ -162,12 +162,12 @@ def test_an_object_of_factor_zero_stays_at_the_initial_layout(scene):
 def test_the_mean_is_fitted_in_units_of_the_factor(scene):
     """After an update with factor 4 the elites' positions are where the next draws are centered."""
     problem, state = opened(scene, factor=4.0, sigma_floor=0.0, elite_ratio=0.1)
-    layouts = propose(scene, problem, state, np.uint32(5), POP)
+    layouts = propose(scene, problem, state, POP)
     high = scene.names.index("high")
     reward = np.asarray(layouts.xy[:, high, 0])
     state = update(scene, problem, state, layouts, scored(reward))
     best = np.argsort(-reward)[:4]
-    again = propose(scene, problem, state, np.uint32(6), POP)
+    again = propose(scene, problem, state, POP)
     # The first candidate is the mean.
     elites = np.asarray(layouts.xy)[best, high].mean(axis=0)
     np.testing.assert_allclose(np.asarray(again.xy)[0, high], elites, rtol=1e-5)
@@ -176,7 +176,7 @@ def test_the_mean_is_fitted_in_units_of_the_factor(scene):
 def test_until_a_candidate_is_valid_an_object_learns_where_it_rests(scene):
     low, high = (scene.names.index(name) for name in ("low", "high"))
     problem, state = opened(scene, sigma_floor=0.0, elite_ratio=0.1, stop_by="best")
-    layouts = propose(scene, problem, state, np.uint32(1), POP)
+    layouts = propose(scene, problem, state, POP)
     rested = np.ones((POP, 4), bool)
     rested[:, high] = np.arange(POP) >= 30
     credit = np.tile(np.arange(POP, dtype=np.float32)[::-1, None], (1, 4))
@@ -204,7 +204,7 @@ def test_until_a_candidate_is_valid_an_object_learns_where_it_rests(scene):
 
 def test_an_object_that_rests_nowhere_keeps_its_distribution(scene):
     problem, state = opened(scene)
-    layouts = propose(scene, problem, state, np.uint32(1), POP)
+    layouts = propose(scene, problem, state, POP)
     high, low = scene.names.index("high"), scene.names.index("low")
     rested = np.ones((POP, 4), bool)
     rested[:, high] = False
@@ -221,7 +221,7 @@ def test_an_object_that_rests_nowhere_keeps_its_distribution(scene):
 @pytest.mark.parametrize("stop_by", ["best", "elites"])
 def test_a_search_converges_after_iterations_without_gain(scene, stop_by):
     problem, state = opened(scene, stop_by=stop_by, stop_gain=0.5, patience=2)
-    layouts = propose(scene, problem, state, np.uint32(0), POP)
+    layouts = propose(scene, problem, state, POP)
     stopped = []
     for level, valid in (
         (0.0, False),
@@ -239,11 +239,11 @@ def test_a_search_converges_after_iterations_without_gain(scene, stop_by):
     assert stopped == (expected if stop_by == "elites" else [False] * 5 + [True])
 
 
-def test_the_best_candidate_is_the_valid_one_of_highest_fidelity(scene):
+def test_the_best_candidate_is_the_valid_one_of_highest_merit(scene):
     problem, state = opened(scene)
-    layouts = propose(scene, problem, state, np.uint32(0), POP)
+    layouts = propose(scene, problem, state, POP)
     scores = scored(np.linspace(0, 1, POP), valid=np.arange(POP) == 3)
-    fidelity = np.linspace(5, 6, POP).astype(np.float32)
-    scores = eqx.tree_at(lambda s: s.fidelity, scores, fidelity)
+    merit = np.linspace(5, 6, POP).astype(np.float32)
+    scores = eqx.tree_at(lambda s: s.merit, scores, merit)
     state = update(scene, problem, state, layouts, scores)
-    assert float(state.best) == pytest.approx(fidelity[3]) and bool(state.seen_valid)
+    assert float(state.best) == pytest.approx(merit[3]) and bool(state.seen_valid)

@@ -182,6 +182,42 @@ def test_both_convergence_rules_stop_the_search(stop_by):
     assert 1 < result.iterations < 7
 
 
+@pytest.mark.parametrize("merit", ["fidelity", "absolute"])
+def test_the_winner_is_the_valid_candidate_of_largest_merit_that_passes(merit):
+    o = options(32, 3, stop_gain=0.0, patience=3).model_copy(update={"merit": merit})
+    result = refine(toppling(), o, seed=1, engine="native")
+    history = result.history
+    assert result.passed and history["valid"].sum() > 5
+    valid = history["valid"].copy()
+    valid[0, 0] = False  # The initial layout, whose final scene fails.
+    ranked = np.argsort(-np.where(valid, history["merit"], -np.inf), axis=None)
+    place = np.ravel_multi_index(result.winner, history["valid"].shape)
+    assert ranked[result.finalists_tried - 1] == place
+    finite = np.isfinite(history["absolute"])
+    same = np.array_equal(history["merit"][finite], history["absolute"][finite])
+    assert same == (merit == "absolute")
+    orders = [np.argsort(-history[name][valid]) for name in ("merit", "absolute")]
+    assert np.array_equal(*orders) == (merit == "absolute")
+    first = np.flatnonzero(history["valid"].any(axis=1))[0]
+    drawn = (history["status"][: first + 1] != -1).sum()
+    assert result.first_valid == (first, drawn)
+
+
+def test_the_delivered_scene_has_values_of_its_own():
+    result = refine(toppling(), options(16, 3), seed=1, engine="native")
+    t, k = result.winner
+    terms = [str(name) for name in result.history["term_names"]]
+    assert set(result.delivered) == {"absolute", "merit", *terms}
+    assert t > 0 and np.isfinite(list(result.delivered.values())).all()
+    assert result.delivered["prior"] == pytest.approx(float(result.history["prior"][t, k]))
+    # It is at rest: what remains of the candidate's drift is no more than that.
+    assert result.delivered["d_drift"] <= float(result.history["d_drift"][t, k]) + 0.05
+    resting = refine(leaning(), options(16, 2), seed=1, engine="native")
+    assert resting.winner == (0, 0)
+    assert resting.delivered["absolute"] == float(resting.history["absolute"][0, 0])
+    assert resting.first_valid == (0, 1)
+
+
 def test_without_simulation_only_the_final_check_detects_a_fall():
     o = unsettled(32, 2, 0, sigma_xy=1e-4, sigma_yaw_deg=0.1, hold_resting=False)
     result = refine(toppling(), o, seed=0)
@@ -236,7 +272,8 @@ def test_each_population_is_settled_under_guidance_and_then_falls_freely():
     result = refine(toppling(), options(16, 2), seed=1, engine=engine)
     springs = Guidance(12.0, 1.4, 2.0)
     assert engine.guided[0] == (None, 1)  # the initial layout
-    assert engine.guided[1:] == [(springs, 16), (None, 16)] * (result.iterations - 1)
+    assert engine.guided[1:-1] == [(springs, 16), (None, 16)] * (result.iterations - 1)
+    assert engine.guided[-1] == (None, 1)  # the delivered scene
     engine = Watched()
     refine(toppling(), unsettled(16, 2), seed=1, engine=engine)
     assert {guidance for guidance, _ in engine.guided} == {None}

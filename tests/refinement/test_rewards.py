@@ -172,6 +172,21 @@ class TestCompiled:
             with pytest.raises(TypeError, match=match):
                 call()
 
+    def test_axes_that_do_not_fit_are_an_error_that_names_the_shape(self):
+        scene = two_boxes(0.0)
+        d_pen, d_drift = map(unwrap, (rewards.d_pen, rewards.d_drift))
+        zero = Layout.zero(2, 3)
+        still = unmoved(scene, scene.place(zero))
+        more = Layout.zero(2, 3)
+        object.__setattr__(more, "log_scale", np.zeros(2))  # Checks of annotations are for tests.
+        for call, match in (
+            (lambda: d_pen(scene, Layout.zero(2, 4)), r"layouts.xy has shape \[2, 4, 2\], for 3"),
+            (lambda: d_pen(scene, more), r"layouts.log_scale has shape \[2\].*\[pop, 3\]"),
+            (lambda: d_drift(scene, Layout.zero(5, 3), still), r"rollout.pos has .*for 5 candid"),
+        ):
+            with pytest.raises(ValueError, match=match):
+                call()
+
     def test_they_jit_vmap_and_differentiate(self):
         scene = two_boxes(-0.01)
         layouts = shifted(scene, 0.002, pop=2)

@@ -14,7 +14,8 @@ from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import OPTIMIZERS, Term, refine
+from neoworld_mjx.refinement import OPTIMIZERS, Term, algorithm, refine
+from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rewards import d_drift
 from neoworld_mjx.refinement.scene_refinement import open_scene
 from neoworld_mjx.spec import Box, ObjectSpec
@@ -60,6 +61,102 @@ def test_one_loop_runs_every_optimizer(scene, name):
     gain = history["right"][1].mean() - history["right"][0].mean()
     assert gain > 0 or name == "random"
     assert repr(refined).count("\n") == 3
+
+
+@pytest.mark.parametrize("name", ["evosax:SNES", "evosax:PSO", "evosax:Open_ES", "cma_es"])
+def test_a_strategy_draws_what_evosax_draws_by_itself(scene, name):
+    """The same keys give the same populations as evosax's own loop on the same losses."""
+    algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
+    o = options(optimizer=name)
+    problem = algorithm.open_problem(scene, o)
+    state = algorithm.init(problem, seed=5)
+    free, sigma = np.asarray(problem.optimizer.free), flat(problem.optimizer.sigma)[0]
+    label = name.partition(":")[2] or "CMA_ES"
+    es = algorithms.algorithms[label](12, jnp.zeros(len(free)))
+    params, inner = es.default_params, None
+    if label != "PSO":
+        inner = es.init(jax.random.key(0), jnp.zeros(len(free)), params)
+    for t in range(4):
+        layouts = algorithm.propose(scene, problem, state, 12)
+        key = jax.random.fold_in(jax.random.key(np.uint32(5)), t)
+        if inner is None:  # A population-based strategy begins with a Gaussian population.
+            drawn = jax.random.normal(key, (12, len(free)))
+        else:
+            drawn, inner = es.ask(key, inner, params)
+        found = flat(layouts)[:, free] / sigma[free]
+        np.testing.assert_allclose(found, drawn, rtol=2e-4, atol=2e-4)
+        loss = jnp.sum((drawn - 0.7) ** 2, axis=1)
+        later = jax.random.fold_in(key, 1)
+        if inner is None:
+            inner = es.init(later, drawn, loss, params)
+        else:
+            inner, _ = es.tell(later, drawn, loss, inner, params)
+        state = algorithm.update(scene, problem, state, layouts, only_losses(scene, loss))
+
+
+def flat(layouts):
+    parts = [np.asarray(leaf) for leaf in (layouts.xy, layouts.yaw, layouts.log_scale)]
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+
+def only_losses(scene, loss):
+    """Return scores in which only the rewards matter."""
+    reward, count = -np.asarray(loss), len(scene.names)
+    zero, no = np.zeros((len(reward), count), np.float32), np.zeros(len(reward), bool)
+    rested = np.ones((len(reward), count), bool)
+    status = np.zeros(len(reward), np.int32)
+    return Scores({}, no, status, reward, reward, reward, zero, zero, rested, None)
+
+
+@pytest.mark.slow
+def test_every_strategy_of_evosax_searches(scene):
+    algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
+    term = Term("right", right, 200.0)
+    for name in algorithms.algorithms:
+        refined = refine(scene, options(optimizer=f"evosax:{name}"), seed=3, terms=[term])
+        assert np.isfinite(refined.history["xy"]).all(), name
+        assert refined.history["xy"][1].std() > 0, name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"optimizer": "evosax:SNESS"}, "evosax: .*did you mean 'SNES'"),
+        ({"optimizer": "evosax:SNES", "strategy": {"std_int": 1}}, "did you mean 'std_init'"),
+        ({"optimizer": "evosax:PSO", "strategy": {"learning_rate": 1}}, "takes no learning_rate"),
+        ({"strategy": {"std_init": 1}}, "only evosax:STRATEGY has parameters, not cem"),
+        ({"optimizer": "evosax:GuidedES", "cem": {"population": 7}}, "population 7.*even"),
+    ],
+)
+def test_a_strategy_that_cannot_be_is_one_message(scene, change, message):
+    pytest.importorskip("evosax", reason="needs the extra baselines")
+    with pytest.raises(ConfigError, match=message) as error:
+        algorithm.open_problem(scene, options(**change))
+    assert "\n" not in str(error.value)
+
+
+def test_a_strategy_has_parameters_and_they_matter(scene):
+    pytest.importorskip("evosax", reason="needs the extra baselines")
+    spread = []
+    for size in (0.2, 1.0):
+        o = options(optimizer="evosax:SNES", strategy={"std_init": size})
+        problem = algorithm.open_problem(scene, o)
+        layouts = algorithm.propose(scene, problem, algorithm.init(problem), 12)
+        spread.append(float(np.asarray(layouts.xy)[:, 1:].std()))
+    assert spread[0] == pytest.approx(0.2 * spread[1], rel=1e-4)
+    fast, slow = (
+        algorithm.open_problem(
+            scene, options(optimizer="evosax:Open_ES", strategy={"learning_rate": rate})
+        ).optimizer
+        for rate in (0.5, 1e-6)
+    )
+    moved = []
+    for strategy in (fast, slow):
+        key, state = jax.random.key(0), strategy.init(Layout.zero(1, len(scene.names)))
+        layouts = strategy.ask(key, state, 12)
+        state = strategy.tell_with_key(key, state, layouts, -jnp.sum(layouts.yaw**2, axis=1))
+        moved.append(float(jnp.abs(state.inner.mean).max()))
+    assert moved[0] > 0.1 > 1e-5 > moved[1]
 
 
 class Still(eqx.Module):
@@ -136,18 +233,40 @@ def test_a_duplicate_name_is_an_error(scene):
         refine(scene, options(), terms=[Term("d_pen", right, 1.0)])
 
 
-def test_a_candidate_with_a_nan_term_has_failed(scene):
-    def sometimes(scene, layouts, rollout):
-        shift = jnp.sum(layouts.xy, axis=(1, 2))
-        return jnp.where(shift > 0.0, jnp.nan, shift)
+def sometimes(scene, layouts, rollout):
+    """Return the shift to the right, and NaN for a shift to the left."""
+    shift = jnp.sum(layouts.xy, axis=(1, 2))
+    return jnp.where(shift < 0.0, jnp.nan, shift)
 
-    refined = refine(scene, options(), terms=[Term("sometimes", sometimes, 1.0)])
-    history = refined.history
-    bad = np.isnan(history["sometimes"])
-    assert 0 < bad.sum() < bad.size
+
+def test_a_term_that_is_nan_for_a_part_of_the_population_is_refused(scene):
+    message = (
+        r"term sometimes \(.*test_terms\.py:\d+\) is nan for \d of 12 candidates in iteration 1"
+    )
+    with pytest.raises(ConfigError, match=message):
+        refine(scene, options(), terms=[Term("sometimes", sometimes, 1.0)])
+
+
+class Losing(NativeEngine):
+    """An engine that loses the first candidate of every population."""
+
+    def rollout(self, *args, **more):
+        rolled = super().rollout(*args, **more)
+        pos, status = np.array(rolled.pos), np.array(rolled.status)
+        pos[0], status[0] = np.nan, RolloutStatus.FAILED
+        return eqx.tree_at(lambda r: (r.pos, r.status), rolled, (pos, status))
+
+
+def test_a_term_may_be_nan_for_a_candidate_whose_rollout_has_failed(scene):
+    def height(scene, layouts, rollout):
+        return jnp.max(rollout.pos[:, -1, :, 2], axis=-1)
+
+    o = options(rollout={"duration_s": 0.1})
+    history = refine(scene, o, engine=Losing(), terms=[Term("height", height, 1.0)]).history
+    bad = np.isnan(history["height"])
+    assert bad[:, 0].all() and not bad[:, 1:].any()
     assert np.all(history["status"][bad] == RolloutStatus.FAILED)
     assert np.all(history["reward"][bad] == -np.inf)
-    assert not bad[refined.winner]
 
 
 def test_a_scene_is_a_specification_or_a_path(scene, tmp_path):

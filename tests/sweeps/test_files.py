@@ -18,7 +18,8 @@ SIGMA, DRIFT = "refine.cem.sigma_xy", "refine.reward.w_drift"
 
 def run(point, seed, sigma, drift, reward=0.5, **more):
     steps = [
-        {"iteration": t + 1, "best": reward - 0.1 / (t + 1), "mean": 0.0, "valid": 0.5,
+        {"iteration": t + 1, "rollouts": 8 * (t + 1), "best": reward - 0.1 / (t + 1),
+         "merit": reward, "mean": 0.0, "valid": 0.5,
          "d_pen_m": 1e-3, "d_drift": 0.2, "s_sem": 0.7, "prior": 0.0}
         for t in range(2 + seed)
     ]  # fmt: skip
@@ -38,6 +39,7 @@ ROWS = [
 def test_iterations_summarize_the_candidates_with_a_reward():
     history = {
         "absolute": np.array([[0.2, -np.inf, 0.4], [0.3, 0.1, -np.inf]]),
+        "merit": np.array([[0.5, -np.inf, 0.9], [0.4, 0.7, -np.inf]]),
         "valid": np.array([[True, False, False], [True, True, False]]),
         "status": np.array([[0, 5, 0], [0, 0, -1]]),
         "s_sem": np.array([[0.5, np.nan, 0.9], [0.6, 0.7, np.nan]]),
@@ -48,37 +50,44 @@ def test_iterations_summarize_the_candidates_with_a_reward():
     assert first["mean"] == pytest.approx(0.3) and second["mean"] == pytest.approx(0.2)
     assert first["valid"] == pytest.approx(1 / 3) and second["valid"] == 1.0
     assert (first["s_sem"], second["s_sem"]) == (0.9, 0.6)
+    # Rollouts and the merit of the best valid candidate are those so far.
+    assert (first["rollouts"], second["rollouts"]) == (3, 5)
+    assert (first["merit"], second["merit"]) == (0.5, 0.7)
 
 
 def test_an_iteration_without_a_scored_candidate_has_no_reward():
     history = {"absolute": np.full((1, 2), -np.inf), "valid": np.zeros((1, 2), bool)}
+    history |= {"merit": np.full((1, 2), -np.inf)}
     history |= {"status": np.array([[2, 2]]), "s_sem": np.full((1, 2), np.nan)}
     (only,) = iteration_rows(summaries(history | {"term_names": np.array(["s_sem"])}))
-    assert only["best"] is None and only["mean"] is None and only["s_sem"] is None
+    assert all(only[name] is None for name in ("best", "merit", "mean", "s_sem"))
 
 
 def test_a_folder_keeps_the_iterations(tmp_path):
-    folder = SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=False)
-    folder.write(ROWS, [SIGMA, DRIFT], {"table.md": "t"})
-    again = SweepFolder(tmp_path / "out", "sweep", resume=True, overwrite=False)
-    assert [row["history"] for row in again.rows] == [row["history"] for row in ROWS]
-    SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=True)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["sweep.json"]
+    with SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=False) as folder:
+        folder.write(ROWS, [SIGMA, DRIFT], {"table.md": "t"})
+    with SweepFolder(tmp_path / "out", "sweep", resume=True, overwrite=False) as again:
+        assert [row["history"] for row in again.rows] == [row["history"] for row in ROWS]
+    with SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=True):
+        names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == [".lock", "sweep.json"]
 
 
 def test_custom_terms_are_saved(tmp_path):
     rows = [
         row | {"history": [step | {"upright": 0.25} for step in row["history"]]} for row in ROWS
     ]
-    SweepFolder(tmp_path, "sweep", resume=False, overwrite=False).write(rows, [SIGMA, DRIFT], {})
-    again = SweepFolder(tmp_path, "sweep", resume=True, overwrite=False)
-    assert [row["history"] for row in again.rows] == [row["history"] for row in rows]
+    with SweepFolder(tmp_path, "sweep", resume=False, overwrite=False) as folder:
+        folder.write(rows, [SIGMA, DRIFT], {})
+    with SweepFolder(tmp_path, "sweep", resume=True, overwrite=False) as again:
+        assert [row["history"] for row in again.rows] == [row["history"] for row in rows]
 
 
 def test_runs_without_iterations_are_saved(tmp_path):
-    folder = SweepFolder(tmp_path, "sweep", resume=False, overwrite=False)
-    write_runs(tmp_path / "results.parquet", ROWS, [SIGMA, DRIFT])
-    again = SweepFolder(folder.path, "sweep", resume=True, overwrite=False)
+    with SweepFolder(tmp_path, "sweep", resume=False, overwrite=False):
+        write_runs(tmp_path / "results.parquet", ROWS, [SIGMA, DRIFT])
+    with SweepFolder(tmp_path, "sweep", resume=True, overwrite=False) as again:
+        pass
     assert len(again.rows) == len(ROWS) and not again.rows[0]["history"]
     assert read_runs(tmp_path / "results.parquet")[0][SIGMA] == 0.03
 
@@ -96,7 +105,7 @@ def test_csv_and_latex_agree():
 def test_latex_commands_in_cells_are_escaped():
     summed = summary([run(r"\input{x} 50 % & _", 0, 1, 1)], [r"\input{x} 50 % & _"])
     line = text_table("Ablation", summed).latex().splitlines()[5]
-    assert line.startswith(r"\textbackslash{}input\{x\} 50 \% \& \_ & 1 & 100.0")
+    assert line.startswith(r"\textbackslash{}input\{x\} 50 \% \& \_ & 1 & 1 & 100.0")
 
 
 def test_differences_are_signed():

@@ -6,8 +6,9 @@ import pytest
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement.algorithm import open_problem
 from neoworld_mjx.refinement.cem import open_cem
-from neoworld_mjx.refinement.objective import open_objective
+from neoworld_mjx.refinement.compiling import reach_of
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
 
@@ -25,10 +26,9 @@ def put(path, value):
 
 
 def traced(options):
-    gain, widest = np.float32(options.cem.stop_gain), np.float32(options.cem.widest)
-    return eqx.filter(
-        (open_objective(options), open_cem(MODEL, options.cem), gain, widest), eqx.is_array_like
-    )
+    # Of one optimizer, as another one has other parameters.
+    problem = open_problem(MODEL, options, optimizer=open_cem(MODEL, options.cem))
+    return eqx.filter(problem, eqx.is_array)
 
 
 HOST = [
@@ -43,10 +43,15 @@ def test_every_static_option_has_a_reason():
     assert all(STATIC.values())
 
 
+NAMED = {"merit": "absolute", "cem.stop_by": "elites", "cem.patience": 3}
+"""Other values of traced options that are names or counts."""
+
+
 @pytest.mark.parametrize("name", [name for name in TRACED if name != "reward.terms"])
 def test_a_traced_option_is_an_array_leaf(name):
     default = option_values(RefineOptions())[name]
-    before, after = traced(RefineOptions()), traced(put(name, default * 0.75 + 0.01))
+    other = NAMED[name] if name in NAMED else default * 0.75 + 0.01
+    before, after = traced(RefineOptions()), traced(put(name, other))
     assert jax.tree.structure(before) == jax.tree.structure(after)
     pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
     assert any(not np.array_equal(a, b) for a, b in pairs)
@@ -71,22 +76,21 @@ def test_weights_of_terms_are_traced_and_their_names_are_not():
         put("reward.terms", terms) for terms in ({"math:ceil": 1}, {"math:ceil": 2}, {})
     )
     assert jax.tree.structure(traced(first)) == jax.tree.structure(traced(second))
-    assert float(traced(second)[0].terms[-1].weight) == 2
+    assert float(traced(second).objective.terms[-1].weight) == 2
     assert [group.members for group in grouped([first, second, three])] == [(0, 1), (2,)]
 
 
 OTHERS = {
     "optimizer": "random",
+    "strategy": {"std_init": 0.5},
     "cem.population": 8,
     "cem.elite_ratio": 0.5,
     "cem.zero_candidate": False,
     "cem.credit": "scene",
-    "cem.patience": 3,
     "settle.enabled": False,
     "reward.normalisation": "iteration",
     "rollout.engine": "native",
     "rollout.early_stop": False,
-    "cem.stop_by": "elites",
     "cem.hold_resting": False,
 }
 """Of options without a number to change a little."""
@@ -117,8 +121,10 @@ def test_options_of_the_early_stop_rule_split_groups_only_with_early_stop():
     assert reasons(late) == []
 
 
-def test_scenes_are_compiled_with_the_widest_sigma_xy():
-    points = [put("cem.sigma_xy", 0.03), put("cem.sigma_xy", 0.2)]
-    (group,) = grouped(points)
-    assert group.compile_options.cem.sigma_xy == 0.2
-    assert [g.compile_options.cem.sigma_xy for g in grouped(points, fold=False)] == [0.2, 0.2]
+def test_a_wider_sigma_xy_elsewhere_in_the_plan_changes_no_scene():
+    narrow, usual, wide = (put("cem.sigma_xy", x) for x in (0.03, 0.05, 0.2))
+    assert reach_of(narrow) == reach_of(usual) < 6.7 * 0.2 <= reach_of(wide)
+    together = grouped([narrow, wide, usual])
+    assert [group.members for group in together] == [(0, 2), (1,)]
+    assert [group.compile_options for group in together] == [narrow, wide]
+    assert "refine.cem.sigma_xy: a wider one needs" in reasons([narrow, wide])[0]

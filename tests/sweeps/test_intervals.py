@@ -4,33 +4,107 @@ import numpy as np
 import pytest
 from scipy import stats as known
 
-from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference
+from neoworld_mjx.sweeps.intervals import (
+    holm,
+    mean,
+    paired_test,
+    rate,
+    rate_difference,
+    ratio_interval,
+)
 
 
-@pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 7), (20, 20), (99, 100)])
-def test_rates_have_wilsons_interval(hits, n):
-    result = rate([True] * hits + [False] * (n - hits))
-    truth = known.binomtest(hits, n).proportion_ci(method="wilson")
-    assert result == pytest.approx((hits / n, truth.low, truth.high, n))
+def names(n):
+    return [f"scene {k}" for k in range(n)]
 
 
-def test_means_have_students_t_interval():
+@pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 7), (3, 3), (20, 20), (99, 100)])
+def test_rates_over_scenes_have_clopper_and_pearsons_interval(hits, n):
+    result = rate([True] * hits + [False] * (n - hits), names(n))
+    truth = known.binomtest(hits, n).proportion_ci(method="exact")
+    assert result == pytest.approx((hits / n, truth.low, truth.high, n, n))
+
+
+def test_three_of_three_is_no_certainty():
+    low = 100 * rate([True] * 3, names(3)).low
+    assert low == pytest.approx(29.24, abs=0.01)
+    # Runs that repeat a scene add nothing where all agree; a single scene has its runs alone.
+    assert rate([True] * 12, names(3) * 4).low == pytest.approx(low / 100)
+    assert rate([True] * 3, ["one"] * 3).low == pytest.approx(low / 100)
+
+
+def test_means_over_scenes_have_students_t_interval():
     x = np.random.default_rng(0).normal(size=9)
     low, high = known.t.interval(0.95, 8, loc=x.mean(), scale=known.sem(x))
-    assert mean(list(x)) == pytest.approx((x.mean(), low, high, 9))
-    assert math.isnan(mean([1.0]).low)
-    assert math.isnan(mean([]).mean)
+    assert mean(list(x), names(9)) == pytest.approx((x.mean(), low, high, 9, 9))
+    assert mean(list(x), ["one"] * 9) == pytest.approx((x.mean(), low, high, 9, 1))
+    assert math.isnan(mean([1.0], ["one"]).low)
+    assert math.isnan(mean([], []).mean)
+
+
+def test_repeats_of_a_scene_do_not_narrow_the_interval_of_a_mean():
+    of_scenes = np.random.default_rng(0).normal(size=6)
+    once = mean(list(of_scenes), names(6))
+    often = mean(list(np.repeat(of_scenes, 8)), list(np.repeat(names(6), 8)))
+    assert (often.low, often.high) == pytest.approx((once.low, once.high))
+    assert (often.n, often.scenes) == (48, 6)
+
+
+def coverage(estimate, truth, draw, rounds=400):
+    rng = np.random.default_rng(3)
+    found = [estimate(*draw(rng)) for _ in range(rounds)]
+    return np.mean([result.low <= truth <= result.high for result in found])
+
+
+def test_clustered_intervals_cover_the_truth():
+    scenes = list(np.repeat(names(10), 6))
+
+    def values(rng):
+        return list(np.repeat(rng.normal(1.0, 1.0, 10), 6) + rng.normal(0, 0.3, 60)), scenes
+
+    def hits(rng):
+        return (rng.random(60) < np.repeat(rng.beta(3, 2, 10), 6)).tolist(), scenes
+
+    assert 0.92 <= coverage(mean, 1.0, values) <= 0.98
+    assert 0.92 <= coverage(rate, 0.6, hits) <= 0.995
 
 
 def test_paired_rates_cover_the_truth():
-    rng = np.random.default_rng(1)
-    inside, truth = 0, 0.1
-    for _ in range(500):
+    truth = 0.1
+
+    def pairs(rng):
         first = rng.random(60) < 0.7
         # A pair's second outcome is the first one's, but for a tenth that get worse.
         second = first & (rng.random(60) > truth / 0.7)
-        result = rate_difference(second.tolist(), first.tolist())
-        inside += result.low <= -truth <= result.high
-    assert 0.92 <= inside / 500 <= 0.99
-    agreed = rate_difference([True] * 10, [True] * 10)
+        return second.tolist(), first.tolist(), names(60)
+
+    assert 0.92 <= coverage(rate_difference, -truth, pairs, 500) <= 0.99
+    agreed = rate_difference([True] * 10, [True] * 10, names(10))
     assert agreed.mean == 0 and agreed.low < 0 < agreed.high
+    # Ten runs of one scene each are not a hundred scenes.
+    wide = rate_difference([True] * 100, [True] * 100, list(np.repeat(names(10), 10)))
+    assert wide.high == pytest.approx(agreed.high)
+
+
+def test_shares_of_objects_are_weighted():
+    parts = [("a", 1.0, 2.0), ("b", 4.0, 4.0), ("b", 0.0, 2.0), ("c", 0.0, 0.0)]
+    share, low, high = ratio_interval(parts, share=True)
+    assert share == pytest.approx(5 / 8) and 0 <= low < share < high <= 1
+    assert ratio_interval([("a", 1.0, 2.0)]) == (0.5, None, None)
+    assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
+    assert ratio_interval([("a", 2.0, 1.0), ("b", 2.0, 1.0)]) == (2.0, 2.0, 2.0)
+
+
+def test_the_sign_test_counts_scenes():
+    result = paired_test([0.1, 0.3, 0.2, 0.2, -0.1, 0.0], ["a", "a", "b", "c", "d", "e"])
+    assert (result.wins, result.losses) == (3, 1)
+    assert result.sign_p == pytest.approx(known.binomtest(3, 4).pvalue)
+    each = np.array([0.2, 0.2, 0.2, -0.1, 0.0])
+    assert result.effect == pytest.approx(each.mean() / each.std(ddof=1))
+    same = paired_test([0.0, 0.0], ["a", "b"])
+    assert same.sign_p == 1.0 and math.isnan(same.effect)
+
+
+def test_holm_adjusts_for_the_number_of_comparisons():
+    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
+    assert holm([]) == []

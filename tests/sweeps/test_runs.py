@@ -165,7 +165,7 @@ def test_vmap_over_tiles_agrees_up_to_rounding(model):
     for tile in (1, 2):
         evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), tile, clock, 0.0)
         opened = _opened(evaluation, runs, initials, (), None, plain=True)
-        rows = [(r.problem, r.state, np.asarray(r.run.seed, np.uint32), 24) for r in opened]
+        rows = [(r.problem, r.state, 24) for r in opened]
         layouts = map_runs(propose, model, rows, tile)
         placed = [jax.device_get(p) for p in evaluation.place(layouts)]
         rollouts = [ENGINE.rollout(model, p.poses, duration=0.2) for p in placed]

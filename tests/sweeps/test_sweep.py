@@ -7,8 +7,15 @@ import yaml
 
 import neoworld_mjx
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.sweeps import Case, ablate, group_runs, run, sweep
+from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.rewards import s_sem
+from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, run, sweep
+from neoworld_mjx.sweeps.folder import SweepFolder
+from neoworld_mjx.sweeps.plan import points, read
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
 from tests.support.notebooks import run_small
 from tests.support.scenes import stored_scene
@@ -177,6 +184,126 @@ def test_an_interrupted_sweep_resumes(tmp_path, monkeypatch):
     assert completed == [1, 1, 1]
 
 
+def searched_runs(monkeypatch):
+    """Return a list that receives the number of runs of every search from now on."""
+    counts = []
+    remaining = group_runs.search
+    count = lambda m, r, e, **o: counts.append(len(r)) or remaining(m, r, e, **o)
+    monkeypatch.setattr(group_runs, "search", count)
+    return counts
+
+
+def test_a_row_describes_what_was_delivered(swept):
+    """The winner is settled once more by the final check, so its values are not the candidate's."""
+    _, result = swept
+    for row in result.rows:
+        o = points(read(plan(drift=[1, 2], sigma=[5, 10]), Plan))
+        (options,) = (point.options for point in o if point.label == row["point"])
+        one = refine(SCENE.scene, options, seed=row["seed"], engine=NativeEngine())
+        assert row["candidate_reward"] == one.history["absolute"][one.winner]
+        assert row["candidate_merit"] == one.history["merit"][one.winner]
+        assert row["candidate_d_pen_m"] == one.history["d_pen"][one.winner]
+        for column, name in {"reward": "absolute", "merit": "merit", "s_sem": "s_sem"}.items():
+            assert row[column] == one.delivered[name]
+        model = compile_for_search(SCENE.scene, options)
+        poses = model.place(Layout(*(np.asarray(x) for x in jax.tree.leaves(one.layout))))
+        assert row["s_sem"] == pytest.approx(
+            float(s_sem(model, one.layout, unmoved(model, poses))[0]), abs=1e-3
+        )
+        assert row["rollouts_to_valid"] in (None, 8, 16)
+        assert (row["iterations_to_valid"] is None) == (row["rollouts_to_valid"] is None)
+        best = [step["best"] for step in row["history"]]
+        assert row["candidate_reward"] <= max(best) + 1e-6
+        assert [step["rollouts"] for step in row["history"]] == [8, 16]
+
+
+def test_two_sweeps_in_one_folder_are_refused(swept):
+    out, _ = swept
+    with (
+        SweepFolder(out, "sweep", resume=True, overwrite=False),
+        pytest.raises(RunError, match=r"is in use by another run \(process \d+\)"),
+    ):
+        sweep(plan(drift=[1]), out, cases=[SCENE], resume=True)
+
+
+class Stopping(NativeEngine):
+    """An engine that stops a sweep after a number of rollouts."""
+
+    left = 3
+
+    def rollout(self, *args, **more):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().rollout(*args, **more)
+
+
+def test_a_group_that_is_killed_keeps_its_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(group_runs, "CANDIDATES_AT_ONCE", 8)
+    monkeypatch.setattr(group_runs.os, "cpu_count", lambda: 4)
+    requests = plan(drift=[1, 2])
+    with pytest.raises(KeyboardInterrupt):
+        sweep(requests, tmp_path, cases=[SCENE], engine=Stopping())
+    assert len(read_runs(tmp_path / "results.parquet")) == 1
+    counts = searched_runs(monkeypatch)
+    result = sweep(requests, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
+    assert counts == [1, 1, 1] and len(result.rows) == 4
+    whole = sweep(requests, cases=[SCENE], engine=NativeEngine())
+    assert without_times(result.rows) == without_times(whole.rows)
+
+
+def test_an_axis_may_be_added_at_its_default(tmp_path, monkeypatch):
+    sweep(plan(drift=[1, 2]), tmp_path, cases=[SCENE])
+    counts = searched_runs(monkeypatch)
+    result = sweep(plan(drift=[1, 2], sigma=[15, 20]), tmp_path, cases=[SCENE], resume=True)
+    assert counts == [4]
+    rows = read_runs(tmp_path / "results.parquet")
+    assert [row[SIGMA] for row in rows] == [15.0, 15.0, 20.0, 20.0] * 2
+    assert len({row["point"] for row in rows}) == len(result.points) == 4
+
+
+def test_a_wider_deviation_elsewhere_changes_no_row(tmp_path, monkeypatch):
+    xy = "refine.cem.sigma_xy"
+    narrow = plan(seeds=[0]) | {"axes": {xy: [0.03]}}
+    first = sweep(narrow, tmp_path, cases=[SCENE])
+    both = plan(seeds=[0]) | {"axes": {xy: [0.03, 0.2]}}
+    alone = sweep(both, cases=[SCENE])
+    assert without_times(alone.rows)[0] == without_times(first.rows)[0]
+    counts = searched_runs(monkeypatch)
+    sweep(both, tmp_path, cases=[SCENE], resume=True)
+    assert counts == [1]
+
+
+def test_shards_are_merged_to_the_whole_sweep(swept, tmp_path):
+    _, whole = swept
+    requests = plan(drift=[1, 2], sigma=[5, 10])
+    for k in (1, 2, 3):
+        sweep(requests, tmp_path / str(k), cases=[SCENE], shard=(k, 3))
+    shards = [tmp_path / str(k) for k in (1, 2, 3)]
+    result = merge(shards, tmp_path / "all")
+    assert result.about["finished"] and result.about["missing"] == 0
+    assert without_times(result.rows) == without_times(whole.rows)
+    assert [s["shard"] for s in result.about["shards"]] == [[1, 3], [2, 3], [3, 3]]
+    rows = read_runs(tmp_path / "all" / "results.parquet")
+    assert [row["fingerprint"] for row in rows] == [row["fingerprint"] for row in whole.rows]
+    again = sweep(requests, tmp_path / "all", cases=[SCENE], resume=True)
+    assert without_times(again.rows) == without_times(whole.rows)
+    part = merge(shards[:2], tmp_path / "part")
+    assert not part.about["finished"] and part.about["missing"] == 2
+    sweep(plan(drift=[1, 2], sigma=[5, 11]), tmp_path / "other", cases=[SCENE], shard=(1, 8))
+    for folders, message in (
+        ([], "name the folders"),
+        ([shards[0], shards[0]], "appears twice"),
+        ([shards[0], tmp_path], "holds no sweep or ablation"),
+        ([shards[0], tmp_path / "other"], "differ in plan: axes: .*sigma_yaw_deg: .*10.*11"),
+    ):
+        with pytest.raises(RunError, match=message):
+            merge(folders, tmp_path / "refused")
+    for shard in ((0, 2), (3, 2), (9, 9)):
+        with pytest.raises(ConfigError, match="shard: "):
+            sweep(requests, cases=[SCENE], shard=shard)
+
+
 def test_an_ablation_reports_differences(tmp_path):
     variants = {"not held": {"refine.cem.hold_resting": True}, "elsewhere": {SIGMA: 60}}
     requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
@@ -190,7 +317,10 @@ def test_an_ablation_reports_differences(tmp_path):
         np.mean([rows[4 + k]["reward"] - rows[k]["reward"] for k in (0, 1)])
     )
     assert other["reward"]["mean"] != 0
-    assert "## Differences from the base" in (tmp_path / "a" / "table.md").read_text()
+    text = (tmp_path / "a" / "table.md").read_text()
+    assert "## Differences from the base" in text and "2 comparisons with the base" in text
+    assert (same["scenes"], same["reward"]["wins"], same["reward"]["sign_p"]) == (1, 0, 1.0)
+    assert other["reward"]["holm_p"] <= 1.0 and "commit" in result.about
     # As one computation it comes to the same.
     folded = ablate(requests | {"fold": True}, cases=[SCENE])
     for a, b in zip(folded.rows, rows, strict=True):

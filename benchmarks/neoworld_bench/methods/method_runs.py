@@ -15,6 +15,7 @@ from ..noise.initial_scenes import NoiseLevel, composed_start, is_evaluation, no
 from ..noise.parse_noise import NoiseLog
 from ..row_files import RowFile, check_level, made_by_jobs, sized
 from ..rows import Row, log
+from .named_methods import note_methods, options_json
 from .scene_objects import ObjectRow
 
 
@@ -65,6 +66,19 @@ class RunSettings:
     """Options of the search and of the final check."""
     compose: ComposeOptions
     noise: NoiseLevel
+    named: tuple[tuple[str, RefineOptions], ...] = ()
+    """Options of the searches that a user named, by name."""
+
+    def options_of(self, method: str) -> RefineOptions:
+        """Return the options of a method, before it changes them."""
+        return dict(self.named).get(method, self.refine)
+
+    def of_method(self, method: str, fingerprint: str) -> str:
+        """Return the fingerprint of a method's row from that of its subject."""
+        own = dict(self.named).get(method)
+        if own is None:
+            return fingerprint
+        return content_hash([fingerprint, own.model_dump(mode="json")])[:16]
 
     def fingerprint(self, *parts: Any) -> str:
         """Return the hash of JSON values, the noise and the options."""
@@ -107,7 +121,7 @@ class MethodJob:
             "seed": self.settings.seed,
             "evaluation": is_evaluation(self.start),
             "method": method,
-            "fingerprint": self.fingerprint,
+            "fingerprint": self.settings.of_method(method, self.fingerprint),
         }
 
 
@@ -149,8 +163,20 @@ def run_jobs(
     check_level(stored, settings.noise)
     stored_objects = RowFile(objects, ObjectRow, lambda row: row.key)
 
+    if file is not None and submission is None:
+        used = {
+            method: options_json(
+                settings.options_of(method),
+                noise=settings.noise,
+                compose=settings.compose.model_dump(mode="json"),
+            )
+            for method in methods
+        }
+        note_methods(file.parent, used, {row.method for row in stored.rows})
+
     def is_current(row: R) -> bool:
-        return fingerprints.get(row.subject) == row.fingerprint
+        mark = fingerprints.get(row.subject)
+        return mark is not None and settings.of_method(row.method, mark) == row.fingerprint
 
     done = set() if submission else {row.key for row in stored.rows if is_current(row)}
     workers, threads = sized(workers)

@@ -4,7 +4,7 @@ gravity."""
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -26,7 +26,9 @@ from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
-from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
+from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.optimizer import optimizer_factory
+from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import SceneSpec
 
 from .baselines import algorithm1, with_budget
@@ -126,11 +128,12 @@ def outcome_of(
     seed: int = 0,
     rollouts: int = 0,
     warm: bool = True,
+    named: Mapping[str, RefineOptions] | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
 
     Args:
-        method: of METHODS.
+        method: of METHODS, an optimizer of `is_budgeted`, or of `named`.
         start: where it starts.
         o: options of the refinement and of the final check.
         engine: that rolls candidates out.
@@ -138,15 +141,19 @@ def outcome_of(
         rollouts: budget of BUDGETED.
         warm: whether to search once for a single iteration, in which one candidate stands for all,
             before the clock runs, so that its time is without compiling.
+        named: options of the searches that a user named.
     """
     if method in SETTLED:
         began = time.perf_counter()
         scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
-    options = (
-        with_budget(o, method, max(rollouts, 1)) if method in BUDGETED else SEARCHES[method](o)
-    )
+    if named and method in named:
+        options = named[method]
+    elif is_budgeted(method):
+        options = with_budget(o, method, max(rollouts, 1))
+    else:
+        options = SEARCHES[method](o)
     model = compile_for_search(start, options)
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
@@ -214,6 +221,7 @@ def outcomes_of(
     align: AlignOptions | None = None,
     seed: int = 0,
     warm: bool = True,
+    named: Mapping[str, RefineOptions] | None = None,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene; see `outcome_of`.
 
@@ -229,6 +237,7 @@ def outcomes_of(
         align: options of the alignment.
         seed: of searches.
         warm: as for `outcome_of`.
+        named: as for `outcome_of`.
     """
     rollouts = 0
     starts: dict[AlignOptions, tuple[SceneSpec, float]] = {}
@@ -246,11 +255,13 @@ def outcomes_of(
         return starts[used]
 
     for method in in_order(methods):
-        if method in BUDGETED and not rollouts:
+        if is_budgeted(method) and not rollouts:
             first, _ = start_of("ours")
             rollouts = outcome_of("ours", first, o, engine, seed=seed, warm=False).rollouts
         start, spent = start_of(method)
-        result = outcome_of(method, start, o, engine, seed=seed, rollouts=rollouts, warm=warm)
+        result = outcome_of(
+            method, start, o, engine, seed=seed, rollouts=rollouts, warm=warm, named=named
+        )
         rollouts = result.rollouts if method == "ours" else rollouts
         times = {
             name: value + spent
@@ -262,11 +273,22 @@ def outcomes_of(
 
 def in_order(methods: Sequence[str]) -> list[str]:
     """Return methods in the order of execution: ours first, then as in METHODS."""
-    return sorted(methods, key=lambda name: (name != "ours", METHODS.index(name)))
+    place = {name: k for k, name in enumerate(METHODS)}
+    return sorted(methods, key=lambda name: (name != "ours", place.get(name, len(place))))
 
 
-def check_methods(methods: Sequence[str]) -> None:
-    """Raise a SpecError for a name that is no method."""
+def is_budgeted(method: str) -> bool:
+    """Return whether a method is another optimizer, with as many rollouts as ours.
+
+    These are BUDGETED, and optimizers such as `evosax:SNES` or `package.module:function`.
+    """
+    return method in BUDGETED or ":" in method
+
+
+def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
+    """Raise a SpecError for a name that is no method, and a ConfigError for no optimizer."""
     for method in methods:
-        if method not in METHODS:
+        if ":" in method and method not in named:
+            optimizer_factory(method)
+        elif method not in (*METHODS, *named):
             raise SpecError(f"method: {choices(method, METHODS)}")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.errors import RunError, SpecError, choices
 from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
@@ -138,7 +138,7 @@ def run_scenes(
         RunError: as for `run_jobs`.
     """
     if submission is None:
-        check_methods(methods)
+        check_methods(methods, [name for name, _ in settings.named])
         starts_of = dict.fromkeys(scenes, range(starts))
     else:
         methods = (submission_name(submission),)
@@ -188,6 +188,7 @@ def _outcomes(
         lambda: photograph(truth),
         align=s.compose.align,
         seed=s.seed,
+        named=dict(s.named),
     ):
         yield method, result, composed
 
@@ -252,6 +253,14 @@ def known_rows(folder: Path) -> list[SceneRow]:
     """Read the rows of a folder.
 
     Raises:
-        RunError: it has none, or they cannot be read.
+        RunError: it has none, they cannot be read, or a method has rows with different options.
     """
-    return stored_rows(folder / RESULTS, SceneRow)
+    rows = stored_rows(folder / RESULTS, SceneRow)
+    marks: dict[tuple[str, str], str] = {}
+    for row in rows:
+        if marks.setdefault((row.method, row.scene), row.fingerprint) != row.fingerprint:
+            raise RunError(
+                f"{folder / RESULTS} has rows of {row.method} on {row.scene} with different "
+                "options or scenes: run them again into a new folder"
+            )
+    return rows

@@ -46,7 +46,7 @@ FIELDS: tuple[str, ...] = ("method", "measure", "over", "threshold", "share", "l
 
 
 def curve_records(objects: Sequence[ObjectRow]) -> list[dict[str, Any]]:
-    """Return one record for each method, curve and threshold, with a bootstrap interval.
+    """Return one record for each method, curve and threshold, with an interval.
 
     S-Stab counts scenes and O-Stab movable objects that stay under one threshold and under the
     table's other one; S-Pen counts scenes with two objects over the threshold, P-Pen articulated
@@ -63,7 +63,7 @@ def curve_records(objects: Sequence[ObjectRow]) -> list[dict[str, Any]]:
                 parts = _parts(own, curve, threshold)
                 if not parts:
                     continue
-                share, low, high = ratio_interval(parts)
+                share, low, high = ratio_interval(parts, share=True)
                 values = (method, curve.measure, curve.over, threshold, share, low, high)
                 n = round(sum(count for _, _, count in parts))
                 records.append(dict(zip(FIELDS, (*values, n), strict=True)))

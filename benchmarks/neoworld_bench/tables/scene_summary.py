@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.sweeps.intervals import DRAWS, ratio_interval
+from neoworld_mjx.sweeps.intervals import ratio_interval
 
 from ..methods.scene_runs import SceneRow
 
@@ -28,6 +28,9 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "box_iou": lambda r: r.box_iou,
 }
 """Measures, as means over scenes and initial scenes."""
+SHARES = ("valid_rate", "check_rate", "accepted_rate", "displaced", "missed")
+SHARES += ("s_pen", "p_pen", "s_stab", "o_stab")
+"""Measures that are shares of scenes or objects."""
 OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
     "accepted_rate": lambda r: r.accepted is not None,
     "displaced": lambda r: r.found,
@@ -72,7 +75,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
         "objects": sum(row.objects for row in rows),
         "found": sum(row.found for row in rows),
         "articulated": sum(row.articulated for row in rows),
-        **{name: interval(rows, name, draws=0)[0] for name in MEASURES},
+        **{name: interval(rows, name)[0] for name in MEASURES},
         "seconds_to_valid": float(np.median(times)) if times else None,
         "seconds": float(np.median(whole)) if whole else None,
     }
@@ -99,12 +102,12 @@ def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
 
 
 def interval(
-    rows: Sequence[SceneRow], measure: str, draws: int = DRAWS
+    rows: Sequence[SceneRow], measure: str
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the mean and bootstrap interval of one of MEASURES, resampling scenes.
+    """Return the mean of one of MEASURES and its interval, clustered by scene.
 
-    Initial scenes of one scene are similar, so whole scenes are drawn. All values are None for a
-    mean over nothing.
+    All values are None for a mean over nothing, the ends for a single scene.
     """
     of, weigh = MEASURES[measure], OF_OBJECTS.get(measure, lambda r: 1)
-    return ratio_interval([(row.scene, weigh(row) * of(row), weigh(row)) for row in rows], draws)
+    parts = [(row.scene, weigh(row) * of(row), weigh(row)) for row in rows]
+    return ratio_interval(parts, share=measure in SHARES)

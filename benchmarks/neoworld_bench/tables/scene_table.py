@@ -103,7 +103,7 @@ def markdown(records: Sequence[dict[str, Any]]) -> str:
     """Return the table as Markdown, with a section for each subset."""
     head = ["method", "n", *(f"{name} [{u}]" if u else name for name, (_, _, u) in COLUMNS.items())]
     lines = [
-        f"{THRESHOLDS}. Means with {LEVEL:.0%} bootstrap intervals over scenes. "
+        f"{THRESHOLDS}. Means with {LEVEL:.0%} intervals, clustered by scene. "
         "Rows marked * are the paper's figures, on its own scenes and from photographs.",
     ]
     for subset in dict.fromkeys(record["subset"] for record in records):
@@ -152,6 +152,8 @@ def _cell(record: dict[str, Any], column: str, *, latex: bool = False) -> str:
     value = f"{record[column]:.{digits}f}"
     if record["source"] == "paper":
         return f"{record[column]:.2f}"
-    low, high = record[f"{column} low"], record[f"{column} high"]
     over = f" [{record['articulated']}]" if column == "P-Pen" else ""
+    if f"{column} low" not in record:
+        return value + over
+    low, high = record[f"{column} low"], record[f"{column} high"]
     return f"{value} ({low:.{digits}f} to {high:.{digits}f}){over}"

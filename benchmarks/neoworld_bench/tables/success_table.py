@@ -8,7 +8,7 @@ from ..tasks.success_runs import SuccessRow
 from ..tasks.success_summary import OF_THE_PAPER, PAPER, SHARES, success_interval
 
 NOTE = (
-    "Shares of tasks and starts in per cent, with 95% bootstrap intervals over tasks; on_truth is "
+    "Shares of tasks and starts in per cent, with 95% intervals, clustered by task; on_truth is "
     f"task success. Rows marked * are {OF_THE_PAPER}."
 )
 
@@ -32,5 +32,6 @@ def success_table(rows: Sequence[SuccessRow]) -> TextTable:
 
 
 def _cell(rows: Sequence[SuccessRow], share: str) -> str:
-    value, low, high = (end or 0.0 for end in success_interval(rows, share))
-    return f"{100 * value:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    value, low, high = success_interval(rows, share)
+    text = f"{100 * (value or 0.0):.1f}"
+    return text if low is None or high is None else f"{text} ({100 * low:.1f} to {100 * high:.1f})"

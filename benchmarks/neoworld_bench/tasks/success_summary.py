@@ -52,7 +52,7 @@ def _by_method(rows: Sequence[SuccessRow]) -> dict[str, Any]:
 
 
 def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
-    """Return the shares of rows of one method, each with its bootstrap interval over tasks.
+    """Return the shares of rows of one method, each with its interval, clustered by task.
 
     "no_plan" counts rows without a plan that could be carried out.
     """
@@ -73,5 +73,5 @@ def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
 def success_interval(
     rows: Sequence[SuccessRow], share: str
 ) -> tuple[float | None, float | None, float | None]:
-    """Return one of SHARES with its bootstrap interval; starts of a task are drawn together."""
-    return ratio_interval([(row.task, float(SHARES[share](row)), 1.0) for row in rows])
+    """Return one of SHARES with its interval, clustered by task."""
+    return ratio_interval([(row.task, float(SHARES[share](row)), 1.0) for row in rows], share=True)

@@ -1,0 +1,210 @@
+"""The strategies of evosax (Lange, arXiv:2212.04180; extra `baselines`) for Algorithm 1's loop.
+
+`refine.optimizer: evosax:SNES` names one, `refine.strategy` sets its parameters.
+"""
+
+import inspect
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from ..config import CEMOptions
+from ..errors import ConfigError, EngineError, choices
+from ..physics.array_types import AnyArray
+from ..physics.layout import Layout
+from ..physics.scene_arrays import SceneArrays
+from .cem import initial_sigma
+
+EVOSAX = "evosax"
+LEARNING_RATE = "learning_rate"
+"""Parameter of strategies with a gradient optimizer: the learning rate of Adam."""
+
+
+class StrategyState(NamedTuple):
+    """State of a strategy."""
+
+    mean: Layout
+    """The initial layout, pop axis of length 1."""
+    inner: Any
+    """evosax's state."""
+    started: Bool[Array, ""]
+    """True after the first population. A population-based strategy begins with that one."""
+
+
+class Strategy(eqx.Module):
+    """An evosax strategy over the free numbers of a layout, in units of their deviations."""
+
+    name: str = eqx.field(static=True)
+    population: int = eqx.field(static=True)
+    sigma: Layout
+    """Initial standard deviations, pop axis of length 1."""
+    params: Any
+    """evosax's parameters."""
+    free: tuple[int, ...] = eqx.field(static=True)
+    """Indices of the free numbers in a flattened layout."""
+    learning_rate: float | None = eqx.field(static=True, default=None)
+
+    def init(self, mean: Layout) -> StrategyState:
+        """Return the initial state."""
+        es, key = self._es(), jax.random.key(0)
+        origin = jnp.zeros(len(self.free))
+        if _by_population(es):
+            population = jnp.zeros((self.population, len(self.free)))
+            inner = es.init(key, population, jnp.full(self.population, jnp.inf), self.params)
+        else:
+            inner = es.init(key, origin, self.params)
+        return StrategyState(mean, inner, jnp.asarray(False))
+
+    def ask(self, key: Key[Array, ""], state: StrategyState, population: int) -> Layout:
+        """Draw a population; `key` is consumed.
+
+        Raises:
+            ConfigError: the population is not `refine.cem.population`.
+        """
+        if population != self.population:
+            raise ConfigError(
+                f"evosax:{self.name} was built for a population of {self.population} "
+                f"(refine.cem.population), asked for {population}"
+            )
+        es = self._es()
+        drawn, _ = es.ask(key, state.inner, self.params)
+        if _by_population(es):
+            first = jax.random.normal(key, drawn.shape)
+            drawn = jnp.where(state.started, drawn, first)
+        center, free = _flat(state.mean), jnp.asarray(self.free)
+        offset = drawn * _flat(self.sigma)[:, free]
+        flat = jnp.repeat(center, population, axis=0).at[:, free].add(offset)
+        return _unflat(flat, state.mean)
+
+    def tell_with_key(
+        self,
+        key: Key[Array, ""],
+        state: StrategyState,
+        layouts: Layout,
+        reward: Float[AnyArray, " pop"],
+    ) -> StrategyState:
+        """Update the state from the absolute rewards, which never saturate.
+
+        Args:
+            key: the key that `ask` drew the population with; evosax changes its state there, too.
+            state: previous state.
+            layouts: the evaluated candidates.
+            reward: their absolute rewards; a failed one counts as worse than all others.
+        """
+        es, free = self._es(), jnp.asarray(self.free)
+        unit = (_flat(layouts) - _flat(state.mean))[:, free] / _flat(self.sigma)[:, free]
+        finite = jnp.isfinite(reward)
+        worst = jnp.max(jnp.where(finite, -reward, -jnp.inf))
+        loss = jnp.where(finite, -reward, jnp.where(jnp.isfinite(worst), worst + 1.0, 0.0))
+        _, asked = es.ask(key, state.inner, self.params)
+        later = jax.random.fold_in(key, 1)
+        told, _ = es.tell(later, unit, loss, asked, self.params)
+        if _by_population(es):
+            first = es.init(later, unit, loss, self.params)
+            pick = lambda new, old: jnp.where(state.started, new, old)
+            told = jax.tree.map(pick, told, first)
+        return StrategyState(state.mean, told, jnp.asarray(True))
+
+    def _es(self) -> Any:
+        strategy, more = _strategies()[self.name], {}
+        if self.learning_rate is not None:
+            import optax
+
+            more["optimizer"] = optax.adam(self.learning_rate)
+        return strategy(self.population, jnp.zeros(len(self.free)), **more)
+
+
+def _by_population(es: Any) -> bool:
+    return "fitness" in inspect.signature(es.init).parameters
+
+
+def _strategies() -> dict[str, Any]:
+    """Return evosax's strategies by name.
+
+    Raises:
+        EngineError: evosax is not installed.
+    """
+    try:
+        from evosax.algorithms import algorithms
+    except ImportError:
+        raise EngineError(
+            "refine.optimizer: cma_es and evosax:STRATEGY need evosax: "
+            "uv sync --inexact --extra baselines"
+        ) from None
+    return dict(algorithms)
+
+
+def strategy_class(name: str) -> Any:
+    """Return an evosax strategy by its name.
+
+    Raises:
+        ConfigError: there is no such strategy.
+        EngineError: evosax is not installed.
+    """
+    known = _strategies()
+    if name not in known:
+        raise ConfigError(f"refine.optimizer: evosax: {choices(name, known)}")
+    return known[name]
+
+
+def open_strategy(
+    name: str, scene: SceneArrays, options: CEMOptions, parameters: Mapping[str, float]
+) -> Strategy:
+    """Build an evosax strategy for a scene.
+
+    Args:
+        name: its name in evosax, such as SNES.
+        scene: the scene's arrays.
+        options: population and initial deviations.
+        parameters: values of evosax's parameters by name, and LEARNING_RATE.
+
+    Raises:
+        ConfigError: there is no such strategy or parameter, or it cannot search the scene.
+        EngineError: evosax is not installed.
+    """
+    strategy = strategy_class(name)
+    sigma = initial_sigma(scene, options)
+    free = tuple(int(k) for k in np.flatnonzero(np.asarray(_flat(sigma))[0] > 0))
+    values = dict(parameters)
+    rate = values.pop(LEARNING_RATE, None)
+    has_rate = "optimizer" in inspect.signature(strategy).parameters
+    if rate is not None and not has_rate:
+        raise ConfigError(f"refine.strategy: {name} takes no {LEARNING_RATE}")
+    built = Strategy(name, options.population, sigma, None, free, rate)
+    try:
+        params = built._es().default_params
+        fields = list(params.__dataclass_fields__)
+        for key in values:
+            if key not in fields:
+                raise ConfigError(
+                    f"refine.strategy: {name}: "
+                    f"{choices(key, [*fields, *([LEARNING_RATE] if has_rate else [])])}"
+                )
+        params = params.replace(**{key: jnp.asarray(value) for key, value in values.items()})
+        params = jax.tree.map(jnp.asarray, params)
+        built = eqx.tree_at(lambda s: s.params, built, params, is_leaf=lambda x: x is None)
+        jax.eval_shape(built.init, Layout.zero(1, scene.count))
+    except ConfigError:
+        raise
+    except (AssertionError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"refine.optimizer: evosax:{name} cannot search {len(free)} numbers with "
+            f"refine.cem.population {options.population}: {error}"
+        ) from None
+    return built
+
+
+def _flat(layout: Layout) -> Float[Array, "pop number"]:
+    pop = layout.yaw.shape[0]
+    return jnp.concatenate([leaf.reshape(pop, -1) for leaf in jax.tree.leaves(layout)], axis=1)
+
+
+def _unflat(flat: Float[Array, "pop number"], like: Layout) -> Layout:
+    count = like.yaw.shape[1]
+    xy, yaw, log_scale = flat[:, : 2 * count], flat[:, 2 * count : 3 * count], flat[:, 3 * count :]
+    return Layout(xy.reshape(len(flat), count, 2), yaw, log_scale)

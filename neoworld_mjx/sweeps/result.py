@@ -1,0 +1,107 @@
+"""Result of a sweep or an ablation: rows, summaries and tables."""
+
+import functools
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .folder import CSV, LATEX, TABLE, SweepFolder
+from .run_rows import Row
+from .table import comma_separated, differences, summary, tests_table, text_table
+
+NOTES = (
+    "Means over scenes and seeds with 95 % intervals, clustered by scene: Korn and Graubard's for "
+    "rates, Student's t for the others. n is the number of runs; over a single scene, intervals "
+    "are over its runs and say nothing about other scenes. The reward uses each point's own "
+    "weights: if weights differ, compare the terms."
+)
+DIFFERENCE_NOTES = "Paired over scenes and seeds; a positive value is larger than the base."
+TEST_NOTES = (
+    "Scenes in which a variant is above : below the base, two-sided p of the sign test over scenes "
+    "by Holm's method, Cohen's d of the differences."
+)
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Result of a sweep or an ablation."""
+
+    rows: list[Row]
+    """One row per scene, point and seed with the columns `run_rows.COLUMNS`, and under "history"
+    the iterations with the columns `run_rows.ITERATION_COLUMNS`."""
+    points: list[dict[str, Any]]
+    """Summary of each point over scenes and seeds; see `table.summary`."""
+    differences: list[dict[str, Any]]
+    """Differences of an ablation's variants from the base; see `table.differences`."""
+    table: str
+    """Both summaries as Markdown."""
+    about: dict[str, Any] = field(default_factory=dict)
+    """Content of sweep.json."""
+
+
+def stored_result(
+    rows: Sequence[Row], about: dict[str, Any], folder: SweepFolder | None, *, finished: bool
+) -> SweepResult:
+    """Summarize rows, and write them and their tables into a folder.
+
+    Args:
+        rows: rows so far, in the order of the table.
+        about: content of sweep.json; its sums over "groups" and "finished" are added.
+        folder: folder of the sweep; None writes nothing.
+        finished: True if these are all rows; the figure is drawn then.
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    about = {**about, "finished": finished}
+    for name in ("seconds", "compilations", "compile_s"):
+        about[name] = sum(group.get(name, 0) for group in about["groups"])
+    present = {row["point"] for row in rows}
+    labels = [point["label"] for point in about["points"] if point["label"] in present]
+    summaries = summary(rows, labels)
+    compared = differences(rows, labels) if about["kind"] == "ablation" else []
+    title, made = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
+    notes = f"{NOTES} {made}"
+    markdown = f"# {title}\n\n{text_table(notes, summaries).markdown()}"
+    tex = text_table(f"{title}. {notes}", summaries).latex()
+    if compared:
+        number = f" {len(compared)} comparisons with the base. {made}"
+        tables = (
+            ("Differences from the base", text_table(DIFFERENCE_NOTES, compared, signed=True)),
+            ("Tests of the differences", tests_table(TEST_NOTES + number, compared)),
+        )
+        for head, table in tables:
+            markdown += f"\n## {head}\n\n{table.markdown()}"
+            tex += "\n" + table.latex()
+    if folder is not None:
+        axes = [name for name in about["points"][0] if name != "label"]
+        texts = {TABLE: markdown, CSV: comma_separated(summaries), LATEX: tex}
+        folder.write(rows, axes, texts)
+        folder.write_about(about)
+        if finished:
+            about["figure"] = folder.write_figure(rows, axes)
+    return SweepResult(list(rows), summaries, compared, markdown, about)
+
+
+@functools.cache
+def commit() -> str | None:
+    """Return the commit of the code, with a "+" if files differ; None outside a repository."""
+    here = Path(__file__).parent
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(here), *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=20,
+        ).stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", Path(__file__).name)
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.SubprocessError):
+        return None

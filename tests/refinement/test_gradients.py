@@ -1,0 +1,131 @@
+"""Gradients of the reward terms at every object, still or moving, against finite differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement import rewards
+from neoworld_mjx.spec import Box
+from tests.support import scenes
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A table, an environment object, and two boxes of which one is 4 mm within the other."""
+    a = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    b = scenes.single("b", (Box(size=(0.08, 0.08, 0.08)), (0, 0, 0)))
+    return compile_scene(scenes.on_table((a, (0, 0), 0.0, {}), (b, (0.086, 0), 0.0, {})))
+
+
+def by_differences(fn, layouts, step=2e-3):
+    """Return the central differences of a function of layouts with one candidate."""
+    slopes = []
+    for name in ("xy", "yaw", "log_scale"):
+        x = np.asarray(getattr(layouts, name))
+        slope = np.zeros_like(x)
+        for index in np.ndindex(x.shape):
+            ends = []
+            for sign in (1, -1):
+                moved = x.copy()
+                moved[index] += sign * step
+                ends.append(float(fn(eqx.tree_at(lambda z, n=name: getattr(z, n), layouts, moved))))
+            slope[index] = (ends[0] - ends[1]) / (2 * step)
+        slopes.append(slope)
+    return Layout(*slopes)
+
+
+def away(scene):
+    """A layout away from zero, in which the boxes overlap by a face."""
+    zero = Layout.zero(1, 3)
+    return eqx.tree_at(
+        lambda z: (z.xy, z.log_scale),
+        zero,
+        (jnp.zeros((1, 3, 2)).at[0, 2].set(jnp.array([-0.004, 0.003])), zero.log_scale + 0.02),
+    )
+
+
+@pytest.mark.parametrize("where", ["zero", "away"])
+def test_d_pen_has_the_gradient_of_finite_differences_in_every_number(scene, where):
+    layouts = Layout.zero(1, 3) if where == "zero" else away(scene)
+    d_pen = lambda z: rewards.d_pen(scene, z)[0]
+    assert float(d_pen(layouts)) > 0.003
+    slope, numeric = jax.grad(d_pen)(layouts), by_differences(d_pen, layouts)
+    for name in ("xy", "log_scale"):
+        found, expected = (np.asarray(getattr(x, name)) for x in (slope, numeric))
+        np.testing.assert_allclose(found, expected, atol=5e-3, err_msg=name)
+        assert np.abs(expected).max() > 0.02, name
+    assert np.isfinite(np.asarray(slope.yaw)).all()
+
+
+def test_a_step_of_gradient_descent_keeps_a_layout(scene):
+    layouts = away(scene)
+    slope = jax.grad(lambda z: rewards.d_pen(scene, z)[0])(layouts)
+    stepped = jax.tree.map(lambda z, s: z - 0.002 * s, layouts, slope)
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(stepped))
+    before, after = (float(rewards.d_pen(scene, z)[0]) for z in (layouts, stepped))
+    assert after < before - 0.002
+
+
+def motion(still, dx, turn, time):
+    """Return a rollout in which objects are shifted by dx [m] and turned [rad] at a time."""
+    pos = jnp.asarray(still.pos).at[0, time].add(dx)
+    half = turn / 2
+    spin = jnp.stack([jnp.cos(half), 0 * half, 0 * half, jnp.sin(half)], axis=-1)
+    w, x, y, z = jnp.moveaxis(jnp.asarray(still.quat)[0, time], -1, 0)
+    turned = jnp.stack(
+        [
+            w * spin[:, 0] - z * spin[:, 3],
+            x * spin[:, 0] - y * spin[:, 3],
+            y * spin[:, 0] + x * spin[:, 3],
+            z * spin[:, 0] + w * spin[:, 3],
+        ],
+        axis=-1,
+    )
+    quat = jnp.asarray(still.quat).at[0, time].set(turned)
+    return eqx.tree_at(lambda r: (r.pos, r.quat), still, (pos, quat))
+
+
+@pytest.mark.parametrize("where", ["still", "moved", "turned"])
+def test_d_drift_has_the_gradient_of_finite_differences_at_every_object(scene, where):
+    zero = Layout.zero(1, 3)
+    still = unmoved(scene, scene.place(zero))
+    size = {"still": (0.0, 0.0), "moved": (0.004, 0.0), "turned": (0.0, 0.05)}[where]
+    dx = np.zeros((3, 3), np.float32) + size[0] * np.array([[1.0, 2.0, -1.0]]) / np.sqrt(6)
+    turn = np.full(3, size[1], np.float32)
+    # float32 gives central differences of this step two digits.
+    drift = lambda d, a: rewards.d_drift(scene, zero, motion(still, d, a, 0))[0]
+    found = jax.grad(drift, argnums=(0, 1))(jnp.asarray(dx), jnp.asarray(turn))
+    step = 1e-4
+    for k, (slope, at) in enumerate(zip(found, (dx, turn), strict=True)):
+        numeric = np.zeros_like(at)
+        for index in np.ndindex(at.shape):
+            ends = []
+            for sign in (1, -1):
+                moved = at.copy()
+                moved[index] += sign * step
+                ends.append(float(drift(*((moved, turn) if k == 0 else (dx, moved)))))
+            numeric[index] = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(np.asarray(slope), numeric, rtol=0.02, atol=0.2)
+    table = scene.names.index("table")
+    assert not np.asarray(found[0])[table].any()
+    assert (np.abs(np.asarray(found[0])).max() > 10) == (where == "moved")
+    assert (np.abs(np.asarray(found[1])).max() > 10) == (where == "turned")
+
+
+def test_gradients_by_position_are_finite_and_zero_for_the_environment(scene):
+    zero = Layout.zero(1, 3)
+    still = unmoved(scene, scene.place(zero))
+    slope = eqx.filter_grad(lambda r: jnp.sum(rewards.d_drift(scene, zero, r)))(still)
+    for leaf in (slope.pos, slope.quat):
+        np.testing.assert_array_equal(np.asarray(leaf), 0.0)
+
+
+def test_s_sem_has_no_gradient(scene):
+    slope = jax.grad(lambda z: rewards.s_sem(scene, z)[0])(away(scene))
+    for leaf in jax.tree.leaves(slope):
+        np.testing.assert_array_equal(np.asarray(leaf), 0.0)
