@@ -21,6 +21,7 @@ MethodName = Literal[
     "guided",
     "no_simulation",
     "without_s_sem",
+    "without_s_photo",
     "without_d_pen",
     "without_d_drift",
     "without_photo",

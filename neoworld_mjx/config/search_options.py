@@ -109,9 +109,20 @@ class CEMOptions(Options):
 
 
 class RewardOptions(Options):
-    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper)."""
+    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper), to which S_photo
+    and a prior are added.
+    """
 
     w_sem: float = traced(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
+    w_photo: float = traced(
+        1.0,
+        "Weight of S_photo, what the colors of the photograph's pixels say for where objects are "
+        "visible.",
+        ge=0,
+        difference=PaperDifference(
+            0.0, "Boxes agree with many layouts; the pixels tell which one the photograph shows."
+        ),
+    )
     w_pen: float = traced(1.0, "Weight of D_pen, the penetration.", ge=0)
     w_drift: float = traced(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
     w_prior: float = traced(

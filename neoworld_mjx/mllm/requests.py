@@ -85,6 +85,12 @@ class Picture:
         return rgb.size, _pixel_digest(*rgb.size, rgb.tobytes())
 
     @property
+    def rgb(self) -> np.ndarray:
+        """Its pixels (sRGB), uint8 of shape [height, width, 3]."""
+        with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
+            return np.asarray(image.convert("RGB"))
+
+    @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
         return self._decoded[0]

@@ -63,6 +63,8 @@ class Visible(eqx.Module):
     """Visible share of the area that an object would cover without occlusion and image border."""
     own_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
+    evidence: Float[Array, "pop object"]
+    """Sum of `PhotoView.evidence` over the pixels of the visible part: 1 if all speak for it."""
     outlines: Outlines
 
 
@@ -75,7 +77,8 @@ def as_parsed(photo: PhotoView, pop: int) -> Visible:
     extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
     middle = jnp.stack([x, y], axis=-1)
     shown = Outlines(boxes, extremes, middle, repeated(photo.depth), whole)
-    return Visible(boxes, whole, jnp.broadcast_to(whole[..., None] > 0, boxes.shape), shown)
+    own_sides = jnp.broadcast_to(whole[..., None] > 0, boxes.shape)
+    return Visible(boxes, whole, own_sides, jnp.zeros_like(whole), shown)
 
 
 def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
@@ -197,6 +200,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         jnp.zeros((scene.count, 4, pop)),
         jnp.zeros((scene.count, pop)),
         jnp.zeros((scene.count, 4, pop), bool),
+        jnp.zeros((scene.count, pop)),
     )
 
     def observe(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -247,12 +251,29 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         box = jnp.where(some & jnp.all(jnp.isfinite(box), axis=0), box, centre)
         count = jnp.sum(own[:-1], axis=(0, 1))
         share = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
-        new = (box, share, ends_here & some)
+        support = _support(scene.photo, k, x[:-1] * focal, y[:-1] * focal)
+        pixels = jnp.prod(span, axis=0) * (focal / (WINDOW_TILE * WINDOW_TILES)) ** 2
+        evidence = jnp.sum(jnp.where(cells, support, 0.0), axis=(0, 1)) * pixels
+        new = (box, share, ends_here & some, evidence)
         return tuple(a.at[k].set(b) for a, b in zip(result, new, strict=True))
 
-    boxes, share, sides = lax.fori_loop(0, number, observe, start)
+    boxes, share, sides, evidence = lax.fori_loop(0, number, observe, start)
     first = lambda v: jnp.moveaxis(v, -1, 0)
-    return Visible(first(boxes) * focal, first(share) * whole.inside, first(sides), whole)
+    share = first(share) * whole.inside
+    return Visible(first(boxes) * focal, share, first(sides), first(evidence), whole)
+
+
+def _support(
+    photo: PhotoView, k: Array, x: Float[Array, "*ray"], y: Float[Array, "*ray"]
+) -> Float[Array, "*ray"]:
+    """Return the evidence for an object at pixels; beyond its window, that of the nearest cell."""
+    low, high = photo.window[k, :2], photo.window[k, 2:]
+    cells = photo.evidence.shape[1]
+    column, row = (
+        jnp.clip(((v - low[a]) / (high[a] - low[a]) * cells).astype(jnp.int32), 0, cells - 1)
+        for a, v in enumerate((x, y))
+    )
+    return photo.evidence[k].ravel()[row * cells + column]
 
 
 def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "object pop"]:

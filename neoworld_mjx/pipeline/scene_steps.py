@@ -165,7 +165,9 @@ def refine_layout(context: StepContext) -> None:
 
     run, config = context.run, context.config
     by_model = config.refine.semantic.scorer == "mllm"
-    photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if by_model else None
+    photo = None
+    if by_model or config.refine.reward.w_photo > 0:
+        photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb)
     inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
 
     def report(line: str) -> None:

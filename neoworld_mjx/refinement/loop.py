@@ -7,6 +7,7 @@ tiles. On a CPU a tile is one run: `vmap` would not be faster, and every number 
 that of a separate refinement.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -155,7 +156,8 @@ def _searched(
     o = runs[0].options
     if not shared or first.passed or not first.rests(o).any():
         return scene
-    return compile_for_search(held(scene.spec, first, o), o)
+    searched = compile_for_search(held(scene.spec, first, o), o)
+    return dataclasses.replace(searched, photo=scene.photo)
 
 
 def _opened(

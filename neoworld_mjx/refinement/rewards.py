@@ -29,7 +29,7 @@ from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
-__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
+__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_photo", "s_sem"]
 
 
 class TermValue(eqx.Module):
@@ -136,6 +136,21 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
         visible = visibility(scene, scene.place(layouts))
     scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
     return TermValue(scored.total, scored.total, scored.each)
+
+
+def photo_agreement(
+    scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
+) -> TermValue:
+    """Compute S_photo, and per object its share; see `s_photo`."""
+    if isinstance(rollout, MeasuredRollout):
+        visible = rollout.visible
+    else:
+        visible = visibility(scene, scene.place(layouts))
+    informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
+    each = jnp.where(informed, visible.evidence, 0.0)
+    each = each / jnp.maximum(jnp.sum(informed), 1)
+    total = jnp.sum(each, axis=1)
+    return TermValue(total, total, each)
 
 
 class Drift(eqx.Module):
@@ -318,6 +333,24 @@ def s_sem(
         ValueError: an axis does not fit the scene.
     """
     return _call(semantics, "s_sem", scene, layouts, rollout)
+
+
+def s_photo(
+    scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
+) -> Float[Array, " pop"]:
+    """Compute S_photo, what the photograph's pixels say for the placed candidates.
+
+    It is the mean over objects of the log likelihood ratios of the pixels that show the object,
+    over their absolute sum in the composed scene: 1 if all pixels have the object's colors,
+    negative if most have the colors of what surrounds it. Objects about which the pixels are silent
+    do not count. 0 for a scene without a photograph; `align.photo_evidence.with_photo` adds it.
+
+    `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
+
+    Raises:
+        TypeError: an argument is of another type.
+    """
+    return _call(photo_agreement, "s_photo", scene, layouts, rollout)
 
 
 def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:

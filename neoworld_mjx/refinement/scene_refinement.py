@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..align.photo_evidence import with_photo
 from ..config import RefineOptions
 from ..engines import EngineChoice
 from ..mllm import Panel, Picture
@@ -68,7 +69,7 @@ def refine(
         engine: physics engine or its name; default: the engine that the options name.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
-        photo: the photograph, for semantic scores by a model.
+        photo: the photograph, for S_photo and for semantic scores by a model.
         panel: the models that score.
         scores: log file of the scores.
         recorded: log of an earlier run, whose scores are replayed in their order of arrival.
@@ -88,6 +89,8 @@ def refine(
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
         began = time.perf_counter()
         model = open_scene(scene, o)
+        if photo is not None and o.reward.w_photo > 0:
+            model = with_photo(model, photo.rgb)
         clock["compile"] = time.perf_counter() - began
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:

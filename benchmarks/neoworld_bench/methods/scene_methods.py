@@ -20,6 +20,7 @@ from neoworld_mjx.compose.compose import in_contact
 from neoworld_mjx.config import AlignOptions, RefineOptions, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
+from neoworld_mjx.mllm import Picture
 from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
 from neoworld_mjx.physics.exact import snap_exactly, start_state
 from neoworld_mjx.physics.guidance import Guidance
@@ -64,6 +65,7 @@ def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "without_s_sem": {"reward": {"w_sem": 0.0}},
+    "without_s_photo": {"reward": {"w_photo": 0.0}},
     "without_d_pen": {"reward": {"w_pen": 0.0}},
     "without_d_drift": {"reward": {"w_drift": 0.0}},
     "no_simulation": {
@@ -85,6 +87,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
     **dict.fromkeys(EVIDENCE, ours),
+    "without_photo": partial(changed, change={"reward": {"w_photo": 0.0}}),
 }
 """Methods that are a refinement with other options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
@@ -129,6 +132,7 @@ def outcome_of(
     rollouts: int = 0,
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
+    photo: UInt8[np.ndarray, "row column 3"] | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
 
@@ -142,6 +146,7 @@ def outcome_of(
         warm: whether to search once for a single iteration, in which one candidate stands for all,
             before the clock runs, so that its time is without compiling.
         named: options of the searches that a user named.
+        photo: the photograph, for S_photo.
     """
     if method in SETTLED:
         began = time.perf_counter()
@@ -155,12 +160,13 @@ def outcome_of(
     else:
         options = SEARCHES[method](o)
     model = compile_for_search(start, options)
+    picture = None if photo is None else Picture.of("photo", photo)
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
         quick = options.model_copy(update={"cem": once})
-        refine(model, quick, seed=seed, engine=OneForAll(engine))
+        refine(model, quick, seed=seed, engine=OneForAll(engine), photo=picture)
     began = time.perf_counter()
-    refined = refine(model, options, seed=seed, engine=engine)
+    refined = refine(model, options, seed=seed, engine=engine, photo=picture)
     spent = time.perf_counter() - began
     to_valid = refined.seconds["to_valid"]
     return MethodResult(
@@ -257,10 +263,20 @@ def outcomes_of(
     for method in in_order(methods):
         if is_budgeted(method) and not rollouts:
             first, _ = start_of("ours")
-            rollouts = outcome_of("ours", first, o, engine, seed=seed, warm=False).rollouts
+            rollouts = outcome_of(
+                "ours", first, o, engine, seed=seed, warm=False, photo=picture()
+            ).rollouts
         start, spent = start_of(method)
         result = outcome_of(
-            method, start, o, engine, seed=seed, rollouts=rollouts, warm=warm, named=named
+            method,
+            start,
+            o,
+            engine,
+            seed=seed,
+            rollouts=rollouts,
+            warm=warm,
+            named=named,
+            photo=None if method in SETTLED else picture(),
         )
         rollouts = result.rollouts if method == "ours" else rollouts
         times = {

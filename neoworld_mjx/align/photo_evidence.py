@@ -1,0 +1,98 @@
+"""Evidence of the photograph's pixels for whole populations of layouts: log likelihood ratios.
+
+Once for a photograph and a composed scene, the colors of every object and of what surrounds it are
+estimated, as for its contours, and every pixel near the object is rated: is its color that of the
+object, or that of what is behind it? A candidate then only adds up the ratings of the pixels at
+which it shows the object (`physics.visibility`).
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from ..physics.model import SceneModel
+from ..physics.photo_view import EVIDENCE_CELLS, see_through
+from ..physics.scene_arrays import on_device
+from ..spec import SceneSpec
+from .colors import LabImage, color_models, log_likelihood_ratio
+from .normal_equations import MARGIN_PX
+from .rasterize import draw_objects, height_of, window_of
+from .unknowns import Unknowns
+
+WIDTH_PX = 640
+"""Width of the image in which pixels are rated [px]."""
+MARGIN = 0.5
+"""Width of the window around an object, relative to the longer side of its box."""
+LEAST_RATIO = 0.5
+"""Mean log likelihood ratio within an object below which its colors do not tell it from what
+surrounds it [nats]: its pixels are silent."""
+
+
+def with_photo(model: SceneModel, photo: UInt8[np.ndarray, "row column 3"]) -> SceneModel:
+    """Return a compiled scene with the evidence of its photograph, which `s_photo` rates.
+
+    Args:
+        model: the compiled scene; its camera and layout are taken as nearly right.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+    """
+    evidence, window = photo_evidence(model.spec, photo)
+    view = model.photo._replace(**on_device({"evidence": evidence, "window": window}))
+    return dataclasses.replace(model, photo=view)
+
+
+def photo_evidence(
+    scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
+) -> tuple[Float[np.ndarray, "object cell cell"], Float[np.ndarray, "object 4"]]:
+    """Rate the pixels near each object of a scene with a camera.
+
+    Returns:
+        The log likelihood ratio over its absolute sum within the object as composed [1/px^2], so
+        that the sum of an object's pixels is at most about 1; and the window that it covers, left,
+        top, right, bottom from the middle of the image [px]. Zero for silent objects: those of the
+        environment, see-through and invisible ones, and those of their surroundings' colors.
+    """
+    camera = scene.camera
+    evidence = np.zeros((len(scene.objects), EVIDENCE_CELLS, EVIDENCE_CELLS))
+    window = np.tile([0.0, 0.0, 1.0, 1.0], (len(scene.objects), 1))
+    if camera is None:
+        return evidence, window
+    unknowns = Unknowns.of(scene, camera)
+    now = unknowns.place(np.zeros((1, unknowns.size)))[0]
+    meshes = [unknowns.mesh(now, k) for k in range(len(scene.objects))]
+    owner = draw_objects(meshes, camera, WIDTH_PX).owner
+    height = height_of(camera, WIDTH_PX)
+    bins = LabImage.of(photo, WIDTH_PX, height).bins
+    unit = camera.width / WIDTH_PX
+    for k, item in enumerate(scene.objects):
+        mask = owner == k
+        if item.environment or see_through(item.spec) or not mask.any():
+            continue
+        models = color_models(owner, bins, k, round(MARGIN_PX))
+        if models is None:
+            continue
+        tight = window_of(mask)
+        margin = round(MARGIN * max(span.stop - span.start for span in tight)) + 2
+        near = tuple(
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(tight, owner.shape, strict=True)
+        )
+        colors, inside = bins[near], mask[near]
+        outside = np.empty(colors.shape)
+        for behind in np.unique(owner[near]).tolist():
+            pixels = owner[near] == behind
+            background = models.around if behind == k else models.background(behind)
+            outside[pixels] = background[colors[pixels]]
+        ratio = log_likelihood_ratio(models.inside[colors], outside)
+        if ratio[inside].mean() < LEAST_RATIO:
+            continue
+        total = np.abs(ratio[inside]).sum() * unit**2
+        size = (EVIDENCE_CELLS, EVIDENCE_CELLS)
+        image = Image.fromarray((ratio / total).astype(np.float32))
+        evidence[k] = np.asarray(image.resize(size, Image.Resampling.BOX))
+        rows, columns = near
+        corners = np.array([columns.start, rows.start, columns.stop, rows.stop], float)
+        middle = np.array([WIDTH_PX, height, WIDTH_PX, height]) / 2
+        window[k] = (corners - middle) * unit
+    return evidence, window
