@@ -33,7 +33,7 @@ def tile_of(runs: int, population: int) -> int:
     return tile if tile == 1 else -(-tile // count) * count
 
 
-def devices() -> list[jax.Device]:
+def devices() -> list[Any]:
     """Return the local devices that share the work: all, unless `jax.default_device` names one."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     return jax.local_devices() if chosen is None else jax.local_devices()[:1]

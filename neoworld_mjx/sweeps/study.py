@@ -31,7 +31,7 @@ def open_optuna() -> Any:
         EngineError: it is not installed.
     """
     try:
-        import optuna
+        import optuna  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise EngineError("study needs optuna: uv sync --inexact --extra optuna") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -200,10 +200,8 @@ def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
     assert wanted is not None
     storage = None
     if folder is not None:
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
-
-        storage = JournalStorage(JournalFileBackend(str(folder.path / JOURNAL)))
+        journal = optuna.storages.journal.JournalFileBackend(str(folder.path / JOURNAL))
+        storage = optuna.storages.JournalStorage(journal)
     samplers = {
         "tpe": lambda seed: optuna.samplers.TPESampler(seed=seed),
         "cma_es": lambda seed: optuna.samplers.CmaEsSampler(seed=seed),
