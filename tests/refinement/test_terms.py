@@ -113,6 +113,7 @@ REFUSED = ("RandomSearch", "SV_CMA_ES", "SV_Open_ES")
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of optax, by strategies of evosax
 def test_every_strategy_of_evosax_searches_or_is_refused(scene):
     algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
     for name in algorithms.algorithms:
