@@ -29,6 +29,7 @@ from .model_scores import ModelScores, scored_by_model
 from .plan import Ablation, Plan, Point, points, read, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row
+from .study import check_study, run_study
 
 
 def sweep(
@@ -63,7 +64,21 @@ def sweep(
         SpecError: a scene does not exist.
         RunError: the folder cannot be written, is in use, or holds files that must not be replaced.
     """
-    runner = _Runner(read(plan, Plan), cases, sources, engine, shard)
+    plan = read(plan, Plan)
+    if plan.study is not None:
+        if shard != (1, 1):
+            raise ConfigError("shard: the trials of a study depend on each other")
+        check_study(plan)
+
+        def run_point(point: Plan, scene: Case) -> SweepResult:
+            return _Runner(point, [scene], {}, engine, (1, 1)).run(
+                None, resume=False, overwrite=False
+            )
+
+        scenes = _cases(plan, cases, sources)
+        path = None if out is None else Path(out)
+        return run_study(plan, scenes, run_point, path, resume=resume, overwrite=overwrite)
+    runner = _Runner(plan, cases, sources, engine, shard)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
