@@ -213,6 +213,40 @@ class SceneSet(NoisyRuns):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RealPoses:
+    """Score reconstructions of real photographs against a sensor's depth and true poses, in the
+    layout of your copy of a data set. Nothing is downloaded; docs/benchmarks/real-poses.md says
+    what to get where.
+    """
+
+    data: Positional[Path | None] = None
+    """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
+    T-LESS, HOPE, HomebrewedDB, GraspClutter6D)."""
+    runs: tuple[Path, ...] = ()
+    """Run folders named after the views, or folders of such folders. A row is written for each of
+    their scenes: composed, aligned and refined."""
+    submission: Path | None = None
+    """Folder of another method's scenes: VIEW/scene.json, scene.xml or scene.usda."""
+    format: Literal["auto", "depth", "bop"] = "auto"
+    """Format of the data; auto recognizes it by its files."""
+    view: tuple[str, ...] = ()
+    """Names of views; all that have a reconstruction by default."""
+    align: Literal["auto", "none", "scale", "depth", "objects"] = "auto"
+    """Alignment of the whole scene: by a scale about the camera, by the similarity of the rendered
+    with the sensor's depth, or by that of the objects' centroids. auto takes depth where there is a
+    depth image, else scale, or objects without a camera."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx, fy, cx and cy [px] of depth images without a camera.json."""
+    depth_scale: float | None = None
+    """Millimeters of a unit of these depth images."""
+    no_volumes: bool = False
+    """Leave out Chamfer distance, F-score and voxel IoU, which take seconds for each object."""
+    out: Path | None = None
+    """Folder of real_views.parquet and real_objects.parquet; rows replace those of the same view
+    and method."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ObjectSuite:
     """Compare joints and surfaces of reconstructed objects with those of your copy of
     PartNet-Mobility or with ground-truth files, alongside the paper's 245 joints.
@@ -341,6 +375,7 @@ SUITES = {
         ("kernels", Kernels, False),
         ("agreement", Agreement, False),
         ("refine", Refine, True),
+        ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
         ("tasks", Tasks, False),
         ("task-success", TaskSuccess, True),
