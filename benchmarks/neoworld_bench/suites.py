@@ -220,14 +220,14 @@ class RealPoses:
     """
 
     data: Positional[Path | None] = None
-    """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
-    T-LESS, HOPE, HomebrewedDB, GraspClutter6D)."""
+    """Folder of the data: depth images NAME-depth.png, a data set in the BOP format (YCB-V, T-LESS,
+    HOPE, HomebrewedDB, GraspClutter6D), MessyKitchens, or a recording of Aria Digital Twin."""
     runs: tuple[Path, ...] = ()
     """Run folders named after the views, or folders of such folders. A row is written for each of
     their scenes: composed, aligned and refined."""
     submission: Path | None = None
     """Folder of another method's scenes: VIEW/scene.json, scene.xml or scene.usda."""
-    format: Literal["auto", "depth", "bop"] = "auto"
+    format: Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"] = "auto"
     """Format of the data; auto recognizes it by its files."""
     view: tuple[str, ...] = ()
     """Names of views; all that have a reconstruction by default."""

@@ -13,6 +13,8 @@ from neoworld_bench.real_poses.made_views import MadeView
 from neoworld_bench.real_poses.pose_rows import posed_meshes, real_rows
 from neoworld_bench.real_poses.real_views import score_real_views, stored_real_rows
 from neoworld_bench.real_poses.scene_depth import scene_points
+from neoworld_bench.tables.real_table import real_table
+from neoworld_bench.tables.result_tables import write_tables
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
@@ -287,6 +289,21 @@ def test_command_scores_every_stage_and_keeps_rows(tmp_path, capfd):
     score_real_views(tmp_path / "data", runs=[run], options=QUICK, out=out)
     views, rows = stored_real_rows(out)
     assert [row.stage for row in views] == ["aligned", "refined"] and len(rows) == 8
+    write_tables(out)
+    table = (out / "real.csv").read_text().splitlines()
+    assert table[0].startswith("view,method,stage,object,pixels,error mm,depth mm,bias mm,collider")
+    assert table[2].split(",")[:4] == ["desk", "ours", "aligned", "block"]
+    assert table[-1].startswith("median,ours,refined,4 rows")
+
+
+def test_table_has_the_recall(sample):
+    scene = without(desk(), "can")
+    matches = {name: other for name, other in NAMES.items() if name != "can"}
+    _, rows = scored(view_of(sample), scene, matches=matches)
+    table = real_table(list(rows.values()))
+    assert table.head[-1] == "ADD-S < 0.1"
+    assert [line[-1] for line in table.rows] == ["", "yes", "yes", "no", "67 % [3]"]
+    assert table.rows[3][3] == "obj_000003 (missed)"
 
 
 def test_command_refuses_what_it_cannot_score(tmp_path):
@@ -295,7 +312,7 @@ def test_command_refuses_what_it_cannot_score(tmp_path):
     data, runs = tmp_path / "data", tmp_path / "runs"
     data.mkdir()
     (runs / "office").mkdir(parents=True)
-    with pytest.raises(SpecError, match="neither scene_gt"):
+    with pytest.raises(SpecError, match="none of these formats"):
         score_real_views(data, runs=[runs])
     write_depth_folder(data, desk())
     with pytest.raises(SpecError, match="no view with a reconstruction is named runs, office"):

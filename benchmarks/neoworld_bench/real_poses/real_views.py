@@ -13,13 +13,15 @@ from ..measures.parse_measure import Mean
 from ..measures.pose_measure import RECALL, recall
 from ..row_files import RowFile, stored_rows
 from ..rows import log
+from .aria_twin import aria_views, is_aria_twin
 from .bop import bop_views, is_bop
 from .depth_folder import depth_views, is_depth_folder
 from .made_views import MadeView, folder_names, run_views, submitted_view
+from .messy_kitchens import is_messy_kitchens, messy_views
 from .pose_rows import AlignBy, RealObjectRow, RealViewRow, real_rows
 from .true_views import TrueView
 
-DataFormat = Literal["auto", "depth", "bop"]
+DataFormat = Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"]
 VIEWS, OBJECTS = "real_views.parquet", "real_objects.parquet"
 MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou", "chamfer", "f_score", "voxel_iou")
 
@@ -54,7 +56,8 @@ def true_views(
         return
     if intrinsics is not None or depth_scale is not None:
         raise ConfigError("--intrinsics and --depth-scale are for folders of depth images alone")
-    yield from bop_views(data, names)
+    readers = {"bop": bop_views, "messy-kitchens": messy_views, "aria-twin": aria_views}
+    yield from readers[kind](data, names)
 
 
 def format_of(data: Path) -> DataFormat:
@@ -65,11 +68,16 @@ def format_of(data: Path) -> DataFormat:
     """
     if is_bop(data):
         return "bop"
+    if is_messy_kitchens(data):
+        return "messy-kitchens"
+    if is_aria_twin(data):
+        return "aria-twin"
     if is_depth_folder(data):
         return "depth"
     raise SpecError(
-        f"{data} has neither scene_gt.json (BOP), nor NAME-depth.png; "
-        "docs/benchmarks/real-poses.md lists the formats"
+        f"{data} has the files of none of these formats: scene_gt.json (BOP), object_models and "
+        "scenes (MessyKitchens), scene_objects.csv (Aria Digital Twin), NAME-depth.png; "
+        "docs/benchmarks/real-poses.md has their layouts"
     )
 
 
