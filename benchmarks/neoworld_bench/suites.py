@@ -215,7 +215,7 @@ class SceneSet(NoisyRuns):
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
     """Score reconstructions of real photographs against a sensor's depth and true poses, in the
-    layout of your copy of a data set. Nothing is downloaded; docs/benchmarks/real-poses.md says
+    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md says
     what to get where.
     """
 

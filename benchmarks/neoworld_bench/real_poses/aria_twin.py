@@ -25,7 +25,7 @@ from neoworld_mjx.errors import SpecError
 from neoworld_mjx.io import read_object, read_outside_text
 from neoworld_mjx.io.names import identifier
 
-from .true_views import TrueObject, TrueView
+from .true_views import PosedObject, TrueView
 
 POSES, BOXES, NAMES, SEEN = (
     "scene_objects.csv",
@@ -153,8 +153,8 @@ def _objects(
     instances: Mapping[str, Any],
     time: int,
     visible: set[str] | None,
-) -> tuple[TrueObject, ...]:
-    objects: list[TrueObject] = []
+) -> tuple[PosedObject, ...]:
+    objects: list[PosedObject] = []
     for uid, rows in poses.items():
         instance = instances.get(uid)
         if uid not in boxes or (visible is not None and uid not in visible):
@@ -174,6 +174,6 @@ def _objects(
         corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij"))
         diameter = float(np.linalg.norm(high - low))
         objects.append(
-            TrueObject(name, corners.reshape(3, -1).T, TRIANGLES, pose, diameter, meshed=False)
+            PosedObject(name, corners.reshape(3, -1).T, TRIANGLES, pose, diameter, meshed=False)
         )
     return tuple(objects)

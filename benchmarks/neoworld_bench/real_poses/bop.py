@@ -21,7 +21,7 @@ from neoworld_mjx.export.load_mesh import load_mesh
 from neoworld_mjx.io import read_object
 
 from ..measures.depth_measure import Intrinsics
-from .true_views import TrueObject, TrueView, diameter_of, numbers, read_depth, rigid
+from .true_views import PosedObject, TrueView, diameter_of, numbers, read_depth, rigid
 
 MODELS = {
     "models_eval": 1e-3,
@@ -93,7 +93,7 @@ def _view(
     where = f"{folder / POSES}, image {image}"
     if not isinstance(poses, list):
         raise SpecError(f"{where}: expected is a list of objects")
-    objects: list[TrueObject] = []
+    objects: list[PosedObject] = []
     for index, entry in enumerate(poses):
         here = f"{where}, object {index}"
         number = int(numbers(entry, "obj_id", 1, here)[0])
@@ -107,7 +107,7 @@ def _view(
             known.name.rpartition("_")[0] == stem or known.name == stem for known in objects
         )
         label = stem if not copies else f"{stem}_{copies + 1}"
-        objects.append(TrueObject(label, vertices, faces, pose, diameter))
+        objects.append(PosedObject(label, vertices, faces, pose, diameter))
     size = None if depth is None else (depth.shape[1], depth.shape[0])
     intrinsics = Intrinsics(float(k[0]), float(k[4]), float(k[2]), float(k[5]))
     return TrueView(name, tuple(objects), intrinsics, size, depth)

@@ -20,7 +20,7 @@ from neoworld_mjx.io import read_object
 from neoworld_mjx.io.files import stays_inside
 from neoworld_mjx.io.names import identifier
 
-from .true_views import TrueObject, TrueView, diameter_of, rigid
+from .true_views import PosedObject, TrueView, diameter_of, rigid
 
 SCENES, MODELS, POSES = "scenes", "object_models", "poses.json"
 COPY = re.compile(r"_\d+$")
@@ -45,14 +45,14 @@ def messy_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
         name = f"{file.parent.parent.name}_{file.parent.name}"
         if name in names:
             poses = read_object(file, SpecError)
-            objects: list[TrueObject] = []
+            objects: list[PosedObject] = []
             for key, matrix in poses.items():
                 taken = {item.name for item in objects}
                 objects.append(_object(path / MODELS, file, key, matrix, taken))
             yield TrueView(name, tuple(objects))
 
 
-def _object(models: Path, file: Path, key: str, matrix: object, taken: set[str]) -> TrueObject:
+def _object(models: Path, file: Path, key: str, matrix: object, taken: set[str]) -> PosedObject:
     where = f"{file}, {key[:40]}"
     try:
         pose = np.asarray(matrix, float).reshape(4, 4)
@@ -68,6 +68,6 @@ def _object(models: Path, file: Path, key: str, matrix: object, taken: set[str])
         raise SpecError(f"{where}: there is no {models}/{key[:40]}.ply")
     vertices, faces = load_mesh(mesh)
     turned = rigid(pose[:3, :3], pose[:3, 3], where)
-    return TrueObject(
+    return PosedObject(
         identifier(key, "object", taken), vertices, faces, turned, diameter_of(vertices)
     )

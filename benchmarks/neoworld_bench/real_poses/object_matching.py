@@ -11,7 +11,7 @@ from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import iou_2d
 
 from ..measures.depth_measure import IDENTITY, Intrinsics, Similarity, least_squares_similarity
-from .true_views import TrueObject
+from .true_views import PosedObject
 
 LEAST_OVERLAP = 0.3
 """Least intersection over union of the image boxes of a pair that no name decides."""
@@ -34,7 +34,7 @@ class PosedMesh(NamedTuple):
 
 def matched(
     made: Mapping[str, PosedMesh],
-    true: Sequence[TrueObject],
+    true: Sequence[PosedObject],
     stated: Mapping[str, str],
     *,
     made_camera: Intrinsics | None = None,
@@ -82,7 +82,7 @@ def matched(
     return pairs
 
 
-def scale_of(made: Sequence[PosedMesh], true: Sequence[TrueObject]) -> Similarity:
+def scale_of(made: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
     """Return the scale about the camera that brings pairs of objects to the true distance."""
     ratios = [
         np.linalg.norm(_centroid(item)) / np.linalg.norm(own.centroid)
@@ -91,7 +91,7 @@ def scale_of(made: Sequence[PosedMesh], true: Sequence[TrueObject]) -> Similarit
     return IDENTITY._replace(scale=float(np.median(ratios))) if ratios else IDENTITY
 
 
-def similarity_of(made: Sequence[PosedMesh], true: Sequence[TrueObject]) -> Similarity:
+def similarity_of(made: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
     """Return the least-squares similarity of the centroids of pairs of objects.
 
     Raises:
@@ -119,7 +119,7 @@ def surface_centroid(
     return area @ (a + b + c) / 3 / area.sum()
 
 
-def _centroid(item: TrueObject) -> Float[np.ndarray, " 3"]:
+def _centroid(item: PosedObject) -> Float[np.ndarray, " 3"]:
     return surface_centroid(item.posed, item.faces)
 
 

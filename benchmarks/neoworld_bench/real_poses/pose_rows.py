@@ -28,7 +28,7 @@ from ..rows import Row
 from .made_views import MadeView
 from .object_matching import PosedMesh, matched, scale_of, similarity_of
 from .scene_depth import ScenePoints, in_camera, intrinsics_of, scene_points
-from .true_views import TrueObject, TrueView
+from .true_views import PosedObject, TrueView
 
 AlignBy = Literal["auto", "none", "scale", "depth", "objects"]
 """Alignment of the whole scene: none; a scale about the camera; the similarity of the rendered with
@@ -295,7 +295,7 @@ def _depth_columns(depth: DepthMeasure | None, name: str) -> dict[str, Any]:
 
 
 def _pose_columns(
-    own: PosedMesh | None, true: TrueObject | None, similarity: Similarity, volumes: bool
+    own: PosedMesh | None, true: PosedObject | None, similarity: Similarity, volumes: bool
 ) -> dict[str, Any]:
     import trimesh
 

@@ -77,7 +77,7 @@ def format_of(data: Path) -> DataFormat:
     raise SpecError(
         f"{data} has the files of none of these formats: scene_gt.json (BOP), object_models and "
         "scenes (MessyKitchens), scene_objects.csv (Aria Digital Twin), NAME-depth.png; "
-        "docs/benchmarks/real-poses.md has their layouts"
+        "docs/real-poses.md has their layouts"
     )
 
 
@@ -146,7 +146,7 @@ def score_real_views(
     if missing or not seen:
         raise SpecError(
             f"{data}: no view with a reconstruction is named {', '.join((missing or names)[:8])}; "
-            "folders of reconstructions are named after the views (docs/benchmarks/real-poses.md)"
+            "folders of reconstructions are named after the views (docs/real-poses.md)"
         )
     return view_rows, object_rows
 

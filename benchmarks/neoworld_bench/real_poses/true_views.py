@@ -23,7 +23,7 @@ NOT_ROTATION = 1e-2
 
 
 @dataclass(frozen=True)
-class TrueObject:
+class PosedObject:
     """An object of the ground truth, in the frame of its view."""
 
     name: str
@@ -48,7 +48,7 @@ class TrueView:
     """One photograph, or one scene if the data set gives no camera."""
 
     name: str
-    objects: tuple[TrueObject, ...] = ()
+    objects: tuple[PosedObject, ...] = ()
     """In the camera's frame (OpenCV: x right, y down, z ahead), or the scene's without a camera."""
     camera: Intrinsics | None = None
     size: tuple[int, int] | None = None
