@@ -208,7 +208,7 @@ class SceneSet(NoisyRuns):
     """Folder of results.parquet; rows that it already contains are not run again."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
-    scene.xml or scene.usda (docs/benchmark-scenes.md).
+    scene.xml, scene.usda, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md).
     """
 
 
@@ -226,7 +226,8 @@ class RealPoses:
     """Run folders named after the views, or folders of such folders. A row is written for each of
     their scenes: composed, aligned and refined."""
     submission: Path | None = None
-    """Folder of another method's scenes: VIEW/scene.json, scene.xml or scene.usda."""
+    """Folder of another method's scenes: VIEW/scene.json, scene.xml, scene.usda, scene.glb, or
+    meshes with a poses.json."""
     format: Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"] = "auto"
     """Format of the data; auto recognizes it by its files."""
     view: tuple[str, ...] = ()

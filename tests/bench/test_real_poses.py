@@ -12,13 +12,14 @@ from neoworld_bench.real_poses.depth_folder import depth_views
 from neoworld_bench.real_poses.made_views import MadeView
 from neoworld_bench.real_poses.pose_rows import posed_meshes, real_rows
 from neoworld_bench.real_poses.real_views import score_real_views, stored_real_rows
-from neoworld_bench.real_poses.scene_depth import scene_points
+from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
 from neoworld_bench.tables.real_table import real_table
 from neoworld_bench.tables.result_tables import write_tables
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.export.importing_scene import ImportedScene, import_file
 from neoworld_mjx.spec import Camera, SceneSpec
 from neoworld_mjx.spec.scale import scale
 from tests.support.bop_sample import (
@@ -29,6 +30,7 @@ from tests.support.bop_sample import (
     write_bop,
     write_depth_folder,
 )
+from tests.support.mesh_scenes import write_poses
 
 QUICK = RefineOptions(check_duration_s=0.1)
 NAMES = {"block": "obj_000001", "carton": "obj_000002", "can": "obj_000003"}
@@ -181,28 +183,30 @@ def test_objects_are_matched_in_the_image_and_by_name(sample):
         scored(view, scene, matches={"block": "obj_000001", "can": "obj_000001"})
 
 
-def test_scene_without_a_camera_is_in_the_views_frame(sample):
+def test_meshes_in_the_views_camera_frame_are_scored(sample, tmp_path):
     """The off-center camera of the second image draws it."""
     view = view_of(sample, "000007_000004")
-    base = desk(OTHER)
-    objects = []
-    for item in base.objects:
-        if item.environment:
-            continue
-        pose = camera_pose(base, item.name)
-        # x ahead, y to the left, z up.
-        turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]])
-        from neoworld_mjx.spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
-
-        quat, (x, y, z) = from_matrix(turn @ pose[:3, :3]), turn @ pose[:3, 3]
-        yaw = yaw_of(quat)
-        tilt = quat_mul(conjugate(from_yaw(yaw)), quat)
-        update = {"parent": None, "xy": (x, y), "z": z, "yaw": yaw, "base_tilt": tuple(tilt)}
-        objects.append(item.model_copy(update=update))
-    head, rows = scored(view, SceneSpec(objects=tuple(objects)))
+    scene = desk(OTHER)
+    axes = scene.camera.axes()
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ scene.camera.position()
+    file = write_poses(tmp_path, scene, into=into, names=list(NAMES), frame="camera")
+    read = import_file(file)
+    assert isinstance(read, ImportedScene)
+    head, rows = scored(view, read.spec)
     assert head.matched == 3
     for name in NAMES.values():
-        assert rows[name].add_s < 1e-6 and rows[name].error_mm < 0.1
+        assert rows[name].add_s < 1e-5 and rows[name].error_mm < 0.1
+
+
+def test_intrinsics_of_a_scene_camera_are_opencvs():
+    """OpenCV counts from the center of the first pixel, the scene's camera from its corner."""
+    points = np.array([[1.0, 0.1, 0.2], [0.8, -0.2, 0.0]])
+    pixels, depth = OTHER.project(points)
+    local = in_camera(OTHER, points)
+    assert np.allclose(local[:, 2], depth)
+    assert np.allclose(intrinsics_of(OTHER, 160, 120).project(local), pixels - 0.5)
+    assert np.allclose(intrinsics_of(OTHER, 320, 240).project(local), 2 * pixels - 0.5)
 
 
 @pytest.mark.parametrize(

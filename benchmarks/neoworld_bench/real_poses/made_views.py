@@ -2,7 +2,7 @@
 
 RUNS/NAME/composed.json | compose/scene.json     composed; aligned if compose/align.json is there
 RUNS/NAME/aligned.json, RUNS/NAME/scene.json     aligned, and refined
-SUBMISSION/NAME/scene.json | scene.xml | ...     another method's, as `methods.submission` reads it
+SUBMISSION/NAME/scene.json | scene.glb | ...     another method's, as `methods.submission` reads it
 """
 
 from collections.abc import Iterator, Sequence
@@ -80,8 +80,8 @@ def submitted_view(submission: Path, name: str) -> MadeView | None:
     file = scene_file(folder)
     if file is None:
         raise SpecError(f"submission: {folder} has none of {', '.join(FILES)}")
-    scene = read_scene_file(file)
-    return MadeView(submission_name(submission), SUBMITTED, scene, _matches(folder))
+    read, label = read_scene_file(file), submission_name(submission)
+    return MadeView(label, SUBMITTED, read.spec, _matches(folder), read.notes)
 
 
 def folder_names(roots: Sequence[Path]) -> list[str]:
