@@ -46,7 +46,7 @@ def import_file(path: Path) -> Imported | ImportedScene:
     path = Path(path)
     try:
         if path.suffix.lower() in GLTF or path.name == POSES:
-            return _scene(path, *read_mesh_scene(path))
+            return scene_of_assemblies(path, *read_mesh_scene(path))
         if path.suffix.lower() in SUFFIXES:
             stage = open_usd(path)
             return _imported(path, read_assemblies(path, stage, apart=True), gravity_of(stage))
@@ -68,10 +68,22 @@ def _imported(
 ) -> Imported | ImportedScene:
     if len(assemblies) == 1:
         return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
-    return _scene(path, assemblies, gravity)
+    return scene_of_assemblies(path, assemblies, gravity)
 
 
-def _scene(path: Path, assemblies: list[Assembly], gravity: Vec3 | None) -> ImportedScene:
+def scene_of_assemblies(
+    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
+) -> ImportedScene:
+    """Return the scene of the objects of a file.
+
+    Args:
+        path: the file, for its name and for messages.
+        assemblies: objects at their poses in the world.
+        gravity: gravity [m/s^2]; None is the default.
+
+    Raises:
+        SpecError: there are too many objects, or a number is out of bounds.
+    """
     bodies = [assembly for assembly in assemblies if not assembly.bare]
     if len(bodies) > MAX_OBJECTS:
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
