@@ -18,7 +18,7 @@ from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, read_scene, world_poses
 from neoworld_mjx.spec.pose import matrix
 from tests.support.bop_sample import desk
-from tests.support.disturbed_scenes import disturbed, scene_of_meshes, standing, upright
+from tests.support.disturbed_scenes import TABLE_Z, disturbed, scene_of_meshes, standing, upright
 from tests.support.mesh_scenes import write_glb, write_poses
 
 
@@ -50,6 +50,14 @@ def test_supports_are_what_carries():
         assert world_poses(supported.scene)[name].pos == pytest.approx(pose.pos, abs=5e-4)
 
 
+def test_sunk_objects_are_lifted_onto_their_support():
+    supported = with_supports(scene_of_meshes(disturbed(standing(2), 2)).spec)
+    for item in supported.scene.objects[1:]:
+        assert item.parent == "table"
+        assert points(supported.scene, item.name)[:, 2].min() == pytest.approx(TABLE_Z, abs=1e-3)
+    assert sum("is turned upright by 5.0 deg" in note for note in supported.notes) == 5
+
+
 def test_objects_without_a_support_get_a_floor():
     scene = without(desk(), "table")
     given = scene.model_copy(
@@ -70,7 +78,7 @@ def test_neighbor_that_leans_in_is_no_support():
     objects = {
         "table": (table, upright(np.array([0.8, 0, -0.02]), 0)),
         "low": (low, upright(np.array([0.8, 0.0, 0.015]), 0)),
-        "tall": (tall, upright(np.array([0.8, 0.095, 0.1]), 0)),
+        "tall": (tall, upright(np.array([0.8, 0.088, 0.1]), 0)),
     }
     supported = with_supports(scene_of_meshes(objects).spec)
     assert supported.scene.object("tall").parent == "table"
