@@ -228,6 +228,9 @@ class RealPoses:
     submission: Path | None = None
     """Folder of another method's scenes: VIEW/scene.json, scene.xml, scene.usda, scene.glb, or
     meshes with a poses.json."""
+    poses: Path | None = None
+    """Results file of a pose estimator in BOP's format (scene_id,im_id,obj_id,score,R,t,time): ADD
+    and ADD-S of the data set's own models, with the recall at a tenth of the diameter."""
     format: Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"] = "auto"
     """Format of the data; auto recognizes it by its files."""
     view: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from neoworld_bench.measures.depth_measure import Intrinsics
 from neoworld_bench.real_poses.bop import bop_views
 from neoworld_bench.real_poses.depth_folder import depth_views
 from neoworld_bench.real_poses.made_views import MadeView
+from neoworld_bench.real_poses.pose_estimates import estimate_figures, estimate_rows
 from neoworld_bench.real_poses.pose_rows import posed_meshes, real_rows
 from neoworld_bench.real_poses.real_views import score_real_views, stored_real_rows
 from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
@@ -327,6 +328,72 @@ def test_command_refuses_what_it_cannot_score(tmp_path):
     write_run(runs / "desk", wide, wide)
     with pytest.raises(SpecError, match="expected is the same aspect"):
         score_real_views(data, runs=[runs])
+
+
+def write_estimates(file: Path, scene: SceneSpec, lines=()) -> Path:
+    """Write the true poses of the block and the can in BOP's results format, and other lines."""
+    rows = ["scene_id,im_id,obj_id,score,R,t,time"]
+    for number, name in ((1, "block"), (3, "can")):
+        pose = camera_pose(scene, name)
+        turn = " ".join(map(str, pose[:3, :3].reshape(-1)))
+        shift = " ".join(map(str, 1e3 * pose[:3, 3]))
+        rows.append(f"7,3,{number},0.9,{turn},{shift},0.1")
+    file.write_text("\n".join([*rows, *lines]) + "\n")
+    return file
+
+
+def test_estimates_of_bop_have_add_and_recall(sample, tmp_path, capfd):
+    scene = desk()
+    pose = camera_pose(scene, "carton")
+    turn = " ".join(map(str, pose[:3, :3].reshape(-1)))
+    off = " ".join(map(str, 1e3 * pose[:3, 3] + [30, 0, 0]))
+    wrong = f"7,3,1,0.2,{turn},{off},0.1"  # A second block, which the image does not have.
+    file = write_estimates(tmp_path / "ours.csv", scene, [f"7,3,2,0.5,{turn},{off},0.1", wrong])
+    rows = {row.object: row for row in estimate_rows(sample, file)}
+    assert {row.method for row in rows.values()} == {"poses:ours"}
+    diameter = math.hypot(0.12, 0.07, 0.05)
+    assert rows["obj_000002"].add == pytest.approx(0.03 / diameter, rel=1e-6)
+    assert rows["obj_000002"].position_mm == pytest.approx(30)
+    assert 0 < rows["obj_000002"].adi <= rows["obj_000002"].add
+    assert rows["obj_000001"].add < 1e-6 and rows["obj_000003"].adi < 1e-6
+    figures = estimate_figures(list(rows.values()))
+    assert figures["missed"] == 0 and figures["add_recall_0.1d"] == pytest.approx(2 / 3)
+    missed = list(estimate_rows(sample, write_estimates(tmp_path / "few.csv", scene)))
+    assert estimate_figures(missed)["missed"] == 1
+    assert estimate_figures(missed)["add_s_recall_0.1d"] == pytest.approx(2 / 3)
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["bench", "run", "real-poses", str(sample), "--poses", str(file), "--json"])
+    result = json.loads(capfd.readouterr().out)
+    assert result["pose_figures"]["true_objects"] == 3 and len(result["poses"]) == 3
+
+
+def test_instances_of_a_model_are_paired(tmp_path):
+    folder = write_bop(tmp_path / "desk", [desk()])
+    file = folder / "test" / "000007" / "scene_gt.json"
+    poses = json.loads(file.read_text())
+    other = {**poses["3"][0], "cam_t_m2c": poses["3"][2]["cam_t_m2c"]}
+    file.write_text(json.dumps({"3": [other, poses["3"][0]]}))
+    estimates = write_estimates(tmp_path / "a.csv", desk())
+    estimates.write_text(estimates.read_text().replace("7,3,3,", "7,3,1,"))
+    rows = list(estimate_rows(folder, estimates))
+    assert [row.object for row in rows] == ["obj_000001", "obj_000001_2"]
+    assert rows[0].position_mm < 1e-6 and rows[1].add < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("scene_id,im_id\n", "must name scene_id"),
+        ("scene_id,im_id,obj_id,score,R,t,time\n7,3,1,a,1,2,0\n", "line 2.*no number"),
+        ("scene_id,im_id,obj_id,score,R,t,time\n7,3,1,1,1 2,0 0 0,0\n", "R must be nine"),
+        ("scene_id,im_id,obj_id,score,R,t,time\n7,3,1,1,1 1 1 1 1 1 1 1 1,0 0 0,0\n", "orthon"),
+        ("scene_id,im_id,obj_id,score,R,t,time\n8,3,1,1,1 0 0 0 1 0 0 0 1,0 0 0,0\n", "none of"),
+    ],
+)
+def test_broken_results_give_one_error(sample, tmp_path, text, message):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(SpecError, match=message):
+        list(estimate_rows(sample, tmp_path / "a.csv"))
 
 
 def test_submission_is_scored_by_the_same_code(tmp_path):

@@ -116,7 +116,9 @@ def score_real_views(
         RunError: the row files cannot be read or written.
     """
     if not runs and submission is None:
-        raise ConfigError("real-poses needs --runs DIR, run folders, or --submission DIR")
+        raise ConfigError(
+            "real-poses needs --runs DIR, run folders, --submission DIR or --poses FILE"
+        )
     roots = [*runs, *([] if submission is None else [submission])]
     names = list(views) or folder_names(roots)
     files = (
