@@ -83,12 +83,19 @@ def write_bop(folder: Path, scenes, *, cameras=None, models="models", unit_mm=1.
     return folder
 
 
+def camera_of(scene: SceneSpec) -> Camera:
+    """Return the camera of a scene that has one."""
+    assert scene.camera is not None
+    return scene.camera
+
+
 def camera_pose(scene: SceneSpec, name: str) -> np.ndarray:
     """Return the pose [4, 4] m of an object in the frame of the scene's camera (OpenCV)."""
-    pose, axes = world_poses(scene)[name], scene.camera.axes()
+    camera = camera_of(scene)
+    pose, axes = world_poses(scene)[name], camera.axes()
     result = np.eye(4)
     result[:3, :3] = axes.T @ matrix(pose.quat)
-    result[:3, 3] = axes.T @ (pose.pos - scene.camera.position())
+    result[:3, 3] = axes.T @ (pose.pos - camera.position())
     return result
 
 
@@ -117,8 +124,8 @@ def write_ply(file: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
 
 def write_depth_folder(folder: Path, scene: SceneSpec, name: str = "desk") -> Intrinsics:
     """Write the depth image of a scene and the camera's intrinsics; return these."""
-    camera = intrinsics_of(scene.camera, *SIZE)
-    drawn = scene_points(scene, scene.camera, camera, SIZE)
+    camera = intrinsics_of(camera_of(scene), *SIZE)
+    drawn = scene_points(scene, camera_of(scene), camera, SIZE)
     folder.mkdir(parents=True, exist_ok=True)
     write_depth(folder / f"{name}-depth.png", drawn.points[..., 2])
     stated = {**camera._asdict(), "depth_scale": TENTH_MM}

@@ -40,7 +40,7 @@ def write_glb(file: Path, scene: SceneSpec, scale: float = 1.0) -> Path:
         node[:3, :3] *= scale
         made.add_geometry(mesh, node_name=name, geom_name=name, transform=node)
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(made.export(file_type="glb"))
+    made.export(file, file_type="glb")
     return file
 
 
