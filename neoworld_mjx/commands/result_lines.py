@@ -41,6 +41,20 @@ def run_lines(result: CommandResult) -> list[str]:
     return rows
 
 
+def rescue_lines(result: CommandResult) -> list[str]:
+    """Summarize the rescue of another method's scene."""
+    moves = result["moves_m"]
+    furthest = max(moves, key=moves.__getitem__)
+    return [
+        f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
+        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); as given, the deepest "
+        f"overlap was {1000 * result['depth_before_m']:.2g} mm",
+        f"scene:  {result['rescued']}",
+        *result["notes"],
+        f"{result['seconds']:.1f} s; {DETAILS}",
+    ]
+
+
 def scene_check_lines(result: CommandResult) -> list[str]:
     """Summarize the check of a scene."""
     passed, checks = result["passed"], result["checks"]

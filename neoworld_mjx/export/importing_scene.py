@@ -1,4 +1,4 @@
-"""Import URDF, MJCF and USD files as an ObjectSpec or a SceneSpec."""
+"""Import URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +16,11 @@ from .checked_usd import SUFFIXES, open_usd
 from .checked_xml import read_xml
 from .importing import Imported, import_urdf, to_object
 from .mechanism import Assembly, transformed
+from .read_mesh_scene import GLTF, POSES, read_mesh_scene
 from .read_mjcf import read_mjcf_scene
 from .read_usd import gravity_of, read_assemblies
 
-FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES)
+FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES, *GLTF)
 """Suffixes of the files that can be imported."""
 MAX_OBJECTS = 500
 
@@ -36,12 +37,16 @@ class ImportedScene:
 def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF, MJCF or USD file as an object if it has only one, else as a scene.
 
+    A glTF file and a poses.json (see `read_mesh_scene`) are always scenes.
+
     Raises:
         SpecError: the file has another format, is broken or hostile, names a file that is missing
             or lies outside its folder, or exceeds the limits on size.
     """
     path = Path(path)
     try:
+        if path.suffix.lower() in GLTF or path.name == POSES:
+            return scene_of_assemblies(path, *read_mesh_scene(path))
         if path.suffix.lower() in SUFFIXES:
             stage = open_usd(path)
             return _imported(path, read_assemblies(path, stage, apart=True), gravity_of(stage))
@@ -61,9 +66,25 @@ def import_file(path: Path) -> Imported | ImportedScene:
 def _imported(
     path: Path, assemblies: list[Assembly], gravity: Vec3 | None
 ) -> Imported | ImportedScene:
-    bodies = [assembly for assembly in assemblies if not assembly.bare]
     if len(assemblies) == 1:
         return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
+    return scene_of_assemblies(path, assemblies, gravity)
+
+
+def scene_of_assemblies(
+    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
+) -> ImportedScene:
+    """Return the scene of the objects of a file.
+
+    Args:
+        path: the file, for its name and for messages.
+        assemblies: objects at their poses in the world.
+        gravity: gravity [m/s^2]; None is the default.
+
+    Raises:
+        SpecError: there are too many objects, or a number is out of bounds.
+    """
+    bodies = [assembly for assembly in assemblies if not assembly.bare]
     if len(bodies) > MAX_OBJECTS:
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []

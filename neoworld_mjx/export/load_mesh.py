@@ -33,13 +33,13 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise SpecError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
-    data = _data(path)
-    _check_claims(path, kind, data)
+    data = mesh_bytes(path)
+    check_claims(path, kind, data)
     try:
         loaded = trimesh.load(
             io.BytesIO(data),
             file_type=kind[1:],
-            resolver=_buffers(path),
+            resolver=folder_buffers(path),
             force="mesh",
             process=False,
             skip_materials=True,
@@ -69,14 +69,15 @@ def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray
     return vertices, np.column_stack([a, b, c])[distinct]
 
 
-def _data(path: Path) -> bytes:
+def mesh_bytes(path: Path) -> bytes:
+    """Return the contents of a mesh file within bounds; errors as for `load_mesh`."""
     try:
         return read_bytes(path, file_bounds().max_mesh_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
 
 
-def _check_claims(path: Path, kind: str, data: bytes) -> None:
+def check_claims(path: Path, kind: str, data: bytes) -> None:
     """Refuse a file whose header claims more data than it has, or that instances itself."""
     if kind == ".dae":
         if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
@@ -108,7 +109,7 @@ def _check_accessors(path: Path, data: bytes) -> None:
         raise SpecError(f"{path} declares more vertices than it has bytes")
 
 
-def _buffers(path: Path) -> Any:
+def folder_buffers(path: Path) -> Any:
     """Return a resolver that gives a glTF file access only to .bin files in its folder."""
     from trimesh.resolvers import Resolver
 
@@ -119,7 +120,7 @@ def _buffers(path: Path) -> Any:
         def get(self, key: str) -> bytes:
             if not str(key).endswith(".bin"):
                 raise FileNotFoundError(key)
-            return _data(inside(path, str(key)))
+            return mesh_bytes(inside(path, str(key)))
 
         def keys(self) -> list[str]:
             return []

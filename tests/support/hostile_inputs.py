@@ -277,12 +277,22 @@ def _usd(draw: random.Random, home: Path) -> None:
     import_file(path)
 
 
+POSES = """{"frame": "camera", "up": [0, -1, 0], "objects": {"box": {"file": "a.obj",
+ "fixed": false, "pose": [[1, 0, 0, 0.1], [0, 1, 0, -2.5], [0, 0, 1, 0.3], [0, 0, 0, 1]]}}}"""
+
+
 def _mesh(draw: random.Random, home: Path) -> None:
     import trimesh
 
+    from neoworld_mjx.export.importing_scene import import_file
     from neoworld_mjx.export.load_mesh import load_mesh
 
-    suffix = draw.choice(["obj", "stl", "ply", "off", "glb", "dae"])
+    suffix = draw.choice(["obj", "stl", "ply", "off", "glb", "dae", "poses"])
+    if suffix == "poses":
+        trimesh.creation.box().export(home / "a.obj")
+        (home / "poses.json").write_bytes(mutated_text(draw, POSES).encode("utf-8", "replace"))
+        import_file(home / "poses.json")
+        return
     path = home / f"a.{suffix}"
     trimesh.creation.box().export(path)
     data = path.read_bytes()
@@ -291,6 +301,8 @@ def _mesh(draw: random.Random, home: Path) -> None:
     else:
         path.write_bytes(mutated_bytes(draw, data))
     load_mesh(path)
+    if suffix == "glb":
+        import_file(path)
 
 
 def _picture(draw: random.Random, home: Path) -> None:
