@@ -2,7 +2,8 @@
 
 import re
 import unicodedata
-from collections.abc import Container
+from collections import Counter
+from collections.abc import Container, Iterable
 
 MAX_NAME = 48
 NAME_RULE = f"letters, digits and underscores, a letter first, at most {MAX_NAME}"
@@ -33,6 +34,11 @@ def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
         ending = f"_{count}"
         name, count = plain[: MAX_NAME - len(ending)] + ending, count + 1
     return name
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that occur more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def file_name(text: str, length: int = 60) -> str:

@@ -1,8 +1,8 @@
 """Limits of the HTTP exchange with a model server: one origin, bounded bodies.
 
 The SDKs follow redirects, send headers with keys to every address that a server names, and read
-bodies of any size. `http_limits` returns hooks for their HTTP clients that prevent this, with or without
-a proxy.
+bodies of any size. `http_limits` returns hooks for their HTTP clients that prevent this, with or
+without a proxy.
 """
 
 import asyncio

@@ -13,9 +13,8 @@ import pytest
 from neoworld_mjx.config import MLLMOptions, RoleOptions
 from neoworld_mjx.io.files import MIB
 from neoworld_mjx.mllm.http_limits import MAX_ERROR_BYTES
+from tests.mllm.test_servers import batch_of, both, failure_of
 from tests.support.model_server import ModelServer, http, says, sends, stream_of
-
-from tests.mllm.test_servers import KEY, batch_of, both, connect, failure_of  # noqa: F401
 
 GROWTH_MB = 150
 """Growth of memory that a response may cause in these tests."""
@@ -102,7 +101,7 @@ class TestRedirects:
         assert [path.startswith("http://model.invalid/") for path in proxy.paths] == [True]
 
 
-def test_the_results_of_a_batch_are_fetched_from_the_same_origin(connect, make):  # noqa: F811
+def test_the_results_of_a_batch_are_fetched_from_the_same_origin(connect, make):
     with ModelServer("anthropic", sends("{}")) as other:
 
         def ended(server, connection, body):
@@ -217,7 +216,7 @@ def test_the_deadline_is_at_most_ten_minutes():
     "body",
     ['{"choices": null}', '{"choices": [{"delta": null}]}', '{"choices": [null]}', "[]", "3"],
 )
-def test_a_stream_of_another_shape(connect, make, body):  # noqa: F811
+def test_a_stream_of_another_shape(connect, make, body):
     _, panel = connect("openai", sends(f"data: {body}\n\n", kind="text/event-stream"), retries=0)
     message = failure_of(panel, make.request())
     assert "does not respond as this provider's API does" in message, message
@@ -225,7 +224,7 @@ def test_a_stream_of_another_shape(connect, make, body):  # noqa: F811
 
 
 @both
-def test_an_answer_of_another_kind(connect, make, dialect):  # noqa: F811
+def test_an_answer_of_another_kind(connect, make, dialect):
     for value in ({"hello": 1}, [], "text"):
         _, panel = connect(dialect, sends(value), retries=0)
         message = failure_of(panel, make.request())
