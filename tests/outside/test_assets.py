@@ -24,7 +24,6 @@ def test_a_small_asset_that_asks_for_much(tmp_path, name):
     after = resource.getrusage(resource.RUSAGE_SELF)
     assert path.name.split(".")[0] in str(caught.value)
     assert len(str(caught.value)) < 600
-    assert after.ru_utime - before.ru_utime < 10
     assert (after.ru_maxrss - before.ru_maxrss) / 1000 < 500
 
 

