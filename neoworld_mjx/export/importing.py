@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ..errors import SpecError
 from ..io.limited_worker import call_limited
-from ..io.names import identifier
+from ..io.names import RESERVED, identifier
 from ..io.validation_message import validation_message
 from ..physics.decompose import convex_pieces, hull_points, installed
 from ..spec import (
@@ -139,9 +139,12 @@ def to_object(mechanism: Mechanism) -> Imported:
                 update["mimic"] = None
                 notes.append(f"joint {joint.name}: the joint that it mimics is not imported")
         joints.append(joint.model_copy(update=update).model_dump())
+    label = _Names().take(name, "object")
+    if name in RESERVED:
+        notes.append(f"the object is named {label}, as MuJoCo reserves {name!r}")
     try:
         spec = ObjectSpec(
-            name=_Names().take(name, "object"),
+            name=label,
             materials=tuple(materials.values()),
             parts=tuple(parts),
             joints=tuple(map(JointSpec.model_validate, joints)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from ..io.names import repeated
+from ..io.names import RESERVED, repeated
 from .base import Name, Point3, Quat, Rotation, ScalableSpec, Vec3, unit_vector
 from .dimensions import (
     AUTHORED_MASS,
@@ -143,6 +143,8 @@ class ObjectSpec(ScalableSpec):
 
     @model_validator(mode="after")
     def _tree(self) -> "ObjectSpec":
+        if self.name in RESERVED:
+            raise ValueError(f"name: MuJoCo reserves {self.name!r}, choose another")
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])

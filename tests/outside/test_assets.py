@@ -154,3 +154,14 @@ def test_a_meshdir_within_the_folder(home):
     path = home / "a.xml"
     path.write_text('<mujoco><compiler meshdir="sub"/><include file="mesh.xml"/></mujoco>')
     assert len(import_file(path).spec.parts) == 1
+
+
+def test_an_imported_object_named_world_is_renamed(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text(
+        '<robot name="world"><link name="world"><collision><geometry><sphere radius="1"/>'
+        "</geometry></collision></link></robot>"
+    )
+    imported = import_file(path)
+    assert imported.spec.name == "world_1"
+    assert "the object is named world_1, as MuJoCo reserves 'world'" in imported.notes
