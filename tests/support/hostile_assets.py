@@ -1,12 +1,16 @@
 """Assets of few bytes that ask for gigabytes or hours."""
 
 import json
+import random
 import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+TEXTURE = '<texture name="t" type="2d" file="p.png"/><material name="m" texture="t"/>'
+SHOWN = '<geom size=".1" material="m"/>'
+SPHERE = '<geometry><sphere radius="1"/></geometry>'
 BALL = '<geom size=".1"/>'
 LINK = '<robot name="r"><link name="a"><visual>{}</visual></link></robot>'
 Writer = Callable[[Path], str]
@@ -78,15 +82,15 @@ def png(width: int, height: int, *, depth: int = 8, grey: bool = False) -> bytes
     )
 
 
-def _pictured(before: str, body: str) -> Writer:
+def _pictured(width: int, height: int, before: str = TEXTURE, body: str = SHOWN) -> Writer:
     def write(folder: Path) -> str:
-        (folder / "p.png").write_bytes(png(15_000, 15_000))
+        (folder / "p.png").write_bytes(png(width, height))
         return _text("pictured.xml", mjcf(body, f"<asset>{before}</asset>"))(folder)
 
     return write
 
 
-def _crate(folder: Path) -> str:
+def _crate(folder: Path, declare: int = 150_000_000) -> str:
     from pxr import Sdf
 
     count = 5003
@@ -100,7 +104,7 @@ def _crate(folder: Path) -> str:
     layer.Export(str(path))
     data, declared = path.read_bytes(), struct.pack("<Q", count)
     assert declared in data
-    path.write_bytes(data.replace(declared, struct.pack("<Q", 150_000_000)))
+    path.write_bytes(data.replace(declared, struct.pack("<Q", declare)))
     return path.name
 
 
@@ -112,6 +116,11 @@ def _polygon(corners: int) -> bytes:
 def _groups(count: int) -> bytes:
     faces = "".join(f"g g{k}\nusemtl m{k}\nf 1 2 {3 + k % 2}\n" for k in range(count))
     return f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{faces}".encode()
+
+
+def _bodies(count: int) -> str:
+    cube = 'def Cube "c{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])\n{{\n}}'
+    return "#usda 1.0\n" + "\n".join(cube.format(k) for k in range(count))
 
 
 def _tendon(sites: int) -> str:
@@ -127,26 +136,50 @@ ASSETS: dict[str, Writer] = {
     "polygon of many corners": _mesh("polygon.obj", lambda: _polygon(2_000_000)),
     "many groups": _mesh("groups.obj", lambda: _groups(60_000)),
     "origins": _text("origins.urdf", LINK.format('<origin xyz="0 0 0"/>' * 190_000)),
-    "spheres": _text(
-        "spheres.urdf",
-        LINK.format('<geometry><sphere radius="1"/></geometry></visual><visual>' * 60_000),
-    ),
+    "spheres": _text("spheres.urdf", LINK.format(f"{SPHERE}</visual><visual>" * 60_000 + SPHERE)),
     "tendon": _text("tendon.xml", _tendon(50_000)),
-    "texture": _pictured(
-        '<texture name="t" type="2d" file="p.png"/><material name="m" texture="t"/>',
-        '<geom size=".1" material="m"/>',
-    ),
+    "texture": _pictured(15_000, 15_000),
     "height field": _pictured(
-        '<hfield name="h" file="p.png" size="1 1 1 1"/>', '<geom type="hfield" hfield="h"/>'
+        *(15_000, 15_000),
+        '<hfield name="h" file="p.png" size="1 1 1 1"/>',
+        '<geom type="hfield" hfield="h"/>',
     ),
-    "rigid bodies": _text(
-        "bodies.usda",
-        "#usda 1.0\n"
-        + "\n".join(
-            f'def Cube "c{k}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])\n{{\n}}'
-            for k in range(20_000)
-        ),
-    ),
+    "rigid bodies": _text("bodies.usda", _bodies(20_000)),
     "declared indices": _crate,
 }
 """Every known asset that exceeded ten seconds or 500 MB."""
+
+
+def grown(draw: random.Random, home: Path) -> None:
+    """Read an asset of a kind that grows, with a size from one to far too much."""
+    from neoworld_mjx.export.importing_scene import import_file
+
+    def size(low: float, high: float) -> int:
+        return round(10 ** draw.uniform(low, high))
+
+    kinds: list[Callable[[], Writer]] = [
+        lambda: _mesh("a.glb", lambda: _gltf(size(0, 4), 1, 3 * size(0, 4.5))),
+        lambda: _mesh("a.glb", lambda: _gltf(1, size(0, 4), 3 * size(0, 4.5))),
+        lambda: _mesh("a.obj", lambda: _polygon(3 + size(0, 6))),
+        lambda: _mesh("a.obj", lambda: _groups(size(0, 4.5))),
+        lambda: _text("a.urdf", LINK.format('<origin xyz="0 0 0"/>' * size(0, 5) + SPHERE)),
+        lambda: _text("a.urdf", LINK.format(f"{SPHERE}</visual><visual>" * size(0, 4) + SPHERE)),
+        lambda: _text("a.xml", _tendon(size(0, 4))),
+        lambda: _text("a.xml", _star(size(0, 3.2), BALL)),
+        lambda: _text("a.xml", _grid(*(size(0, 2.4) for _ in range(3)))),
+        lambda: _text("a.usda", _bodies(size(0, 4))),
+        lambda: lambda folder: _crate(folder, draw.choice([1 << k for k in range(10, 63)])),
+        lambda: _pictured(size(1, 4), size(1, 4)),
+    ]
+    import_file(home / draw.choice(kinds)()(home))
+
+
+def _star(count: int, shape: str) -> str:
+    joints = "".join(f'<body name="b{k}"><joint name="j{k}"/>{shape}</body>' for k in range(count))
+    return mjcf(shape + joints)
+
+
+def _grid(x: int, y: int, z: int) -> str:
+    return mjcf(
+        f'<flexcomp name="f" type="grid" count="{x} {y} {z}" spacing=".1 .1 .1" dim="3"/>{BALL}'
+    )
