@@ -36,6 +36,8 @@ LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
 """Change, in standard deviations, above which an object needs a number of visible sides."""
 MAX_EVALUATIONS = 60
 """Maximum number of evaluations by the solver."""
+MAX_WORK = 400
+"""Maximum number of evaluations times objects, which limits crowds of more than ten objects."""
 MAX_SOLVES = 3
 """Maximum number of solves, each with the refused objects fixed."""
 MAX_EXACT_OBJECTS = 12
@@ -127,7 +129,7 @@ def _minimize(
         jac=derivative,  # pyright: ignore[reportArgumentType] Its stubs lack functions.
         x_scale="jac",
         tr_solver="exact" if exact else "lsmr",
-        max_nfev=MAX_EVALUATIONS,
+        max_nfev=min(MAX_EVALUATIONS, max(MAX_WORK // len(problem.data.objects), 5)),
         ftol=1e-7,
         xtol=1e-7,
     )
