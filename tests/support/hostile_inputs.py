@@ -438,7 +438,7 @@ class Watcher:
             self._started(event, str(details))
 
     def _started(self, event: str, command: str) -> None:
-        """Note a program that is started, but for the reader of files, the sandbox and an SDK's uname."""
+        """Note a program that is started, but for readers, the sandbox and an SDK's uname."""
         if not re.search(r"limited_worker|monty|uname", command):
             self.seen.append(f"{event} {command}"[:200])
 
