@@ -26,14 +26,13 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import IO, Any, Concatenate, ParamSpec, TypeVar
+from typing import IO, Any, TypeVar
 
 from ..errors import NeoWorldError, SpecError
 from .file_options import file_bounds, set_file_bounds
 from .files import MIB
 from .names import plain_text
 
-P = ParamSpec("P")
 R = TypeVar("R")
 _LINUX = sys.platform == "linux"
 _WALL_FACTOR = 4.0
@@ -50,13 +49,11 @@ _lock = threading.Lock()
 
 
 def call_limited(
-    function: Callable[Concatenate[Path, P], R],
+    function: Callable[..., R],
     path: Path,
-    /,
-    *arguments: P.args,
+    *arguments: Any,
     needs: Sequence[str] = (),
     error: type[NeoWorldError] = SpecError,
-    **options: P.kwargs,
 ) -> R:
     """Call a function that reads a file in a worker, within `files.timeout_s` and `memory_mib`.
 
@@ -66,7 +63,6 @@ def call_limited(
         arguments: further arguments; all must be picklable.
         needs: modules that the server imports before it forks, as the function imports them late.
         error: class of the errors to raise.
-        options: keyword arguments of the function.
 
     Raises:
         NeoWorldError: of the class `error`: the function raised one, or the worker exceeded its
@@ -74,7 +70,7 @@ def call_limited(
         OSError: the server cannot be started.
     """
     bounds = file_bounds()
-    call = (function, (path, *arguments), options, tuple(needs), bounds, Path.cwd())
+    call = (function, (path, *arguments), tuple(needs), bounds, Path.cwd())
     with _lock:
         try:
             kind, payload = _exchange(_server(os.getpid()), pickle.dumps(call))
@@ -160,7 +156,7 @@ def _serve() -> None:
         except EOFError:
             return
         try:
-            function, arguments, options, needs, bounds, folder = pickle.loads(data)
+            function, arguments, needs, bounds, folder = pickle.loads(data)
             for name in needs:
                 importlib.import_module(name)
         except Exception as failure:
@@ -172,7 +168,7 @@ def _serve() -> None:
             if not pid:
                 os.chdir(folder)
                 set_file_bounds(bounds)
-                _work(output, arguments[0], partial(function, *arguments, **options))
+                _work(output, arguments[0], partial(function, *arguments))
             os.close(held)
             # The pipe ends with the worker.
             if not select.select([alive], [], [], bounds.timeout_s * _WALL_FACTOR)[0]:

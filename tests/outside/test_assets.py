@@ -9,6 +9,7 @@ import pytest
 
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.importing_scene import import_file
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.limited_worker import call_limited
@@ -153,7 +154,7 @@ def test_a_meshdir_within_the_folder(home):
     (home / "mesh.xml").write_text(f"<mujoco>{MESH.format('m.obj')}</mujoco>")
     path = home / "a.xml"
     path.write_text('<mujoco><compiler meshdir="sub"/><include file="mesh.xml"/></mujoco>')
-    assert len(import_file(path).spec.parts) == 1
+    assert len(import_mjcf(path).spec.parts) == 1
 
 
 def test_an_imported_object_named_world_is_renamed(tmp_path):

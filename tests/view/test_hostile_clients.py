@@ -34,7 +34,7 @@ def status_of(port: int, path: str, **headers: str) -> int:
 
 
 def test_only_this_machine_reaches_the_server(port):
-    addresses = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None)}
+    addresses = {str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None)}
     for address in addresses - {"127.0.0.1", "::1"}:
         if address.startswith("127."):
             continue
