@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import FileOptions
+from neoworld_mjx.config import Config, FileOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.importing_scene import import_file
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.limited_worker import call_limited
-from tests.support.hostile_assets import ASSETS
+from neoworld_mjx.verify.checking import check_object
+from tests.support.hostile_assets import ASSETS, star
 
 
 @pytest.mark.parametrize("name", ASSETS)
@@ -155,6 +156,14 @@ def test_a_meshdir_within_the_folder(home):
     path = home / "a.xml"
     path.write_text('<mujoco><compiler meshdir="sub"/><include file="mesh.xml"/></mujoco>')
     assert len(import_mjcf(path).spec.parts) == 1
+
+
+def test_a_mechanism_of_many_joints_is_not_checked(tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(star(80, '<geom size=".1"/>'))
+    assert len(import_file(path).spec.joints) == 80
+    with pytest.raises(SpecError, match="80 joints that move; at most 64 are checked"):
+        check_object(path, Config())
 
 
 def test_an_imported_object_named_world_is_renamed(tmp_path):

@@ -165,7 +165,7 @@ def grown(draw: random.Random, home: Path) -> None:
         lambda: _text("a.urdf", LINK.format('<origin xyz="0 0 0"/>' * size(0, 5) + SPHERE)),
         lambda: _text("a.urdf", LINK.format(f"{SPHERE}</visual><visual>" * size(0, 4) + SPHERE)),
         lambda: _text("a.xml", _tendon(size(0, 4))),
-        lambda: _text("a.xml", _star(size(0, 3.2), BALL)),
+        lambda: _text("a.xml", star(size(0, 3.2), BALL)),
         lambda: _text("a.xml", _grid(*(size(0, 2.4) for _ in range(3)))),
         lambda: _text("a.usda", _bodies(size(0, 4))),
         lambda: lambda folder: _crate(folder, draw.choice([1 << k for k in range(10, 63)])),
@@ -174,7 +174,8 @@ def grown(draw: random.Random, home: Path) -> None:
     import_file(home / draw.choice(kinds)()(home))
 
 
-def _star(count: int, shape: str) -> str:
+def star(count: int, shape: str) -> str:
+    """Return an MJCF body with a number of children on hinges."""
     joints = "".join(f'<body name="b{k}"><joint name="j{k}"/>{shape}</body>' for k in range(count))
     return mjcf(shape + joints)
 
