@@ -321,7 +321,7 @@ class RefineOptions(Options):
     rollout: RolloutOptions = RolloutOptions()
     semantic: SemanticOptions = SemanticOptions()
     check_duration_s: float = option(
-        2.0, "Simulated time of the final check.", unit="s", gt=0, le=100
+        2.0, "Simulated time of the final check.", unit="s", ge=0.01, le=100
     )
     check_timestep_s: float = option(
         0.002, "Time step of the final check.", unit="s", ge=1e-4, le=0.1

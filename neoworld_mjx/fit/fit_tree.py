@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
+from scipy.sparse import csr_matrix
 
 from ..measure import SidesShown
 from ..spec import SceneTree, TreeNode
@@ -24,7 +25,7 @@ from .fit_problem import FitProblem, fit_problem
 from .fit_report import BoxChange, FitReport
 from .outline_residuals import outline_residuals
 from .priors import is_slab
-from .tree_checks import agreement, check_tree
+from .tree_checks import agreement, check_objects
 from .wireframe import Wireframe
 
 MAX_RESIDUAL_GROWTH = 1.0
@@ -35,6 +36,8 @@ LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
 """Change, in standard deviations, above which an object needs a number of visible sides."""
 MAX_EVALUATIONS = 60
 """Maximum number of evaluations by the solver."""
+MAX_WORK = 400
+"""Maximum number of evaluations times objects, which limits crowds of more than ten objects."""
 MAX_SOLVES = 3
 """Maximum number of solves, each with the refused objects fixed."""
 MAX_EXACT_OBJECTS = 12
@@ -113,15 +116,20 @@ def _minimize(
         full[free] = part
         return full
 
-    # SciPy's stubs accept only names of schemes for `jac`.
-    derivative: Any = lambda part: problem.jacobian(expanded(part))[:, free]
+    exact = len(problem.data.objects) <= MAX_EXACT_OBJECTS
+
+    def derivative(part: Float[np.ndarray, " f"]) -> Any:
+        jacobian = problem.jacobian(expanded(part))[:, free]
+        # An object's residuals depend on few unknowns.
+        return jacobian if exact else csr_matrix(jacobian)
+
     result = least_squares(
         lambda part: problem.residuals(expanded(part)),
         initial[free],
-        jac=derivative,
+        jac=derivative,  # pyright: ignore[reportArgumentType] Its stubs lack functions.
         x_scale="jac",
-        tr_solver="exact" if len(problem.data.objects) <= MAX_EXACT_OBJECTS else "lsmr",
-        max_nfev=MAX_EVALUATIONS,
+        tr_solver="exact" if exact else "lsmr",
+        max_nfev=min(MAX_EVALUATIONS, max(MAX_WORK // len(problem.data.objects), 5)),
         ftol=1e-7,
         xtol=1e-7,
     )
@@ -169,7 +177,7 @@ def _prior_deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[
 
 def _error_codes(tree: SceneTree) -> dict[str, set[str]]:
     codes: dict[str, set[str]] = {}
-    for issue in check_tree(tree):
+    for issue in check_objects(tree):
         if issue.severity == "error":
             codes.setdefault(issue.node, set()).add(issue.code)
     return codes

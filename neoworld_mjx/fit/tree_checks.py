@@ -68,15 +68,18 @@ class SceneIssue(BaseModel):
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
     """Check a parse; return errors before warnings, each in the order of the nodes."""
-    issues: list[SceneIssue] = []
-    for node in tree.nodes:
-        issues += _projection(tree, node)
-        issues += _size(node)
-        issues += _flags(tree, node)
-        if node.parent is not None:
-            issues += _support(node, tree.node(node.parent))
-    issues += _pairs(tree)
+    issues = [*check_objects(tree), *_pairs(tree)]
     return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
+
+
+def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
+    """Check every node and its support; pairs of objects, which `check_tree` adds, only warn."""
+    for node in tree.nodes:
+        yield from _projection(tree, node)
+        yield from _size(node)
+        yield from _flags(tree, node)
+        if node.parent is not None:
+            yield from _support(node, tree.node(node.parent))
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from ..io.names import MAX_NAME, plain_text
 
 FURTHEST_M, LARGEST_M, THINNEST_M = 1000.0, 1000.0, 1e-4
-MAX_LISTED = 200
+MAX_LISTED, MAX_OBJECTS = 200, 100
 _POSITION, _EDGE = (-FURTHEST_M, FURTHEST_M), (THINNEST_M, LARGEST_M)
 _PIXEL, _ANGLE, _FRACTION = (-1e5, 1e5), (-720.0, 720.0), (-1.0, 1.0)
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -49,8 +49,9 @@ def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
         parts = [value] if isinstance(value, BaseModel) else value
         if not isinstance(parts, list):
             continue
-        if len(parts) > MAX_LISTED:
-            yield f"{prefix}{field} lists {len(parts)} entries, at most {MAX_LISTED} are accepted"
+        most = MAX_OBJECTS if field == "objects" else MAX_LISTED
+        if len(parts) > most:
+            yield f"{prefix}{field} lists {len(parts)} entries, at most {most} are accepted"
             continue
         for part in parts:
             if isinstance(part, BaseModel):

@@ -8,7 +8,7 @@ docstrings and descriptions of the classes are part of the request, as in `objec
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..io.names import MAX_NAME, NAME_RULE, is_name, plain_text
+from ..io.names import MAX_NAME, NAME_RULE, RESERVED, is_name, plain_text
 from ..spec import SceneTree
 from .object_schema import ParsedCamera, ParsedObject
 from .photo import Photo
@@ -87,6 +87,8 @@ def _problems(response: ParsedScene) -> list[str]:
         where = f"object {plain_text(obj.name, MAX_NAME)}"
         if not is_name(obj.name):
             problems.append(f"{where}: a name has {NAME_RULE}")
+        if obj.name in RESERVED:
+            problems.append(f"{where}: MuJoCo reserves this name, choose another")
         if obj.box.left >= obj.box.right or obj.box.top >= obj.box.bottom:
             problems.append(
                 f"{where}: box needs left < right and top < bottom, got {corners(obj.box)}"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from ..io.names import RESERVED, repeated
 from .base import Name, Point3, Quat, Rotation, ScalableSpec, Vec3, unit_vector
 from .dimensions import (
     AUTHORED_MASS,
@@ -142,6 +143,8 @@ class ObjectSpec(ScalableSpec):
 
     @model_validator(mode="after")
     def _tree(self) -> "ObjectSpec":
+        if self.name in RESERVED:
+            raise ValueError(f"name: MuJoCo reserves {self.name!r}, choose another")
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])
@@ -228,7 +231,6 @@ def mass_exponent(part: PartSpec) -> float:
 
 
 def _unique(kind: str, names: list[str]) -> set[str]:
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(sorted(twice))}")
+    if twice := repeated(names):
+        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(twice)}")
     return set(names)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from ..io.names import repeated
 from .base import Length, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .forest import name_on_cycle, parents_first
@@ -143,8 +144,7 @@ class SceneTree(Spec):
     @model_validator(mode="after")
     def _hierarchy(self) -> "SceneTree":
         names = [node.name for node in self.nodes]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := repeated(names):
             raise ValueError(f"node names must be unique, repeated: {', '.join(twice)}")
         parents = {node.name: node.parent for node in self.nodes}
         for node in self.nodes:

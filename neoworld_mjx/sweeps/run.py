@@ -13,6 +13,7 @@ from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..errors import ConfigError
 from ..io.files import content_hash
+from ..io.names import repeated
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
@@ -339,8 +340,6 @@ def _cases(
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
-    names = [case.name for case in cases]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise ConfigError(f"scenes: {', '.join(repeated)} appears twice")
+    if twice := repeated(case.name for case in cases):
+        raise ConfigError(f"scenes: {', '.join(twice)} appears twice")
     return cases
