@@ -173,8 +173,10 @@ def _place(
         frame = support_frame(parent, origin, link)
     box = _parsed_pose(node, tilted=False)
     local_pose = frame.inverse().then(box).then(_origin_in_box(spec, state))
-    level = on_level(node, tree)
-    tilt, shift = _rest(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
+    tilt, shift = node.base_tilt, np.zeros(3)
+    # On another support, what cannot stay upright is settled from its resting pose on level ground.
+    if on_level(node, tree) or (node.relation == "on" and np.allclose(tilt, IDENTITY)):
+        tilt, shift = _rest(node, spec, state, notes)
     local_pose = local_pose.then(pose(shift))
     fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
@@ -211,12 +213,15 @@ def _place(
 def _settle_tilted(
     node: TreeNode, tree: SceneTree, placed: dict[str, SceneObject], notes: list[str]
 ) -> SceneObject:
-    """Return a tilted object settled on its parent by simulation; other objects unchanged.
+    """Return an object settled on its parent by simulation, if it is tilted or cannot stay upright.
 
     On a curved or sloped support the resting pose depends on the parent.
     """
     obj = placed[node.name]
-    settles = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
+    stays = np.allclose(obj.base_tilt, IDENTITY) and (
+        node.relation != "on" or is_stable_upright(obj.spec, obj.joint_state)
+    )
+    settles = not (obj.static or on_level(node, tree) or stays)
     if node.parent is None or not settles or node.relation not in ("on", "in"):
         return obj
     resting = settle(placed[node.parent], obj, _neighbors(obj, placed))

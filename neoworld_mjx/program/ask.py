@@ -145,6 +145,22 @@ def revise_request(
     return _request("revise", subject, stage, prompt)
 
 
+def reprogram_request(
+    subject: Subject, stage: StageInput, program: str, findings: Sequence[str]
+) -> Request[ProgramResponse]:
+    """Return the request to write a program again whose object does not move like the real one."""
+    heading = (
+        "It runs and looks like the photo. Simulated by itself on a level floor, it does not "
+        "behave as the real object would:"
+    )
+    lines = [f"- {finding}" for finding in findings]
+    lines.append(
+        "- object: keep what the photo shows; change shapes, parts and joints only as far as needed"
+    )
+    prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
+    return _request("reprogram", subject, stage, prompt)
+
+
 def instructions(file: str, language: Language = "sdk") -> str:
     """Return the system text of a stage: the guide to the language and the stage's task."""
     prefix = "blender_" if language == "blender" else ""
