@@ -8,6 +8,7 @@ import time
 import pytest
 
 from neoworld_mjx import cli, progress
+from neoworld_mjx.commands.result_lines import run_lines
 from neoworld_mjx.commands.status_line import StatusLine
 from neoworld_mjx.config import Config, ProgramOptions
 from neoworld_mjx.errors import SpecError
@@ -178,7 +179,7 @@ def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
         run.fallback("parse", "a line\nof two", "\x1b[31m")
         raise SpecError("no such thing")
     log = (out / "run.log").read_text()
-    assert "WARNING parse: fell back to a line | of two: \\x1b[31m" in log
+    assert "WARNING parse: a line | of two: \\x1b[31m" in log
     assert log.splitlines()[-1].endswith("ERROR run: failed: no such thing")
     assert not logging.getLogger("neoworld_mjx").handlers or all(
         type(each).__name__ != "RunLog" for each in logging.getLogger("neoworld_mjx").handlers
@@ -188,3 +189,42 @@ def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
     assert "run: failed: no such thing" in (out / "run.log").read_text()
     with RunFolder(out, Config(), "overwrite"):
         pass
+
+
+def test_without_a_terminal_the_status_line_is_printed_when_nothing_else_is():
+    stream = io.StringIO()
+    with StatusLine(stream, live=False, silent_s=0.05) as line:
+        record = logging.LogRecord("neoworld_mjx.progress", 20, "", 0, "started", None, None)
+        record.facts = {"step": "refine", "done": 2, "of": 8, "unit": "iteration"}
+        line.handle(record)
+        deadline = time.monotonic() + 10
+        while stream.getvalue().count("refine 0 s · iteration 2 of 8 · computing\n") < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+    printed = stream.getvalue()
+    time.sleep(0.2)
+    assert stream.getvalue() == printed
+    quiet = io.StringIO()
+    with StatusLine(quiet, live=False, quiet=True, silent_s=0.01) as line:
+        line.handle(record)
+        time.sleep(0.1)
+    assert quiet.getvalue() == ""
+
+
+RESULT = {
+    "passed": False, "folder": "out", "report": "out/report.html", "objects": ["cup"],
+    "seconds": {"parse": 12.0, "refine": 30.0}, "waiting": {"parse": 10.0}, "mllm": {},
+    "fallbacks": [
+        {"step": "refine", "what": "no candidate passed", "why": f"reason {k}"} for k in range(19)
+    ],
+}  # fmt: skip
+
+
+def test_a_run_lists_five_fallbacks_one_on_a_line_and_time_of_waiting_apart():
+    lines = run_lines(RESULT)
+    at = lines.index("19 fallbacks:")
+    assert lines[at + 1] == "  refine: no candidate passed: reason 0"
+    assert lines[at + 6] == "  (+14: report)"
+    assert lines[-1].startswith(
+        "32.0 s of computing (refine 30.0, parse 2.0); 10.0 s of waiting for models"
+    )

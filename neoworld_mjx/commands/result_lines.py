@@ -6,7 +6,7 @@ from typing import Any
 from .base_command import CommandResult
 
 DETAILS = "details: -v, or --json"
-MAX_REASONS = 3
+MAX_REASONS = 5
 _UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
 
 
@@ -34,9 +34,12 @@ def run_lines(result: CommandResult) -> list[str]:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
         rows.append(f"photo:  boxes match with {agreement['refined']:.2f} (mean IoU{low})")
-    if result["fallbacks"]:
-        fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
-        rows.append(f"fallbacks: {_reasons(fallbacks)}")
+    fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
+    if fallbacks:
+        rows.append(f"{count(fallbacks, 'fallback')}:")
+        rows += [f"  {line}" for line in fallbacks[:MAX_REASONS]]
+        if len(fallbacks) > MAX_REASONS:
+            rows.append(f"  (+{len(fallbacks) - MAX_REASONS}: report)")
     rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
 
@@ -192,12 +195,15 @@ def _worst(result: CommandResult) -> str:
 
 
 def _time(result: CommandResult) -> str:
-    seconds = result["seconds"]
-    longest = sorted(seconds.items(), key=lambda item: -item[1])[:2]
-    waited = sum(result["waiting"].values())
+    waiting = result["waiting"]
+    computing = {
+        name: max(value - waiting.get(name, 0.0), 0.0) for name, value in result["seconds"].items()
+    }
+    longest = sorted(computing.items(), key=lambda item: -item[1])[:2]
+    waited = sum(waiting.values())
     parts = ", ".join(f"{name} {value:.1f}" for name, value in longest)
-    waiting = f"; waited {waited:.1f} s for models" if waited >= 0.5 else ""
-    return f"{sum(seconds.values()):.1f} s ({parts}){waiting}"
+    waits = f"; {waited:.1f} s of waiting for models" if waited >= 0.5 else ""
+    return f"{sum(computing.values()):.1f} s of computing ({parts}){waits}"
 
 
 def _cost(ledger: Mapping[str, Any]) -> str:

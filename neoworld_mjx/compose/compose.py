@@ -49,7 +49,9 @@ class Composed:
     scales: dict[str, float]
     """Isotropic scale factor of each object."""
     notes: tuple[str, ...]
-    """Descriptions of the differences and fallbacks."""
+    """Descriptions of the differences, each after the name of its object."""
+    shortfalls: tuple[str, ...] = ()
+    """Those of `notes` in which composition could not follow the parse."""
 
 
 def compose(
@@ -74,25 +76,25 @@ def compose(
     if missing:
         raise SpecError(f"no object for node {', '.join(missing)}; there are {sorted(objects)}")
     options = options or ComposeOptions()
-    notes: list[str] = []
+    notes, shortfalls = list[str](), list[str]()
     placed: dict[str, SceneObject] = {}
     scales: dict[str, float] = {}
     for node in tree.top_down():
         fit = fit_to_box(objects[node.name], node)
-        notes += _unmatched_notes(node, fit)
+        shortfalls += _unmatched_notes(node, fit)
         spec, state = fit.scaled()
         scales[node.name] = fit.factor
         # Deviation of each edge from the parsed one after isotropic scaling.
         residual = tuple((fit.factor / fit.ratio - 1.0).tolist())
-        placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
+        placed[node.name] = _place(node, tree, placed, spec, state, residual, notes, shortfalls)
         if options.settle:
-            placed[node.name] = _settle_tilted(node, tree, placed, notes)
+            placed[node.name] = _settle_tilted(node, tree, placed, notes, shortfalls)
             placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
             placed[node.name] = _with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene, moved = in_contact(scene, options)
-    return Composed(scene, scales, (*notes, *moved))
+    return Composed(scene, scales, (*shortfalls, *notes, *moved), tuple(shortfalls))
 
 
 def in_contact(
@@ -156,6 +158,7 @@ def _place(
     state: dict[str, float],
     residual: tuple[float, float, float],
     notes: list[str],
+    shortfalls: list[str],
 ) -> SceneObject:
     frame, link = pose(), node.parent_link
     if node.parent is not None:
@@ -163,7 +166,7 @@ def _place(
         if link is not None and link not in [part.name for part in parent.spec.parts]:
             joint = matching_joint(parent.spec, link, "prismatic")
             substitute = None if joint is None else joint.child
-            notes.append(
+            shortfalls.append(
                 f"{node.name}: {node.parent} has no part {link!r}; composition placed it on "
                 f"{'the whole object' if substitute is None else substitute}"
             )
@@ -176,11 +179,11 @@ def _place(
     tilt, shift = node.base_tilt, np.zeros(3)
     # On another support, what cannot stay upright is settled from its resting pose on level ground.
     if on_level(node, tree) or (node.relation == "on" and np.allclose(tilt, IDENTITY)):
-        tilt, shift = _rest(node, spec, state, notes)
+        tilt, shift = _rest(node, spec, state, notes, shortfalls)
     local_pose = local_pose.then(pose(shift))
     fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: {node.parent} is free to move, so composition did not fix it there"
         )
         fixed = False
@@ -211,7 +214,11 @@ def _place(
 
 
 def _settle_tilted(
-    node: TreeNode, tree: SceneTree, placed: dict[str, SceneObject], notes: list[str]
+    node: TreeNode,
+    tree: SceneTree,
+    placed: dict[str, SceneObject],
+    notes: list[str],
+    shortfalls: list[str],
 ) -> SceneObject:
     """Return an object settled on its parent by simulation, if it is tilted or cannot stay upright.
 
@@ -226,7 +233,7 @@ def _settle_tilted(
         return obj
     resting = settle(placed[node.parent], obj, _neighbors(obj, placed))
     if resting is None:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
             f"{node.parent}"
         )
@@ -281,7 +288,11 @@ def _with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
 
 
 def _rest(
-    node: TreeNode, spec: ObjectSpec, state: dict[str, float], notes: list[str]
+    node: TreeNode,
+    spec: ObjectSpec,
+    state: dict[str, float],
+    notes: list[str],
+    shortfalls: list[str],
 ) -> tuple[Quat, NDArray]:
     """Return the tilt of an object's resting pose on level ground, and the shift of its origin [m].
 
@@ -293,7 +304,7 @@ def _rest(
         return parsed, np.zeros(3)
     tilt = resting_tilt(spec, state, parsed)
     if tilt is None:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: composition kept the parsed tilt, near which it has no resting pose"
         )
         return parsed, np.zeros(3)

@@ -89,12 +89,13 @@ def program_objects(context: StepContext) -> None:
             for skipped, reason in result.fallbacks:
                 run.fallback(name, skipped, reason)
             if colour is not None and colour.source in ("answer", "material"):
-                reason = f"it is unoccluded in only {colour.share:.1%} of the picture"
-                run.fallback(name, f"{node.name} in the colour of its {colour.source}", reason)
+                source = "response" if colour.source == "answer" else colour.source
+                reason = f"only {colour.share:.1%} of the picture shows it"
+                run.note(name, f"{node.name} has the colour of its {source}", reason)
             if result.size is not None:
                 sizes = (" x ".join(f"{v:.3f}" for v in s) for s in (node.box3d.size, result.size))
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
-                run.fallback(name, f"{node.name} with a corrected size", reason)
+                run.note(name, f"{node.name} has a corrected size", reason)
         last_finished = run.now()
 
     run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))

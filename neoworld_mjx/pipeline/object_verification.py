@@ -70,7 +70,7 @@ class ObjectVerification:
             object_folder = out / "objects" / node.name
             object_folder.mkdir(parents=True)
             (object_folder / "verify.json").write_text(result.to_json(), encoding="utf-8")
-            program = object_folder / "program.py"
+            program, rounds = object_folder / "program.py", self._folder / "program.json"
             if result.program is not None and result.program_json is not None:
                 program = object_folder / REPROGRAMMED
                 program.write_text(result.program, encoding="utf-8")
@@ -85,9 +85,7 @@ class ObjectVerification:
             if options.films == "always" or (
                 options.films == "questionable" and verdict.questionable
             ):
-                allowed = read_allowances(
-                    self._folder / "program.json" if result.program is None else rounds
-                )
+                allowed = read_allowances(rounds)
                 tests = run_object_tests(
                     result.applied(self._object),
                     options,

@@ -86,7 +86,7 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
         (ArticulationCritique, "dc034d1408b08466"),
         (ExportCritique, "6df1d791495d7c56"),
         (MotionCritique, "4149a114de3ac0e8"),
-        (ProposedEdit, "eb933e1791fca8f6"),
+        (ProposedEdit, "732cc387a9bac9c2"),
     ],
 )
 def test_schemas_of_responses_are_fixed(make, schema, digest_start):
