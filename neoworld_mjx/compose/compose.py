@@ -26,6 +26,7 @@ from ..spec import (
 from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from .beside import put_back
 from .inside import covers, entrance
 from .joint_friction import hold_joints
 from .leaning import lean
@@ -100,16 +101,21 @@ def compose(
 def in_contact(
     scene: SceneSpec, options: ComposeOptions | None = None
 ) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Snap objects onto their supports, clear of walls, and up to what they lean on.
+    """Put objects onto their supports, clear of walls, and up to what they lean on.
 
     Returns:
         The scene, and a note for each object that moved sideways.
     """
     options = options or ComposeOptions()
-    scene = snap(scene, options.gap_m)
     if not options.settle:
-        return scene, ()
-    notes = []
+        return snap(scene, options.gap_m), ()
+    scene, returned = put_back(scene)
+    scene = snap(scene, options.gap_m)
+    notes = [
+        f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
+        f"{scene.object(item).parent}"
+        for item, distance in returned.items()
+    ]
     scene, cleared = clear_walls(scene)
     scene = snap(scene, options.gap_m) if cleared else scene
     for item, distance in cleared.items():
