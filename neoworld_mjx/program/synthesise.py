@@ -250,7 +250,9 @@ class _Synthesis:
         for box in filter(None, map(corrected_box, critiques)):
             self._resize(box, "the critic")
         rejecting = [critique for critique in critiques if not accepts(critique)]
-        request = revise_request(self.subject, self._stage_input, last.text, rejecting)
+        request = revise_request(
+            self.subject, self._stage_input, last.text, rejecting, self._made(last)
+        )
         response = await self.ask("revise", request)
         return None if response is None else await self.debugged("revise", response, last)
 
@@ -299,17 +301,22 @@ class _Synthesis:
         """Return the verdicts of the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
+    def _made(self, attempt: ProgramAttempt) -> Picture | None:
+        """Return the picture of an attempt's object, from the photo's view where it is known."""
+        spec, (node, _, _, camera, window) = attempt.built.spec, self.subject
+        if spec is None:
+            return None
+        if camera is None or window is None:
+            return draw(spec, node, camera)
+        return draw_in_place(spec, node, camera, window)
+
     def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
         """Return the request to each enabled critic that has something to judge."""
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
-        window = self.subject.window
-        picture: Picture = (
-            draw(spec, node, camera)
-            if camera is None or window is None
-            else draw_in_place(spec, node, camera, window)
-        )
+        picture = self._made(attempt)
+        assert picture is not None
         moves = any(joint.type != "fixed" for joint in spec.joints)
         opened = [draw(spec, node, camera, opened=True)] if moves else []
         requests: dict[str, Request[Critique]] = {}

@@ -11,7 +11,7 @@ from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
+from neoworld_mjx.parse.prompts import SceneCritique, correction_request, listing, parse_request
 from neoworld_mjx.parse.response_to_tree import tilt_quat
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Camera, Cues
@@ -190,7 +190,7 @@ def test_the_instructions_name_every_field_that_is_not_self_evident():
 def test_a_repair_request_repeats_the_response_and_the_findings():
     seen = ParsedScene.model_validate(answers.desk())
     first = parse_request(answers.photo())
-    mend = parse_request(answers.photo(), seen, ["can: it floats"])
+    mend = correction_request(answers.photo(), seen, ["can: it floats"])
     assert mend.parts["system"] == first.parts["system"]
     assert mend.parts["pictures"] == first.parts["pictures"]
     assert "- can: it floats" in mend.prompt
