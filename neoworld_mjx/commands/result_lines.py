@@ -18,9 +18,9 @@ def run_lines(result: CommandResult) -> list[str]:
     elif passed:
         head = (
             f"valid: {count(result['movable'], 'movable object')} within "
-            f"{1000 * result['max_drift_m']:.1f} mm and {result['max_tilt_deg']:.1f} degrees in "
-            f"{result['duration_s']:g} s of free fall, deepest overlap "
-            f"{1000 * result['max_depth_m']:.2g} mm"
+            f"{_at_most(1000 * result['max_drift_m'], 'mm')} and "
+            f"{_at_most(result['max_tilt_deg'], 'degrees')} in {result['duration_s']:g} s of free "
+            f"fall, deepest overlap {1000 * result['max_depth_m']:.2g} mm"
         )
     else:
         why = [entry["why"] for entry in result["fallbacks"] if entry["step"] == "refine"]
@@ -167,6 +167,11 @@ def file_lines(result: CommandResult) -> list[str]:
         f"{key}: {' x '.join(map(str, value)) if isinstance(value, list) else value}"
         for key, value in result.items()
     ]
+
+
+def _at_most(value: float, unit: str) -> str:
+    """Format an upper bound of a measured value, to a tenth of the unit."""
+    return f"{max(value, 0.1):.1f} {unit}"
 
 
 def _value_and_threshold(check: Mapping[str, Any]) -> str:

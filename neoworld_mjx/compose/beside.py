@@ -1,7 +1,8 @@
 """Return of objects that a fit leaves beside their support onto it.
 
 A fit moves an object along the line of sight, and may move it past the edge of a table, from which
-it would fall to the floor or, without one, forever.
+it would fall to the floor or, without one, forever. What hangs over the edge of another object,
+such as a throw over a bed, is left where it is.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ INSET = 0.5
 
 
 def put_back(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
-    """Move each object whose middle is beside the box of its support to within that box.
+    """Move each object whose middle is beside the box of its environment support onto it.
 
     Args:
         scene: the composed scene.
@@ -40,7 +41,7 @@ def _shift(scene: SceneSpec, item: SceneObject) -> NDArray:
     if item.parent is None or item.static or item.relation != "on" or item.parent_link is not None:
         return none
     parent = scene.object(item.parent)
-    if not np.allclose(parent.base_tilt, IDENTITY):
+    if not parent.environment or not np.allclose(parent.base_tilt, IDENTITY):
         return none
     low, high = (ends[:2] for ends in bounds(parent.spec, parent.joint_state))
     lower, upper = bounds(item.spec, item.joint_state, item.base_tilt)

@@ -88,9 +88,8 @@ def _solve_with_camera(
     """Return the solution with a fixed camera, or the one with a moved camera if that is better.
 
     The gain of the objects, without the largest one, must exceed the cost of the camera's prior: an
-    error of a single object is no evidence about the camera. Nor is a gain that lowers the mean
-    agreement, such as that of a few large objects at the expense of many small ones. The camera
-    does not move if the environment contains walls or furniture, which would not move with it.
+    error of a single object is no evidence about the camera. The camera does not move if the
+    environment contains walls or furniture, which would not move with it.
     """
     data = problem.data
     fixed_camera = _minimize(problem, data.initial_unknowns(), fixed, camera=False)
@@ -98,12 +97,7 @@ def _solve_with_camera(
         return fixed_camera
     moved_camera = _minimize(problem, fixed_camera, fixed, camera=True)
     *gains, camera_gain = problem.costs(fixed_camera) - problem.costs(moved_camera)
-    agreement_fixed, agreement_moved = (
-        outline_agreements(data, x).mean() for x in (fixed_camera, moved_camera)
-    )
-    helps = sum(gains) - max(gains) + camera_gain > CAMERA_GAIN
-    helps &= bool(agreement_moved >= agreement_fixed)
-    return moved_camera if helps else fixed_camera
+    return moved_camera if sum(gains) - max(gains) + camera_gain > CAMERA_GAIN else fixed_camera
 
 
 def _minimize(

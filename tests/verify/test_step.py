@@ -34,6 +34,7 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.pose import from_axis_angle
 from neoworld_mjx.verify import verify_and_repair
+from tests.support import answers
 from tests.support import furniture as objects
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
@@ -134,6 +135,62 @@ def test_the_requests_of_all_objects_wait_together(tmp_path):
     assert "In the scene it rests on table (table)." in model.waiting[0].prompt
     verdict = json.loads((run.path / "objects" / "a" / "verify.json").read_text())
     assert verdict["passed"]
+
+
+FLAT = """from neoworld_mjx.program.sdk import Object, box
+pin = Object("pin")
+body = pin.part("pin", material=pin.material("steel", like="steel"))
+body.add(box((0.02, 0.02, 0.1)), at=(0, 0, 0), by="bottom", name="body")
+"""
+
+
+class Programmer:
+    """Critic that asks for a new program, and programmer that gives one."""
+
+    name, online, secrets = "programmer", False, ()
+
+    def __init__(self):
+        self.requests = []
+
+    async def reply(self, request, role, rejected):
+        self.requests.append(request)
+        found = {"where": "pin", "what": "it has a point", "suggestion": "a foot of 5 cm"}
+        verdict = {"findings": [found], "verdict": "reprogram"}
+        answer = {"program": FLAT} if request.role == "programmer" else verdict
+        return Reply(json.dumps(answer), Usage(), self.name)
+
+    async def close(self): ...
+
+
+def test_a_new_program_is_written_beside_the_first_and_its_object_is_used(tmp_path):
+    model, config = Programmer(), Config()
+    with RunFolder(tmp_path / "run", config) as run:
+        nodes = (
+            node("table", objects.chest(), environment=True),
+            node("pin", pin(), parent="table"),
+        )
+        (run.path / "tree.json").write_text(SceneTree(camera=CAMERA, nodes=nodes).to_json())
+        for entry, spec in zip(nodes, (objects.chest(), pin()), strict=True):
+            home = run.path / "objects" / entry.name
+            home.mkdir(parents=True)
+            (home / "spec.json").write_text(spec.to_json())
+            (home / "program.json").write_text('{"allowances": []}')
+            (home / "program.py").write_text(FLAT.replace("0.02, 0.02", "0.002, 0.002"))
+        photo = answers.photo()
+        with Pictures(run, config.render) as pictures, Panel(model) as models:
+            verify_objects(StepContext(run, config, photo, models, pictures))
+        assert [r.name for r in model.requests] == ["simulation:pin", "reprogram:pin"]
+        assert run.data["fallbacks"] == []
+        assert [note["what"] for note in run.data["notes"]] == ["pin has a new program"]
+    assert "pin: it has a point -> a foot of 5 cm" in model.requests[1].prompt
+    assert [picture.label for picture in model.requests[1].pictures] == ["crop"]
+    home = tmp_path / "run" / "objects" / "pin"
+    assert (home / "reprogrammed.py").read_text() == FLAT
+    assert json.loads((home / "reprogrammed.json").read_text())["rounds"][0]["stage"] == "reprogram"
+    assert json.loads((home / "verify.json").read_text())["passed"]
+    changed = ObjectSpec.model_validate_json((home / "verified.json").read_text())
+    low, high = bounds(changed)
+    assert (high - low).tolist() == pytest.approx([0.02, 0.02, 0.1])
 
 
 def stepped(tmp_path, spec, allowances=(), **more):
