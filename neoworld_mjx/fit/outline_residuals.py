@@ -59,6 +59,20 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     return np.concatenate([sides, contact], axis=1)
 
 
+def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
+    """Return the intersection over union of each projected outline and 2D box, 0 to 1.
+
+    Hidden sides agree wherever the outline extends beyond them.
+    """
+    outward = _OUTWARD * data.boxes
+    projected = _OUTWARD * (outward - outline_residuals(data, x)[:, :4])
+    low = np.maximum(projected[:, :2], data.boxes[:, :2])
+    high = np.minimum(projected[:, 2:], data.boxes[:, 2:])
+    shared = np.prod(np.maximum(high - low, 0.0), axis=1)
+    areas = [np.prod(np.maximum(b[:, 2:] - b[:, :2], 0.0), axis=1) for b in (projected, data.boxes)]
+    return shared / np.maximum(sum(areas) - shared, 1e-9)
+
+
 def to_camera_frame(
     data: FitData,
     camera: Camera,

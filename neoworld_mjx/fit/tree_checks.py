@@ -169,8 +169,11 @@ def _size(node: TreeNode) -> Iterator[SceneIssue]:
 
 
 def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
-    if node.environment and node.articulation:
-        hint = "it is marked as environment but has moving parts, so it should be an object"
+    if node.environment and node.articulation and not node.furniture:
+        hint = (
+            "it is marked as environment but has moving parts, so it should be an object, or "
+            "furniture if nothing of it but these parts moves"
+        )
         yield _issue(node, "environment", float(len(node.articulation)), 0.0, hint)
     if not node.environment and node.label.lower().split(" ")[-1] in _ENVIRONMENT:
         hint = f"a {node.label} should be marked as environment"
@@ -209,7 +212,7 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     # An object may rest in a hollow below its support's top, but a slab supports only at its top.
     slab = parent.slab and parent.box3d.size[2] < 0.2 * min(parent.box3d.size[:2])
     gap, words = 0.0, ""
-    if bottom > top + bound:
+    if bottom > top + bound and not (node.environment and node.slab):
         gap, words = bottom - top, f"it floats above {parent.name}"
     elif bottom < floor - bound:
         gap, words = floor - bottom, f"it extends below {parent.name}"

@@ -26,7 +26,12 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **{"surface.colour": (0.0, 1.0), "surface.second_colour": (0.0, 1.0)},
     **{"doubt.position": (1e-6, FURTHEST_M), "doubt.size": (1e-6, 10.0)},
     **{"doubt.yaw_deg": (1e-6, 360.0)},
-    **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _ANGLE},
+    **{
+        "camera.pitch_doubt_deg": (0.0, 57.0),
+        "camera.height_doubt": (0.0, 1.0),
+        "camera.pitch_deg": (-90.0, 90.0),
+        "camera.roll_deg": _ANGLE,
+    },
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _POSITION},
 }
 """Minimum and maximum [m, degrees, pixels, fractions] by the number's path in an object or in the

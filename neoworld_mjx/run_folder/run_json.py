@@ -112,7 +112,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "status": "running",
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "started": earlier.get("started") or datetime.now(UTC).isoformat(timespec="seconds"),
         "config": _without_header_values(config),
         "fingerprint": config.fingerprint(),
         "seeds": {"run": config.seed},

@@ -84,13 +84,10 @@ class GeomSpec(ScalableSpec):
 
 
 class AuthoredInertia(ScalableSpec):
-    """Where a part's mass is and how it is spread, where that is known better than by volume.
-
-    Nothing is asked of the numbers here: whether a body can have them is for the checks to say.
-    """
+    """Centre of mass and inertia of a part, in place of those that follow from its volume."""
 
     # The docstring is part of a schema sent to models (verify.critic), and tapes depend on it.
-    # The mass is authored, so moments go with s^2.
+    # Checks report numbers that no body can have. The mass is authored, so moments scale with s^2.
 
     pos: Point3
     """Centre of mass in the object's frame at rest [m]."""

@@ -139,6 +139,12 @@ class SceneTree(Spec):
     camera: Camera
     camera_measured: tuple[Literal["pitch", "height", "fovy", "roll"], ...] = ()
     """Camera parameters that the parse measured in the image; the others are rough estimates."""
+    pitch_sd: float | None = Field(default=None, ge=0, le=1, exclude_if=lambda value: value is None)
+    """Stated standard deviation of the camera's pitch [rad]."""
+    height_sd: float | None = Field(
+        default=None, ge=0, le=1, exclude_if=lambda value: value is None
+    )
+    """The same of its height, as a fraction of it."""
     nodes: tuple[TreeNode, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
