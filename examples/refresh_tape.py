@@ -28,7 +28,7 @@ def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
     """Answer requests by their names until `done` is set; others wait for an answer by hand."""
     told: set[Path] = set()
     while not done.wait(0.1):
-        for request in mailbox.glob("*/request.json"):
+        for request in mailbox.glob("[0-9]*/request.json"):
             response = request.with_name("response.json")
             if response.exists() or response in told:
                 continue

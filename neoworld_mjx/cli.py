@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import NeoWorldError
+from .errors import NeoWorldError, system_refusal
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -105,6 +105,9 @@ def run(command: "Runnable") -> int:
     """Run a parsed command, print its result and return the exit code."""
     from .io.names import printable
 
+    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] It was closed by the caller.
+        print("error: cannot write to stdout: it is closed", file=sys.stderr)
+        return BAD_INPUT
     with _reserved_stdout() as out, _log_on_stderr(command):
         try:
             result = command.run()
@@ -128,8 +131,11 @@ def run(command: "Runnable") -> int:
                 lines = list(_details(result)) if lines is None else lines
                 print(printable("\n".join(lines)), file=out)
             out.flush()
-        except BrokenPipeError:
-            # The reader has stopped, as `head` does; closing the file must not fail again.
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):  # The reader has stopped, as `head` does.
+                print(f"error: cannot write to stdout: {error.strerror}", file=sys.stderr)
+                code = BAD_INPUT
+            # Closing the file must not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     return code
 
@@ -143,6 +149,8 @@ def _describe(error: Exception) -> tuple[str, int]:
             "not enough memory: use fewer candidates, a shorter duration or a smaller image",
             BAD_INPUT,
         )
+    if (refusal := system_refusal(error)) is not None:
+        return refusal, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
 
 

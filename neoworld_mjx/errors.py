@@ -1,6 +1,8 @@
 """Errors caused by the input; each message states the problem, its location and valid choices."""
 
 import difflib
+import errno
+import os
 from collections.abc import Iterable
 
 
@@ -49,6 +51,32 @@ class ExportError(NeoWorldError):
 
 class RunError(NeoWorldError):
     """Run folder that cannot be used: in use, of another program, incomplete or not writable."""
+
+
+_OPEN_FILES = {errno.EMFILE, errno.ENFILE}
+_REFUSALS = _OPEN_FILES | {
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.ENOSPC, errno.EDQUOT, errno.EIO),
+}
+
+
+def system_refusal(error: BaseException) -> str | None:
+    """Return the message of an error of the system that no code causes, otherwise None.
+
+    These are refused names and permissions, full or failing disks, and limits.
+    """
+    if open_files_exhausted(error):
+        return f"{os.strerror(errno.EMFILE)}; raise the limit, such as with ulimit -n 4096"
+    if not isinstance(error, OSError) or error.errno not in _REFUSALS:
+        return None
+    path = "" if error.filename is None else f"cannot use {error.filename}: "
+    return f"{path}{error.strerror}"
+
+
+def open_files_exhausted(error: BaseException | None) -> bool:
+    """Return True if an error, also one of a library in Rust, is the limit of open files."""
+    number = getattr(error, "errno", None)
+    return number in _OPEN_FILES or f"(os error {errno.EMFILE})" in str(error)
 
 
 MAX_CHOICES = 40

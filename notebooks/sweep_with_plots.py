@@ -110,7 +110,7 @@ for place, w in zip(places, weights, strict=True):
             float,
         )
         t = np.arange(1, longest + 1)
-        (line,) = place.plot(t, np.median(best, axis=0), ".-", label=f"sigma {sigma:g} m")
+        (line,) = place.plot(t, np.median(best, axis=0), ".-", label=f"sigma_xy {sigma:g}")
         low, high = best.min(axis=0), best.max(axis=0)
         place.fill_between(t, low, high, alpha=0.2, color=line.get_color(), linewidth=0)
     place.set(title=f"w_drift {w:g}", xlabel="iteration", xticks=t)

@@ -380,3 +380,13 @@ def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
     assert read_run(out)["status"] == "finished"
     # Each kill costs at most the one step that was under way.
     assert len((tmp_path / "log").read_text().split()) <= 5 + kills
+
+
+def test_a_resumed_run_keeps_its_first_start(tmp_path):
+    out = tmp_path / "out"
+    with RunFolder(out, Config()) as run:
+        run.data["started"] = "2026-01-02T03:04:05+00:00"
+    with RunFolder(out, Config(), "resume") as run:
+        assert run.data["started"] == "2026-01-02T03:04:05+00:00"
+    with RunFolder(out, Config(), "overwrite") as run:
+        assert run.data["started"] != "2026-01-02T03:04:05+00:00"

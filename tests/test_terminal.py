@@ -8,6 +8,7 @@ import time
 import pytest
 
 from neoworld_mjx import cli, progress
+from neoworld_mjx.commands.result_lines import run_lines
 from neoworld_mjx.commands.status_line import StatusLine
 from neoworld_mjx.config import Config, ProgramOptions
 from neoworld_mjx.errors import SpecError
@@ -67,6 +68,18 @@ def test_common_mistakes_get_a_hint(program, code, hint):
         assert len(signals) == 1, "a text that does not parse says nothing about its imports"
     if "box(0.1" in program:
         assert len(signals) == 1
+
+
+def test_a_tuple_of_computed_numbers_is_accepted_and_counted_when_it_runs():
+    add = "p.add(box((0.1, 0.1, 0.1)), at=tuple({} for x in (0, 0, 0.05)), rgb={})\n"
+    computed = GOOD.replace("p.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n", "{}")
+    rgb = "tuple(0.9 * v for v in (1, 0.5, 0.2))"
+    built = build(computed.format(add.format("x + 0.01 * (x > 0)", rgb)))
+    assert built.ok and built.signals == ()
+    signal = build(computed.format(add.format("x", "tuple(v for v in (1, 0.5))"))).signals[0]
+    assert signal.code == "value" and signal.line == 4 and "3" in signal.message
+    # Other errors of the same program are reported as before.
+    assert build(computed.format(add.format("y", rgb))).signals[0].code == "type"
 
 
 def test_angles_that_may_be_radians_give_no_warning():
@@ -178,7 +191,7 @@ def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
         run.fallback("parse", "a line\nof two", "\x1b[31m")
         raise SpecError("no such thing")
     log = (out / "run.log").read_text()
-    assert "WARNING parse: fell back to a line | of two: \\x1b[31m" in log
+    assert "WARNING parse: a line | of two: \\x1b[31m" in log
     assert log.splitlines()[-1].endswith("ERROR run: failed: no such thing")
     assert not logging.getLogger("neoworld_mjx").handlers or all(
         type(each).__name__ != "RunLog" for each in logging.getLogger("neoworld_mjx").handlers
@@ -188,3 +201,42 @@ def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
     assert "run: failed: no such thing" in (out / "run.log").read_text()
     with RunFolder(out, Config(), "overwrite"):
         pass
+
+
+def test_without_a_terminal_the_status_line_is_printed_when_nothing_else_is():
+    stream = io.StringIO()
+    with StatusLine(stream, live=False, silent_s=0.05) as line:
+        record = logging.LogRecord("neoworld_mjx.progress", 20, "", 0, "started", None, None)
+        record.facts = {"step": "refine", "done": 2, "of": 8, "unit": "iteration"}
+        line.handle(record)
+        deadline = time.monotonic() + 10
+        while stream.getvalue().count("refine 0 s · iteration 2 of 8 · computing\n") < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+    printed = stream.getvalue()
+    time.sleep(0.2)
+    assert stream.getvalue() == printed
+    quiet = io.StringIO()
+    with StatusLine(quiet, live=False, quiet=True, silent_s=0.01) as line:
+        line.handle(record)
+        time.sleep(0.1)
+    assert quiet.getvalue() == ""
+
+
+RESULT = {
+    "passed": False, "folder": "out", "report": "out/report.html", "objects": ["cup"],
+    "seconds": {"parse": 12.0, "refine": 30.0}, "waiting": {"parse": 10.0}, "mllm": {},
+    "fallbacks": [
+        {"step": "refine", "what": "no candidate passed", "why": f"reason {k}"} for k in range(19)
+    ],
+}  # fmt: skip
+
+
+def test_a_run_lists_five_fallbacks_one_on_a_line_and_time_of_waiting_apart():
+    lines = run_lines(RESULT)
+    at = lines.index("19 fallbacks:")
+    assert lines[at + 1] == "  refine: no candidate passed: reason 0"
+    assert lines[at + 6] == "  (+14: report)"
+    assert lines[-1].startswith(
+        "32.0 s of computing (refine 30.0, parse 2.0); 10.0 s of waiting for models"
+    )

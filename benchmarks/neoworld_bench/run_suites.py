@@ -115,6 +115,36 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     return {**summarise(rows), "machine": machine()}
 
 
+def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
+    """Score reconstructions of real photographs."""
+    from .real_poses.pose_estimates import estimate_figures, estimate_rows
+    from .real_poses.real_views import real_figures, score_real_views
+
+    if o.data is None:
+        raise ConfigError("real-poses needs DATA, the folder of the data set")
+    result: dict[str, Any] = {}
+    if o.poses is not None:
+        estimates = list(estimate_rows(o.data, o.poses))
+        result |= {"pose_figures": estimate_figures(estimates), "poses": plain(estimates)}
+    if o.poses is None or o.runs or o.submission is not None:
+        views, objects = score_real_views(
+            o.data,
+            runs=o.runs,
+            submission=o.submission,
+            kind=o.format,
+            views=o.view,
+            align=o.align,
+            intrinsics=o.intrinsics,
+            depth_scale=o.depth_scale,
+            volumes=not o.no_volumes,
+            options=config.refine,
+            out=o.out,
+        )
+        result |= {"figures": real_figures(views, objects), "views": plain(views)}
+        result |= {"rows": plain(objects)}
+    return {**result, "machine": machine()}
+
+
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
     from .objects.object_scores import score_figures, score_objects

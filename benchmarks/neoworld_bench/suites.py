@@ -21,7 +21,7 @@ MethodName = Literal[
     "guided",
     "no_simulation",
     "without_s_sem",
-    "without_s_photo",
+    "with_s_photo",
     "without_d_pen",
     "without_d_drift",
     "without_photo",
@@ -213,8 +213,46 @@ class SceneSet(NoisyRuns):
     """Folder of results.parquet; rows that it already contains are not run again."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
-    scene.xml or scene.usda (docs/benchmark-scenes.md).
+    scene.xml, scene.usda, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md).
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealPoses:
+    """Score reconstructions of real photographs against a sensor's depth and true poses, in the
+    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md says
+    what to get where.
+    """
+
+    data: Positional[Path | None] = None
+    """Folder of the data: depth images NAME-depth.png, a data set in the BOP format (YCB-V, T-LESS,
+    HOPE, HomebrewedDB, GraspClutter6D), MessyKitchens, or a recording of Aria Digital Twin."""
+    runs: tuple[Path, ...] = ()
+    """Run folders named after the views, or folders of such folders. A row is written for each of
+    their scenes: composed, aligned and refined."""
+    submission: Path | None = None
+    """Folder of another method's scenes: VIEW/scene.json, scene.xml, scene.usda, scene.glb, or
+    meshes with a poses.json."""
+    poses: Path | None = None
+    """Results file of a pose estimator in BOP's format (scene_id,im_id,obj_id,score,R,t,time): ADD
+    and ADD-S of the data set's own models, with the recall at a tenth of the diameter."""
+    format: Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"] = "auto"
+    """Format of the data; auto recognizes it by its files."""
+    view: tuple[str, ...] = ()
+    """Names of views; all that have a reconstruction by default."""
+    align: Literal["auto", "none", "scale", "depth", "objects"] = "auto"
+    """Alignment of the whole scene: by a scale about the camera, by the similarity of the rendered
+    with the sensor's depth, or by that of the objects' centroids. auto takes depth where there is a
+    depth image, else scale, or objects without a camera."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx, fy, cx and cy [px] of depth images without a camera.json."""
+    depth_scale: float | None = None
+    """Millimeters of a unit of these depth images."""
+    no_volumes: bool = False
+    """Leave out Chamfer distance, F-score and voxel IoU, which take seconds for each object."""
+    out: Path | None = None
+    """Folder of real_views.parquet and real_objects.parquet; rows replace those of the same view
+    and method."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,6 +384,7 @@ SUITES = {
         ("kernels", Kernels, False),
         ("agreement", Agreement, False),
         ("refine", Refine, True),
+        ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
         ("tasks", Tasks, False),
         ("task-success", TaskSuccess, True),

@@ -25,5 +25,5 @@ for _ in range(ITERATIONS):
     rollouts = nw.algorithm.stack(fall)
     scores = evaluate(problems, layouts, rollouts)
     states = update(problems, states, layouts, scores)
-for weight, drift in zip(WEIGHTS, jnp.mean(scores.terms["d_drift"], axis=1), strict=True):
-    print(f"w_drift {weight:g}: mean D_drift of the last population {float(drift):.2f}")
+    drifts = jnp.mean(scores.terms["d_drift"], axis=1)
+    print(", ".join(f"w_drift {w:g}: {float(d):.2f}" for w, d in zip(WEIGHTS, drifts, strict=True)))

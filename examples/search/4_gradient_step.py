@@ -12,20 +12,20 @@ scene = compile_scene(case("crowded:3").scene)
 zero = nw.Layout.zero(1, len(scene.names))
 # Push all objects 1.2 cm towards the middle, so that they overlap.
 toward = -0.012 * jnp.sign(jnp.asarray([item.xy for item in scene.spec.objects]))
-layout = nw.Layout((toward * scene.optimised[:, None])[None], zero.yaw, zero.log_scale)
+xy = (toward * scene.optimised[:, None])[None]  # yaw and sizes stay
 adam = optax.adam(0.001)
-state = adam.init(layout)
+state = adam.init(xy)
 
 
 @jax.jit
-def step(layout, state):
-    depth, slope = jax.value_and_grad(lambda z: jnp.sum(nw.rewards.d_pen(scene, z)))(layout)
-    moves = nw.Layout(slope.xy, slope.yaw, 0 * slope.log_scale)  # sizes stay
-    updates, state = adam.update(moves, state)
-    return optax.apply_updates(layout, updates), state, depth
+def step(xy, state):
+    total = lambda xy: jnp.sum(nw.rewards.d_pen(scene, nw.Layout(xy, zero.yaw, zero.log_scale)))
+    depth, slope = jax.value_and_grad(total)(xy)
+    updates, state = adam.update(slope, state)
+    return optax.apply_updates(xy, updates), state, depth
 
 
 for k in range(31):
-    layout, state, depth = step(layout, state)
+    xy, state, depth = step(xy, state)
     if k % 10 == 0:
         print(f"step {k}: D_pen {1e3 * float(depth):.1f} mm")

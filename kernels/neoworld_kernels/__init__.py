@@ -2,7 +2,13 @@
 
 from .blocks import sorted_samples
 from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance
-from .penetration_depth import PairDepthTuning, pair_depth, pair_depth_culled, pair_depth_reference
+from .penetration_depth import (
+    PairDepthTuning,
+    pair_depth,
+    pair_depth_culled,
+    pair_depth_reference,
+    pair_gap,
+)
 
 __all__ = [
     "SPARE",
@@ -12,6 +18,7 @@ __all__ = [
     "pair_depth",
     "pair_depth_culled",
     "pair_depth_reference",
+    "pair_gap",
     "signed_distance",
     "sorted_samples",
 ]

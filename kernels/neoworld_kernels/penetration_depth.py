@@ -18,7 +18,14 @@ from .convex_pieces import Colliders, PieceGroup, distance
 from .culled import dot, pair_depth_culled
 from .fused import PairDepthTuning, pair_depth_kernel
 
-__all__ = ["PairDepthTuning", "choose", "pair_depth", "pair_depth_culled", "pair_depth_reference"]
+__all__ = [
+    "PairDepthTuning",
+    "choose",
+    "pair_depth",
+    "pair_depth_culled",
+    "pair_depth_reference",
+    "pair_gap",
+]
 
 Impl = Literal["auto", "jnp", "culled", "pallas"]
 
@@ -26,14 +33,19 @@ KERNEL_TIMES = json.loads((Path(__file__).parent / "penetration_measured.json").
 """Measured problem sizes at which the kernel is faster than plain XLA."""
 
 
-def pair_depth_reference(
+def pair_gap(
     pos: Float[Array, "pop object 3"],
     rot: Float[Array, "pop object 3 3"],
     scale: Float[Array, "pop object"],
     samples: Float[Array, "object sample 3"],
     colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute `pair_depth` in plain jnp."""
+    """Compute the signed distance [m] of i's samples to j's colliders, at [candidate, i, j].
+
+    It is negative where they penetrate. Outside a polytope or a sector it is the distance to the
+    nearest plane's half space, at most the true one. It is inf for an object without colliders, and
+    on the diagonal. Differentiable. Arguments as for `pair_depth`.
+    """
     pop, count = scale.shape
     # Population last, for vectorization of the maximum over samples.
     pos, rot, scale = jnp.moveaxis(pos, 0, -1), jnp.moveaxis(rot, 0, -1), scale.T
@@ -42,7 +54,7 @@ def pair_depth_reference(
         sum(rot[None, :, i, j] * at[:, :, j] for j in range(3)) * scale + pos[None, :, i]
         for i in range(3)
     ]
-    depth = jnp.zeros((count, count, pop), pos.dtype)
+    depth = jnp.full((count, count, pop), -jnp.inf, pos.dtype)
     for kind, group in zip(Colliders._fields, colliders, strict=True):
         if group.owner.shape[0] == 0:
             continue
@@ -57,12 +69,23 @@ def pair_depth_reference(
             d = [points[i] - origin[i] for i in range(3)]
             local = [sum(d[i] * turn[i][k] for i in range(3)) / scale[o] for k in range(3)]
             inside = -distance(kind, local[0], local[1], local[2], piece)
-            return jnp.maximum(jnp.max(inside, axis=0) * scale[o], 0.0)
+            return jnp.max(inside, axis=0) * scale[o]
 
         depths = jax.lax.map(deepest, group)
         depth = depth.at[:, group.owner].max(jnp.moveaxis(depths, 0, 1))
-    apart = 1.0 - jnp.eye(count, dtype=pos.dtype)
-    return jnp.moveaxis(depth, -1, 0) * apart
+    own = jnp.eye(count, dtype=bool)
+    return jnp.where(own, jnp.inf, -jnp.moveaxis(depth, -1, 0))
+
+
+def pair_depth_reference(
+    pos: Float[Array, "pop object 3"],
+    rot: Float[Array, "pop object 3 3"],
+    scale: Float[Array, "pop object"],
+    samples: Float[Array, "object sample 3"],
+    colliders: Colliders,
+) -> Float[Array, "pop object object"]:
+    """Compute `pair_depth` in plain jnp."""
+    return jnp.maximum(-pair_gap(pos, rot, scale, samples, colliders), 0.0)
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(5, 6))

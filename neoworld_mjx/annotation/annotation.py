@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..errors import choices
+from ..io.names import repeated
 from ..program.materials import MATERIALS
 from ..spec import Box2D, Camera, Name, PartState, Spec
 from ..spec.base import Length
@@ -66,9 +67,8 @@ class Annotation(Spec):
     @model_validator(mode="after")
     def _check_names_and_parents(self) -> "Annotation":
         names = [GROUND, *(obj.name for obj in self.objects)]
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"names must be unique, repeated: {', '.join(repeated)}")
+        if twice := repeated(names):
+            raise ValueError(f"names must be unique, repeated: {', '.join(twice)}")
         for obj in self.objects:
             if obj.parent not in names:
                 raise ValueError(f"object {obj.name}: parent: {choices(obj.parent, names)}")

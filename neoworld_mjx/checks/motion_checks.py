@@ -29,6 +29,14 @@ SHORT_M, SHORT_RAD = 0.08, 0.6
 """Smallest ranges, of a sliding and a turning joint, that overshoot is relative to."""
 ROUND = 0.01
 """Width of the support polygon, over the object's size, below which its bottom is round."""
+WIDENS = 1.25
+"""Growth of the support polygon within `max_tilt_deg` above which a faceted bottom is round."""
+ROUND_SHARE = 0.7
+"""Width of that polygon, over the object's width, above which its base is flat with a bump."""
+NODS_DEG, NODS = 30.0, 0.5
+"""Largest tilt, and displacement over its size, of a round object that settles with another side
+down; the tilt is also the largest that composition corrects."""
+ROUND_HINT = "draw it in the pose in which it rests, or give it a flat where it lies"
 
 
 def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Iterator[Check]:
@@ -57,13 +65,17 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
     """Check that the object balances, and that falls leave it upright, in place and at rest."""
     o, size = simulation.options, float(np.linalg.norm(simulation.size))
     width, margin = support_polygon(simulation)
-    if margin < 0:
-        # Pieces that reach the floor before the object leans too far support it as well.
-        lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(simulation.size[:2]) / 2)
-        wider = support_polygon(simulation, lean)
-        if wider[1] > margin:
-            width, margin = wider
-    rolls = width < ROUND * size and margin > -ROUND * size
+    # Pieces that reach the floor before the object leans too far support it as well.
+    lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(simulation.size[:2]) / 2)
+    wider = support_polygon(simulation, lean)
+    rolls = width < ROUND * size and max(margin, wider[1]) > -ROUND * size
+    # A round bottom widens as it leans, but not as suddenly as a base with a bump below it.
+    is_round = rolls or wider[0] > WIDENS * width
+    is_round &= wider[0] < ROUND_SHARE * float(simulation.size[:2].min())
+    if margin < 0 and wider[1] > margin:
+        width, margin = wider
+        rolls = width < ROUND * size and margin > -ROUND * size
+    is_round &= margin > -ROUND * size
     if rolls:
         yield skipped("free_fall", "balance", "its bottom is round, or it stands on points")
     else:
@@ -72,6 +84,9 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         yield judged("free_fall", "balance", margin, limit)
     upright = Limit(o.max_tilt_deg, "deg", Fault.TOPPLES)
     in_place = Limit(o.max_drift_m, "m", Fault.DRIFTS)
+    if is_round:
+        upright = Limit(max(NODS_DEG, o.max_tilt_deg), "deg", Fault.TOPPLES, hint=ROUND_HINT)
+        in_place = Limit(max(NODS * size, o.max_drift_m), "m", Fault.DRIFTS, hint=ROUND_HINT)
     drop = o.drop_height_m
     on_floor = Limit(drop + max(o.max_depth_m, 0.01 * size), "m", Fault.SINKS_IN, best=drop)
     for trajectory in trajectories:
@@ -91,7 +106,10 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
             tilt = np.degrees(angle_between(qpos[:, 3:7], qpos[0, 3:7]))
             yield _largest(trajectory, "drift", drift, in_place)
             yield _largest(trajectory, "tilt", tilt, upright)
-            yield _check(trajectory, "fall", qpos[0, 2] - qpos[-1, 2], on_floor)
+            if tilt[-1] > o.max_tilt_deg and is_round:
+                yield skipped("free_fall", "fall", "it is round and settles with another side down")
+            else:
+                yield _check(trajectory, "fall", qpos[0, 2] - qpos[-1, 2], on_floor)
         elif tilted and rolls:
             yield skipped("free_fall", name, "its bottom is round, so it rolls when tilted")
         elif tilted:

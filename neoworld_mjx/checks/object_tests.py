@@ -22,7 +22,7 @@ from .simulation import Simulation, Trajectory
 from .static_checks import check_statics, without_bad_inertia
 from .verdict import Check, ScenarioKind, Verdict
 
-VERSION = "6"
+VERSION = "7"
 """Increased when the same object may get another verdict; part of the key of cached results."""
 
 

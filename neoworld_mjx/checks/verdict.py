@@ -116,6 +116,22 @@ class Check(Spec):
         return self.outcome in ("FAIL", "TOOL_FAILURE")
 
     @property
+    def least(self) -> bool:
+        """True if the threshold is the smallest valid value, otherwise it is the largest."""
+        if self.value is None or self.threshold is None:
+            return False
+        return (self.value > self.threshold) == (self.outcome == "PASS")
+
+    def phrase(self) -> str:
+        """Return value and bound with unit and direction: "drift 12.0 mm, at most 10.0 mm"."""
+        name = self.name.replace("_", " ")
+        if self.threshold is None:
+            return name
+        value = "not finite" if self.value is None else quantity(self.value, self.unit)
+        bound = quantity(self.threshold, self.unit)
+        return f"{name} {value}, {'at least' if self.least else 'at most'} {bound}"
+
+    @property
     def margin(self) -> float:
         """Relative excess of a failed check over its threshold, 0 to 9."""
         if self.outcome == "TOOL_FAILURE":
@@ -169,6 +185,45 @@ class Verdict(Spec):
         return self.model_dump_json(indent=1) + "\n"
 
 
+SCENE_FAULTS = frozenset({Fault.OFF_BALANCE, Fault.TOPPLES, Fault.DRIFTS, Fault.RESTLESS})
+"""Faults of falls that a valid object may have on a level floor without its scene: it is round, or
+its surroundings hold it."""
+
+
+def waived(verdict: Verdict) -> Verdict:
+    """Skip failed falls whose fault is one of `SCENE_FAULTS`, for an object judged to be valid."""
+    checks = tuple(
+        check.model_copy(update={"outcome": "SKIP", "fault": None, "hint": WAIVED})
+        if check.scenario == "free_fall" and check.outcome == "FAIL" and check.fault in SCENE_FAULTS
+        else check
+        for check in verdict.checks
+    )
+    return verdict.model_copy(
+        update={"checks": checks, "passed": not any(check.failed for check in checks)}
+    )
+
+
+WAIVED = "the critic finds that the real object would do the same"
+"""Hint of a waived check, which keeps its value and threshold."""
+
+
+def quantity(value: float, unit: str) -> str:
+    """Format the value of a check: lengths in mm, angles in degrees, fractions in percent."""
+    if unit.startswith("of "):
+        return f"{100 * value:.3g} % {unit}"
+    factor, shown = {
+        "m": (1000.0, "mm"),
+        "rad": (180 / np.pi, "degrees"),
+        "deg": (1.0, "degrees"),
+    }.get(unit, (1.0, unit))
+    value *= factor
+    size = abs(value)
+    digits = f"{value:.1f}" if 0.1 <= size < 1000 else f"{value:.1g}" if size >= 1e-3 else "0"
+    if size >= 1000:
+        digits = f"{value:.0f}"
+    return f"{digits} {shown}".strip()
+
+
 @dataclass(frozen=True)
 class Limit:
     """Threshold of a check, and the fault that a violation is reported as."""
@@ -180,6 +235,8 @@ class Limit:
     """True if the threshold is the smallest valid value, otherwise it is the largest."""
     best: float | None = None
     """Ideal value; by default 0, or twice the threshold if `least` is set."""
+    hint: str = ""
+    """How to remedy a violation, if not as the fault says."""
 
     def is_borderline(self, value: float) -> bool:
         """Return True if a passing value lies close to the threshold, seen from the best value."""
@@ -212,7 +269,7 @@ def judged(scenario: ScenarioKind, name: str, value: float, limit: Limit, **cont
         value=float(value) if finite else None,
         threshold=limit.threshold,
         unit=limit.unit,
-        hint="" if passed else limit.fault.hint,
+        hint="" if passed else limit.hint or limit.fault.hint,
         **{key: field for key, field in context.items() if key not in details},
     )
 

@@ -61,7 +61,7 @@ COMPONENTS = (
     ),
     Component(
         *("JAX on the GPU", _gpu_in_use),
-        "the engine mjx runs on the CPU, hundreds of times slower",
+        "the engine mjx runs on the CPU, many times slower",
         "uv sync --inexact --extra cuda",
     ),
     Component(
@@ -76,8 +76,13 @@ COMPONENTS = (
     ),
     Component(
         *("extra baselines", _installed("evosax")),
-        "no refine.optimizer cma_es",
+        "no refine.optimizer cma_es and evosax:STRATEGY",
         "uv sync --inexact --extra baselines",
+    ),
+    Component(
+        *("extra optuna", _installed("optuna")),
+        "no sweeps with a study, which chooses its points",
+        "uv sync --inexact --extra optuna",
     ),
     Component(
         *("extra metrics", _installed("onnxruntime")),

@@ -20,7 +20,7 @@ class CheckCommand(ConfiguredCommand):
     """Check a scene or an object: every check with its value and threshold."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, MJCF or USD file."""
+    """A run folder, a scene.json, a program (.py), a URDF, MJCF, USD or glTF file."""
     fixed_base: bool = False
     """Fix the object's base, and check only its joints."""
     repair: bool = False

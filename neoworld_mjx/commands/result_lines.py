@@ -6,7 +6,7 @@ from typing import Any
 from .base_command import CommandResult
 
 DETAILS = "details: -v, or --json"
-MAX_REASONS = 3
+MAX_REASONS = 5
 _UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
 
 
@@ -18,9 +18,9 @@ def run_lines(result: CommandResult) -> list[str]:
     elif passed:
         head = (
             f"valid: {count(result['movable'], 'movable object')} within "
-            f"{1000 * result['max_drift_m']:.1f} mm and {result['max_tilt_deg']:.1f} degrees in "
-            f"{result['duration_s']:g} s of free fall, deepest overlap "
-            f"{1000 * result['max_depth_m']:.2g} mm"
+            f"{_at_most(1000 * result['max_drift_m'], 'mm')} and "
+            f"{_at_most(result['max_tilt_deg'], 'degrees')} in {result['duration_s']:g} s of free "
+            f"fall, deepest overlap {1000 * result['max_depth_m']:.2g} mm"
         )
     else:
         why = [entry["why"] for entry in result["fallbacks"] if entry["step"] == "refine"]
@@ -34,11 +34,28 @@ def run_lines(result: CommandResult) -> list[str]:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
         rows.append(f"photo:  boxes match with {agreement['refined']:.2f} (mean IoU{low})")
-    if result["fallbacks"]:
-        fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
-        rows.append(f"fallbacks: {_reasons(fallbacks)}")
+    fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
+    if fallbacks:
+        rows.append(f"{count(fallbacks, 'fallback')}:")
+        rows += [f"  {line}" for line in fallbacks[:MAX_REASONS]]
+        if len(fallbacks) > MAX_REASONS:
+            rows.append(f"  (+{len(fallbacks) - MAX_REASONS}: report)")
     rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
+
+
+def rescue_lines(result: CommandResult) -> list[str]:
+    """Summarize the rescue of another method's scene."""
+    moves = result["moves_m"]
+    furthest = max(moves, key=moves.__getitem__)
+    return [
+        f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
+        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); as given, the deepest "
+        f"overlap was {1000 * result['depth_before_m']:.2g} mm",
+        f"scene:  {result['rescued']}",
+        *result["notes"],
+        f"{result['seconds']:.1f} s; {DETAILS}",
+    ]
 
 
 def scene_check_lines(result: CommandResult) -> list[str]:
@@ -167,6 +184,11 @@ def file_lines(result: CommandResult) -> list[str]:
     ]
 
 
+def _at_most(value: float, unit: str) -> str:
+    """Format an upper bound of a measured value, to a tenth of the unit."""
+    return f"{max(value, 0.1):.1f} {unit}"
+
+
 def _value_and_threshold(check: Mapping[str, Any]) -> str:
     if check.get("value") is None:
         return str(check.get("evidence") or check["outcome"])
@@ -193,12 +215,15 @@ def _worst(result: CommandResult) -> str:
 
 
 def _time(result: CommandResult) -> str:
-    seconds = result["seconds"]
-    longest = sorted(seconds.items(), key=lambda item: -item[1])[:2]
-    waited = sum(result["waiting"].values())
+    waiting = result["waiting"]
+    computing = {
+        name: max(value - waiting.get(name, 0.0), 0.0) for name, value in result["seconds"].items()
+    }
+    longest = sorted(computing.items(), key=lambda item: -item[1])[:2]
+    waited = sum(waiting.values())
     parts = ", ".join(f"{name} {value:.1f}" for name, value in longest)
-    waiting = f"; waited {waited:.1f} s for models" if waited >= 0.5 else ""
-    return f"{sum(seconds.values()):.1f} s ({parts}){waiting}"
+    waits = f"; {waited:.1f} s of waiting for models" if waited >= 0.5 else ""
+    return f"{sum(computing.values()):.1f} s of computing ({parts}){waits}"
 
 
 def _cost(ledger: Mapping[str, Any]) -> str:

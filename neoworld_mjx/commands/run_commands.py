@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ..engines import EngineChoice
 from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import file_lines, run_lines
+from .result_lines import file_lines, rescue_lines, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +74,14 @@ class ReconstructCommand(ConfiguredCommand):
 class RefineCommand(ConfiguredCommand):
     """Refine the composed scene of a run again, and export it; earlier steps are reused.
 
-    Without --config and --set the options are those of the run.
+    Without --config and --set the options are those of the run. With --from, FOLDER is new: meshes
+    of another method are put on what carries them, settled, and exported with colliders.
     """
 
     folder: Positional[Path]
-    """The run folder."""
+    """The run folder; with --from, a new folder to write."""
+    source: Annotated[Path | None, arg(name="from")] = None
+    """Scene of another method: a glTF file, or a poses.json beside its meshes."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -90,6 +93,8 @@ class RefineCommand(ConfiguredCommand):
         from ..pipeline import refine_again
 
         keep_compilations()
+        if self.source is not None:
+            return self._rescue(self.source)
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -100,9 +105,16 @@ class RefineCommand(ConfiguredCommand):
             config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return refine_again(self.folder, config, overrides).summary()
 
+    def _rescue(self, source: Path) -> CommandResult:
+        from ..pipeline.rescue import rescue_file
+
+        config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
+        rescued = rescue_file(source, self.folder, config.refine, seed=config.seed)
+        return {"rescued": str(self.folder), "scene": rescued.scene.name, **rescued.to_json()}
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return run_lines(result)
+        return rescue_lines(result) if "rescued" in result else run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)

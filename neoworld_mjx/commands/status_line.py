@@ -1,6 +1,10 @@
-"""Log on stderr, with a status line below it while a command runs in a terminal."""
+"""Log on stderr, with a status line below it while a command runs in a terminal.
+
+Without a terminal, the status line is printed twice a minute instead.
+"""
 
 import logging
+import threading
 import time
 from contextlib import suppress
 from typing import Any
@@ -13,6 +17,8 @@ from ..io.names import printable
 from ..progress import LOGGER
 
 REFRESHES_PER_SECOND = 2.0
+SILENT_S = 30.0
+"""Time without a printed line after which the status line is printed, without a terminal."""
 
 
 class TolerantConsole(Console):
@@ -32,6 +38,7 @@ class StatusLine(logging.Handler):
         verbose: also print progress records.
         quiet: print errors only, without a status line.
         live: show the status line; by default if the stream is a terminal.
+        silent_s: without a terminal, time after the last line until the status line is printed.
     """
 
     def __init__(
@@ -41,11 +48,13 @@ class StatusLine(logging.Handler):
         verbose: bool = False,
         quiet: bool = False,
         live: bool | None = None,
+        silent_s: float = SILENT_S,
     ) -> None:
         super().__init__(logging.DEBUG)
         self._stream, self._verbose, self._quiet = stream, verbose, quiet
         self._facts: dict[str, Any] = {}
-        self._step_start = time.monotonic()
+        self._step_start = self._last_line = time.monotonic()
+        self._silent_s, self._ended = silent_s, threading.Event()
         self._console = TolerantConsole(file=stream, force_terminal=live, soft_wrap=True)
         self._live = Live(
             console=self._console,
@@ -58,12 +67,17 @@ class StatusLine(logging.Handler):
 
     def __enter__(self) -> "StatusLine":
         """Show the status line."""
-        if self._console.is_terminal and not self._quiet:
+        if self._quiet:
+            return self
+        if self._console.is_terminal:
             self._live.start()
+        else:
+            threading.Thread(target=self._report, name="neoworld-status", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Remove the status line."""
+        self._ended.set()
         with suppress(OSError, ValueError):
             self._live.stop()
         self._facts.clear()
@@ -78,13 +92,7 @@ class StatusLine(logging.Handler):
                     self._facts.pop(name, None)
             self._facts.update(facts)
         if self._shows(record):
-            text = printable(self.format(record))
-            with suppress(OSError, ValueError):  # The stream may be closed.
-                if self._live.is_started:
-                    self._console.print(Text(text))
-                else:
-                    self._stream.write(text + "\n")
-                    self._stream.flush()
+            self._print(printable(self.format(record)))
 
     def text(self) -> str:
         """Return the status line."""
@@ -104,6 +112,25 @@ class StatusLine(logging.Handler):
         waiting = facts.get("unanswered")
         parts.append(f"waiting for {waiting} responses" if waiting else "computing")
         return " · ".join(parts)
+
+    def _print(self, text: str) -> None:
+        self._last_line = time.monotonic()
+        with suppress(OSError, ValueError):  # The stream may be closed.
+            if self._live.is_started:
+                self._console.print(Text(text))
+            else:
+                self._stream.write(text + "\n")
+                self._stream.flush()
+
+    def _report(self) -> None:
+        """Print the status line whenever no line was printed for some time."""
+        while not self._ended.wait(max(self._last_line + self._silent_s - time.monotonic(), 0.01)):
+            if time.monotonic() - self._last_line >= self._silent_s:
+                text = printable(self.text())
+                if text:
+                    self._print(text)
+                else:
+                    self._last_line = time.monotonic()
 
     def _shows(self, record: logging.LogRecord) -> bool:
         if self._quiet:

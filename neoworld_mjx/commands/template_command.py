@@ -35,6 +35,8 @@ class TemplateCommand(Command):
                 raise SpecError("template: name a template; `neoworld template` lists them")
             return {"templates": {name: each.label for name, each in templates().items()}}
         chosen = template(self.name)
+        if self.seed is not None and self.seed < 0:
+            raise SpecError(f"--seed: got {self.seed}, valid is 0 or more")
         values = {} if self.seed is None else chosen.draw(self.seed)
         values |= {} if self.size is None else chosen.of_box(self.size)
         for setting in self.set:

@@ -26,6 +26,7 @@ from ..spec import (
 from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from .beside import put_back
 from .inside import covers, entrance
 from .joint_friction import hold_joints
 from .leaning import lean
@@ -49,7 +50,9 @@ class Composed:
     scales: dict[str, float]
     """Isotropic scale factor of each object."""
     notes: tuple[str, ...]
-    """Descriptions of the differences and fallbacks."""
+    """Descriptions of the differences, each after the name of its object."""
+    shortfalls: tuple[str, ...] = ()
+    """Those of `notes` in which composition could not follow the parse."""
 
 
 def compose(
@@ -74,40 +77,45 @@ def compose(
     if missing:
         raise SpecError(f"no object for node {', '.join(missing)}; there are {sorted(objects)}")
     options = options or ComposeOptions()
-    notes: list[str] = []
+    notes, shortfalls = list[str](), list[str]()
     placed: dict[str, SceneObject] = {}
     scales: dict[str, float] = {}
     for node in tree.top_down():
         fit = fit_to_box(objects[node.name], node)
-        notes += _unmatched_notes(node, fit)
+        shortfalls += _unmatched_notes(node, fit)
         spec, state = fit.scaled()
         scales[node.name] = fit.factor
         # Deviation of each edge from the parsed one after isotropic scaling.
         residual = tuple((fit.factor / fit.ratio - 1.0).tolist())
-        placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
+        placed[node.name] = _place(node, tree, placed, spec, state, residual, notes, shortfalls)
         if options.settle:
-            placed[node.name] = _settle_tilted(node, tree, placed, notes)
+            placed[node.name] = _settle_tilted(node, tree, placed, notes, shortfalls)
             placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
             placed[node.name] = _with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene, moved = in_contact(scene, options)
-    return Composed(scene, scales, (*notes, *moved))
+    return Composed(scene, scales, (*shortfalls, *notes, *moved), tuple(shortfalls))
 
 
 def in_contact(
     scene: SceneSpec, options: ComposeOptions | None = None
 ) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Snap objects onto their supports, clear of walls, and up to what they lean on.
+    """Put objects onto their supports, clear of walls, and up to what they lean on.
 
     Returns:
         The scene, and a note for each object that moved sideways.
     """
     options = options or ComposeOptions()
-    scene = snap(scene, options.gap_m)
     if not options.settle:
-        return scene, ()
-    notes = []
+        return snap(scene, options.gap_m), ()
+    scene, returned = put_back(scene)
+    scene = snap(scene, options.gap_m)
+    notes = [
+        f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
+        f"{scene.object(item).parent}"
+        for item, distance in returned.items()
+    ]
     scene, cleared = clear_walls(scene)
     scene = snap(scene, options.gap_m) if cleared else scene
     for item, distance in cleared.items():
@@ -156,6 +164,7 @@ def _place(
     state: dict[str, float],
     residual: tuple[float, float, float],
     notes: list[str],
+    shortfalls: list[str],
 ) -> SceneObject:
     frame, link = pose(), node.parent_link
     if node.parent is not None:
@@ -163,7 +172,7 @@ def _place(
         if link is not None and link not in [part.name for part in parent.spec.parts]:
             joint = matching_joint(parent.spec, link, "prismatic")
             substitute = None if joint is None else joint.child
-            notes.append(
+            shortfalls.append(
                 f"{node.name}: {node.parent} has no part {link!r}; composition placed it on "
                 f"{'the whole object' if substitute is None else substitute}"
             )
@@ -173,12 +182,14 @@ def _place(
         frame = support_frame(parent, origin, link)
     box = _parsed_pose(node, tilted=False)
     local_pose = frame.inverse().then(box).then(_origin_in_box(spec, state))
-    level = on_level(node, tree)
-    tilt, shift = _rest(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
+    tilt, shift = node.base_tilt, np.zeros(3)
+    # On another support, what cannot stay upright is settled from its resting pose on level ground.
+    if on_level(node, tree) or (node.relation == "on" and np.allclose(tilt, IDENTITY)):
+        tilt, shift = _rest(node, spec, state, notes, shortfalls)
     local_pose = local_pose.then(pose(shift))
     fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: {node.parent} is free to move, so composition did not fix it there"
         )
         fixed = False
@@ -209,19 +220,26 @@ def _place(
 
 
 def _settle_tilted(
-    node: TreeNode, tree: SceneTree, placed: dict[str, SceneObject], notes: list[str]
+    node: TreeNode,
+    tree: SceneTree,
+    placed: dict[str, SceneObject],
+    notes: list[str],
+    shortfalls: list[str],
 ) -> SceneObject:
-    """Return a tilted object settled on its parent by simulation; other objects unchanged.
+    """Return an object settled on its parent by simulation, if it is tilted or cannot stay upright.
 
     On a curved or sloped support the resting pose depends on the parent.
     """
     obj = placed[node.name]
-    settles = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
+    stays = np.allclose(obj.base_tilt, IDENTITY) and (
+        node.relation != "on" or is_stable_upright(obj.spec, obj.joint_state)
+    )
+    settles = not (obj.static or on_level(node, tree) or stays)
     if node.parent is None or not settles or node.relation not in ("on", "in"):
         return obj
     resting = settle(placed[node.parent], obj, _neighbors(obj, placed))
     if resting is None:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
             f"{node.parent}"
         )
@@ -276,7 +294,11 @@ def _with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
 
 
 def _rest(
-    node: TreeNode, spec: ObjectSpec, state: dict[str, float], notes: list[str]
+    node: TreeNode,
+    spec: ObjectSpec,
+    state: dict[str, float],
+    notes: list[str],
+    shortfalls: list[str],
 ) -> tuple[Quat, NDArray]:
     """Return the tilt of an object's resting pose on level ground, and the shift of its origin [m].
 
@@ -288,7 +310,7 @@ def _rest(
         return parsed, np.zeros(3)
     tilt = resting_tilt(spec, state, parsed)
     if tilt is None:
-        notes.append(
+        shortfalls.append(
             f"{node.name}: composition kept the parsed tilt, near which it has no resting pose"
         )
         return parsed, np.zeros(3)

@@ -104,8 +104,9 @@ def on_level(node: TreeNode, tree: SceneTree) -> bool:
 def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
     """Return the tilt at which to verify an object without its scene, on level ground.
 
-    A lying object is verified in its resting pose. An object that leans, hangs, or is tilted on a
-    support that is not level depends on its scene, and would fall without it.
+    A lying object is verified in its resting pose. An object that leans, hangs, is tilted on a
+    support that is not level, or stands in a container without a base of its own depends on its
+    scene, and would fall without it.
 
     Args:
         node: the object, as parsed.
@@ -118,9 +119,12 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
     tilt = node.base_tilt
     if node.environment or node.fastened or node.relation in ("leaning", "attached"):
         return tilt, True
-    if np.allclose(tilt, IDENTITY):
+    upright = np.allclose(tilt, IDENTITY)
+    if upright and (node.relation != "in" or is_stable_upright(spec, {})):
         return tilt, False
     rest = resting_tilt(spec, {}, tilt)
+    if upright:
+        return tilt, rest is None
     return (tilt, not level) if rest is None else (rest, False)
 
 

@@ -45,9 +45,16 @@ class MLLMOptions(Options):
     )
     timeout_s: float = option(
         120.0,
-        "Maximum time without data from the server; a whole request may take ten times as long.",
+        "Maximum time without data from the server.",
         unit="s",
         gt=0,
+    )
+    call_timeout_s: float = option(
+        600.0,
+        "Maximum time that the server may take for one request, all its retries together.",
+        unit="s",
+        gt=0,
+        le=600,
     )
     retries: int = option(
         4,

@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from pydantic import model_validator
+
 from ..options import Options, PaperDifference, option
 
 Language = Literal["sdk", "blender"]
@@ -146,8 +148,8 @@ class ProgramOptions(JointSweepOptions):
 class VerifyOptions(JointSweepOptions):
     """Step 3, object-level physics."""
 
-    duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", gt=0, le=100)
-    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", ge=1e-4, le=0.1)
+    duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", ge=0.5, le=100)
+    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", ge=1e-4, le=0.02)
     drop_height_m: float = option(0.005, "Height of the free fall.", unit="m", ge=0)
     impulse_ns_per_kg: float = option(
         0.3,
@@ -157,7 +159,11 @@ class VerifyOptions(JointSweepOptions):
         ge=0,
     )
     push_duration_s: float = option(
-        0.1, "Duration of the force that applies the impulse.", unit="s", gt=0, le=100
+        0.1,
+        "Duration of the force that applies the impulse; at most half of `duration_s`.",
+        unit="s",
+        gt=0,
+        le=50,
     )
     max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
@@ -235,6 +241,15 @@ class VerifyOptions(JointSweepOptions):
         "Save the two standard scenarios as GIFs. questionable: for objects with failed or "
         "borderline checks. always: for all objects. never: for none.",
     )
+
+    @model_validator(mode="after")
+    def _check_push(self) -> "VerifyOptions":
+        if self.push_duration_s > self.duration_s / 2:
+            raise ValueError(
+                f"push_duration_s: got {self.push_duration_s:g}, at most half of duration_s "
+                f"({self.duration_s / 2:g})"
+            )
+        return self
 
 
 class AlignOptions(Options):

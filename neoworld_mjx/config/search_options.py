@@ -109,20 +109,9 @@ class CEMOptions(Options):
 
 
 class RewardOptions(Options):
-    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper), to which S_photo
-    and a prior are added.
-    """
+    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper)."""
 
     w_sem: float = traced(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
-    w_photo: float = traced(
-        1.0,
-        "Weight of S_photo, what the colors of the photograph's pixels say for where objects are "
-        "visible.",
-        ge=0,
-        difference=PaperDifference(
-            0.0, "Boxes agree with many layouts; the pixels tell which one the photograph shows."
-        ),
-    )
     w_pen: float = traced(1.0, "Weight of D_pen, the penetration.", ge=0)
     w_drift: float = traced(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
     w_prior: float = traced(
@@ -332,7 +321,7 @@ class RefineOptions(Options):
     rollout: RolloutOptions = RolloutOptions()
     semantic: SemanticOptions = SemanticOptions()
     check_duration_s: float = option(
-        2.0, "Simulated time of the final check.", unit="s", gt=0, le=100
+        2.0, "Simulated time of the final check.", unit="s", ge=0.01, le=100
     )
     check_timestep_s: float = option(
         0.002, "Time step of the final check.", unit="s", ge=1e-4, le=0.1

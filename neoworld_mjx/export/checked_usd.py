@@ -1,79 +1,28 @@
 """Open USD files from other programs whose layers all lie in their folder.
 
-Composition reads every layer that a file names, wherever it lies, so a child process opens the
-file first.
+Composition reads every layer that a file names, wherever it lies, so the layers are opened and
+checked one by one before it.
 """
 
 from pathlib import Path
 
-from pxr import Sdf, Tf, Usd
+from pxr import Ar, Sdf, Tf, Usd
 
 from ..errors import SpecError
 from ..io import file_bounds
 from ..io.files import MIB, read_bytes
-from ..io.names import printable
-from .bounded_process import run_bounded
+from ..io.names import plain_text
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-MAX_LAYERS, MAX_PRIMS = 500, 200_000
-_CODE = """
-import os
-from pxr import Sdf, Tf, Usd
-file, max_prims = sys.argv[1], int(sys.argv[2])
-home, waiting, visited = os.path.dirname(file) + os.sep, [file], set()
-try:
-    while waiting:
-        name = waiting.pop()
-        if name in visited:
-            continue
-        visited.add(name)
-        real = os.path.realpath(name.partition("[")[0])
-        if not real.startswith(home) or not os.path.isfile(real):
-            sys.exit()
-        layer = Sdf.Layer.FindOrOpen(name)
-        if layer is None:
-            print(os.path.basename(name) + " cannot be opened")
-            sys.exit(3)
-        names = layer.GetCompositionAssetDependencies()
-        waiting += [Sdf.ComputeAssetPathRelativeToLayer(layer, name) for name in names]
-    stage = Usd.Stage.Open(file)
-    for count, _ in enumerate(stage.Traverse(Usd.TraverseInstanceProxies())):
-        if count > max_prims:
-            break
-except Tf.ErrorException as error:
-    print(" ".join(str(error).split()))
-    sys.exit(3)
-"""
-"""Program of the child process: it reports invalid USD; the parent reports layers that are missing
-or lie outside the folder."""
-_INVALID = 3
-"""Exit status of the child process for invalid USD."""
+MAX_LAYERS, MAX_PRIMS, MAX_BODIES = 500, 200_000, 2000
 
 
 def open_usd(path: Path) -> Usd.Stage:
-    """Open a USD file that may be hostile or broken.
-
-    Raises:
-        SpecError: it is not a USD file, is too large, names a layer that is missing or lies outside
-            its folder, or USD exceeds its time or memory or crashes on it.
-    """
-    _check_file(path)
-    status, output = run_bounded(
-        path, _CODE, str(path.resolve()), str(MAX_PRIMS),
-        library="USD", verb="open", accepted=(_INVALID,),
-    )  # fmt: skip
-    if status == _INVALID:
-        # Opening the file in this process could take all memory before it fails.
-        message = printable(output.decode("utf-8", "replace").strip())[:300]
-        raise SpecError(f"{path} is not valid USD: {message}")
-    return open_inside(path)
-
-
-def open_inside(path: Path) -> Usd.Stage:
     """Open a USD file whose layers all lie in its folder.
 
     Raises:
-        SpecError: it is not a USD file, or names a layer that is missing or lies outside.
+        SpecError: it is not a USD file, has value clips, is too large, or names a layer that is
+            missing or lies outside.
     """
     _check_file(path)
     home = path.resolve().parent
@@ -91,6 +40,7 @@ def open_inside(path: Path) -> Usd.Stage:
             raise SpecError(f"{path} is not valid USD: {_line(error)}") from None
         if layer is None:
             raise SpecError(f"{path} is not valid USD: {Path(file).name} cannot be opened")
+        _check_prims(path, layer)
         for named in layer.GetCompositionAssetDependencies():
             waiting.append(_inside(path, home, layer, named))
     try:
@@ -117,10 +67,12 @@ def _check_file(path: Path) -> None:
 def _inside(path: Path, home: Path, layer: Sdf.Layer, named: str) -> str:
     """Return the identifier of a layer that another layer names."""
     target = Sdf.ComputeAssetPathRelativeToLayer(layer, named)
-    file = target.partition("[")[0]
-    if ":" in file or not file:
+    file = target
+    if Ar.IsPackageRelativePath(target):
+        file = Ar.SplitPackageRelativePathOuter(target)[0]
+    if ":" in file or not file.startswith("/"):
         raise SpecError(f"{path} names {named!r}, which is not a file in its folder")
-    real = (home / file).resolve()
+    real = Path(file).resolve()
     if not real.is_relative_to(home):
         raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
     if not real.is_file():
@@ -129,7 +81,23 @@ def _inside(path: Path, home: Path, layer: Sdf.Layer, named: str) -> str:
     return target
 
 
+def _check_prims(path: Path, layer: Sdf.Layer) -> None:
+    """Refuse too many bodies, and value clips, whose layers are read wherever they lie."""
+    waiting, bodies = list(layer.rootPrims), 0
+    while waiting:
+        prim = waiting.pop()
+        if any(prim.HasInfo(key) for key in ("clips", "clipSets")):
+            raise SpecError(f"{path}: {prim.path} has value clips, which are not read")
+        schemas = prim.GetInfo("apiSchemas") if prim.HasInfo("apiSchemas") else None
+        bodies += schemas is not None and "PhysicsRigidBodyAPI" in schemas.GetAppliedItems()
+        if bodies > MAX_BODIES:
+            raise SpecError(f"{path} has more than {MAX_BODIES} rigid bodies")
+        waiting += prim.nameChildren
+        for variants in prim.variantSets.values():
+            waiting += [variant.primSpec for variant in variants.variants.values()]
+
+
 def _line(error: Exception) -> str:
-    text = " ".join(str(error).split())
+    text = plain_text(str(error), 1000)
     # The message begins with a location in the library's source.
     return text.partition(": '")[2][:240] or text[:240]

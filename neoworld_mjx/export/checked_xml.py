@@ -1,9 +1,10 @@
 """Check the XML of untrusted files before a library parses it."""
 
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 from pathlib import Path
 
@@ -31,6 +32,10 @@ MAX_COUNTS = {
     "joint": 2000,
     "mesh": 2000,
     "include": 100,
+    "site": 2000,
+    **dict.fromkeys(("visual", "collision", "inertial"), 10_000),
+    "origin": 25_000,
+    **dict.fromkeys(("spatial", "fixed", "motor", "position", "velocity"), 1000),
 }
 """Largest number of elements by tag: far above the needs of an object; more can take minutes."""
 
@@ -113,13 +118,12 @@ def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
     yield from parser.read_events()  # pyright: ignore[reportReturnType]
 
 
-def inside(path: Path, named: str, below: str = "") -> Path:
+def inside(path: Path, named: str) -> Path:
     """Return the path of a file that an XML file names.
 
     Args:
         path: the XML file.
         named: the name or URI in it.
-        below: folder that the name is relative to, relative to that of the XML file.
 
     Raises:
         SpecError: the named file lies outside the XML file's folder, or does not exist.
@@ -130,9 +134,26 @@ def inside(path: Path, named: str, below: str = "") -> Path:
         # The name of the package may or may not be a folder.
         rest = plain.split("/", 1)[-1]
         plain = plain if (home / plain).exists() else rest
-    target = (home / below / plain).resolve()
-    if not target.is_relative_to(home):
+    return inside_any(path, [plain], named)
+
+
+def inside_any(path: Path, candidates: Sequence[str], named: str) -> Path:
+    """Return the first existing file of those that a name in an XML file may refer to.
+
+    Args:
+        path: the XML file.
+        candidates: paths relative to its folder.
+        named: the name, for messages.
+
+    Raises:
+        SpecError: a candidate lies outside the XML file's folder, or none exists.
+    """
+    home = path.resolve().parent
+    # Not `home / candidate`: an absolute one would replace the folder.
+    targets = [Path(os.path.join(home, candidate)).resolve() for candidate in candidates]
+    if not all(target.is_relative_to(home) for target in targets):
         raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
-    if not target.is_file():
+    existing = [target for target in targets if target.is_file()]
+    if not existing:
         raise SpecError(f"{path} names {named!r}, which does not exist")
-    return target
+    return existing[0]

@@ -1,5 +1,6 @@
 """Check MJCF files and all that they include, and compile them with MuJoCo."""
 
+import itertools
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -11,42 +12,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from .checked_xml import inside, read_xml
+from .checked_xml import inside, inside_any, read_xml
 
-FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+_FOLDERS = {"texture": ("assetdir", "texturedir")}
+"""Attributes of <compiler> that name the folder of a kind of file."""
+_OTHER_FOLDERS = ("assetdir", "meshdir")
 
 
-def checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
+def checked_roots(path: Path) -> list[ET.Element]:
     """Check a file and all that it includes; return their root elements, that of `path` first.
 
     Raises:
         SpecError: a file is broken or hostile, names a file that is missing or lies outside the
-            folder of `main`, or includes itself.
+            folder of `path`, or includes itself.
     """
+    roots = _included(path, path, set())
+    elements = [element for root in roots for element in root.iter()]
+    # Which of several settings applies to a file is for MuJoCo to decide: all must stay inside.
+    compilers = [element for element in elements if element.tag == "compiler"]
+    stripped = any(compiler.get("strippath") == "true" for compiler in compilers)
+    for element in elements:
+        if element.tag in ("model", "attach", "plugin"):
+            raise SpecError(
+                f"{path}: <{element.tag}> is not supported; use one self-contained file"
+            )
+        if element.tag in ("include", "mujoco"):
+            continue
+        keys = _FOLDERS.get(element.tag, _OTHER_FOLDERS)
+        folders = {folder for c in compilers for key in keys if (folder := c.get(key)) is not None}
+        for key, value in element.attrib.items():
+            if key.startswith("file"):
+                names = {value, os.path.basename(value)} if stripped else {value}
+                places = itertools.product(folders or {""}, names)
+                inside_any(path, [os.path.join(*place) for place in places], value)
+    return roots
+
+
+def _included(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
     if path.resolve() in visited:
         raise SpecError(f"{path} includes itself")
     visited.add(path.resolve())
     root = read_xml(path)
     roots = [root]
     for element in root.iter("include"):
-        roots += checked_roots(inside(main, element.get("file") or ""), main, visited)
-    folders: dict[str, str] = {}
-    for compiler in (c for r in roots for c in r.iter("compiler")):
-        if (shared := compiler.get("assetdir")) is not None:
-            folders |= {"meshdir": shared, "texturedir": shared}
-        folders |= {k: v for k in ("meshdir", "texturedir") if (v := compiler.get(k)) is not None}
-        if compiler.get("strippath") == "true":
-            folders["strip"] = "true"
-    for element in root.iter():
-        if element.tag in ("model", "attach", "plugin"):
-            raise SpecError(
-                f"{path}: <{element.tag}> is not supported; use one self-contained file"
-            )
-        for key, value in element.attrib.items():
-            if not key.startswith("file") or element.tag in ("include", "mujoco"):
-                continue
-            folder = folders.get(FILES.get(element.tag, "meshdir"), "")
-            inside(main, os.path.basename(value) if "strip" in folders else value, folder)
+        roots += _included(inside(main, element.get("file") or ""), main, visited)
     return roots
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..errors import SpecError
-from ..io.names import identifier
+from ..io.limited_worker import call_limited
+from ..io.names import RESERVED, identifier
 from ..io.validation_message import validation_message
 from ..physics.decompose import convex_pieces, hull_points, installed
 from ..spec import (
@@ -29,17 +30,18 @@ from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import from_matrix
-from .checked_usd import open_usd
 from .mechanism import Link, LinkShape, Mechanism, Triangles, triple
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
-from .read_usd import one_object
+from .read_usd import read_usd
 
 DENSITY = 400.0
 """Density of links that state no mass, typical of furniture [kg/m^3]."""
 PLACEHOLDER_M = 0.001
 """Radius of the sphere that replaces a link without geometry [m]."""
-MAX_LINKS = 400
+MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 10_000, 2000
+MESH_READERS = ("trimesh", "yourdfpy")
+"""Modules that `read_urdf` imports late."""
 MAX_DENSITY = 30000.0
 """Largest density of a material that is imported [kg/m^3]."""
 
@@ -64,7 +66,7 @@ def import_urdf(path: Path) -> Imported:
         SpecError: the file is broken or hostile, names a mesh that is missing or lies outside its
             folder, or its links do not form a tree.
     """
-    return to_object(read_urdf(path))
+    return to_object(call_limited(read_urdf, Path(path), needs=MESH_READERS))
 
 
 def import_mjcf(path: Path) -> Imported:
@@ -74,7 +76,7 @@ def import_mjcf(path: Path) -> Imported:
         SpecError: the file is broken or hostile, names a file that is missing or lies outside its
             folder, MuJoCo refuses it, or it has several objects.
     """
-    return to_object(read_mjcf(path))
+    return to_object(call_limited(read_mjcf, Path(path)))
 
 
 def import_usd(path: Path, object_path: str | None = None) -> Imported:
@@ -84,7 +86,7 @@ def import_usd(path: Path, object_path: str | None = None) -> Imported:
         SpecError: the file is broken or hostile, names a layer that is missing or lies outside its
             folder, the prim does not exist, or it has several objects.
     """
-    return to_object(one_object(path, open_usd(Path(path)), object_path))
+    return to_object(call_limited(read_usd, Path(path), object_path))
 
 
 def to_object(mechanism: Mechanism) -> Imported:
@@ -102,6 +104,10 @@ def to_object(mechanism: Mechanism) -> Imported:
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
     if len(by_name) > MAX_LINKS:
         raise SpecError(f"{name} has {len(by_name)} links; the limit is {MAX_LINKS}")
+    if (shapes := sum(len(link.shapes) for link in by_name.values())) > MAX_SHAPES:
+        raise SpecError(f"{name} has {shapes} shapes; the limit is {MAX_SHAPES}")
+    if len(mechanism.sites) > MAX_SITES:
+        raise SpecError(f"{name} has {len(mechanism.sites)} sites; the limit is {MAX_SITES}")
     moving, owner = _without_empty(by_name, mechanism.joints, notes)
     names = _Names()
     materials: dict[tuple, Material] = {}
@@ -133,9 +139,12 @@ def to_object(mechanism: Mechanism) -> Imported:
                 update["mimic"] = None
                 notes.append(f"joint {joint.name}: the joint that it mimics is not imported")
         joints.append(joint.model_copy(update=update).model_dump())
+    label = _Names().take(name, "object")
+    if name in RESERVED:
+        notes.append(f"the object is named {label}, as MuJoCo reserves {name!r}")
     try:
         spec = ObjectSpec(
-            name=_Names().take(name, "object"),
+            name=label,
             materials=tuple(materials.values()),
             parts=tuple(parts),
             joints=tuple(map(JointSpec.model_validate, joints)),

@@ -1,4 +1,4 @@
-"""Import URDF, MJCF and USD files as an ObjectSpec or a SceneSpec."""
+"""Import URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..errors import SpecError
+from ..io.limited_worker import call_limited
 from ..io.names import identifier
 from ..io.validation_message import validation_message
 from ..spec import SceneObject, SceneSpec
@@ -14,12 +15,14 @@ from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
 from .checked_usd import SUFFIXES, open_usd
 from .checked_xml import read_xml
-from .importing import Imported, import_urdf, to_object
+from .importing import MESH_READERS, Imported, to_object
 from .mechanism import Assembly, transformed
+from .read_mesh_scene import GLTF, POSES, read_mesh_scene
 from .read_mjcf import read_mjcf_scene
+from .read_urdf import read_urdf
 from .read_usd import gravity_of, read_assemblies
 
-FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES)
+FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES, *GLTF)
 """Suffixes of the files that can be imported."""
 MAX_OBJECTS = 500
 
@@ -36,23 +39,34 @@ class ImportedScene:
 def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF, MJCF or USD file as an object if it has only one, else as a scene.
 
+    A glTF file and a poses.json (see `read_mesh_scene`) are always scenes.
+
     Raises:
         SpecError: the file has another format, is broken or hostile, names a file that is missing
             or lies outside its folder, or exceeds the limits on size.
     """
     path = Path(path)
     try:
-        if path.suffix.lower() in SUFFIXES:
-            stage = open_usd(path)
-            return _imported(path, read_assemblies(path, stage, apart=True), gravity_of(stage))
-        root = read_xml(path)
-        if root.tag == "robot":
-            return import_urdf(path)
-        if root.tag == "mujoco":
-            return _imported(path, read_mjcf_scene(path), None)
+        read = call_limited(_read, path, needs=MESH_READERS)
+        always = path.suffix.lower() in GLTF or path.name == POSES
+        return scene_of_assemblies(path, *read) if always else _imported(path, *read)
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
+
+
+def _read(path: Path) -> tuple[list[Assembly], Vec3 | None]:
+    """Read all objects of a file, and the gravity that it states."""
+    if path.suffix.lower() in GLTF or path.name == POSES:
+        return read_mesh_scene(path)
+    if path.suffix.lower() in SUFFIXES:
+        stage = open_usd(path)
+        return read_assemblies(path, stage, apart=True), gravity_of(stage)
+    root = read_xml(path)
+    if root.tag == "robot":
+        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)], None
+    if root.tag == "mujoco":
+        return read_mjcf_scene(path), None
     raise SpecError(
         f"{path}: the root element is <{root.tag}>; that of URDF is <robot>, of MJCF <mujoco>"
     )
@@ -61,9 +75,25 @@ def import_file(path: Path) -> Imported | ImportedScene:
 def _imported(
     path: Path, assemblies: list[Assembly], gravity: Vec3 | None
 ) -> Imported | ImportedScene:
-    bodies = [assembly for assembly in assemblies if not assembly.bare]
     if len(assemblies) == 1:
         return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
+    return scene_of_assemblies(path, assemblies, gravity)
+
+
+def scene_of_assemblies(
+    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
+) -> ImportedScene:
+    """Return the scene of the objects of a file.
+
+    Args:
+        path: the file, for its name and for messages.
+        assemblies: objects at their poses in the world.
+        gravity: gravity [m/s^2]; None is the default.
+
+    Raises:
+        SpecError: there are too many objects, or a number is out of bounds.
+    """
+    bodies = [assembly for assembly in assemblies if not assembly.bare]
     if len(bodies) > MAX_OBJECTS:
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []

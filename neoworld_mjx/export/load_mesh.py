@@ -20,6 +20,11 @@ SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _MAX_INSTANCES = 16
 """Largest number of node instances in a DAE file; each could double its size."""
+_MAX_LINE, _MAX_GROUPS = 1 << 16, 10_000
+"""Largest length of a line, and number of groups, of an OBJ file."""
+_MAX_NODES = 10_000
+_MAX_ELEMENTS = 20 * MAX_VERTICES
+"""Largest number of vertices and indices of a glTF file with all its instances."""
 
 
 def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
@@ -33,19 +38,19 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise SpecError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
-    data = _data(path)
-    _check_claims(path, kind, data)
+    data = mesh_bytes(path)
+    check_claims(path, kind, data)
     try:
         loaded = trimesh.load(
             io.BytesIO(data),
             file_type=kind[1:],
-            resolver=_buffers(path),
+            resolver=folder_buffers(path),
             force="mesh",
             process=False,
             skip_materials=True,
         )
         vertices, faces = np.array(loaded.vertices, float), np.array(loaded.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
-    except SpecError:
+    except (SpecError, MemoryError):
         raise
     except Exception as error:  # trimesh raises errors of many types
         raise SpecError(f"{path} is not a mesh: {type(error).__name__}: {error}"[:300]) from None
@@ -62,21 +67,26 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
 
 
 def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Merge equal vertices [v, 3] and drop triangles [f, 3] that become degenerate."""
+    """Merge equal vertices [v, 3] and drop equal triangles [f, 3] and degenerate ones."""
     vertices, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
-    a, b, c = index.reshape(-1)[faces].T
-    distinct = (a != b) & (b != c) & (c != a)
-    return vertices, np.column_stack([a, b, c])[distinct]
+    faces = index.reshape(-1)[faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    # Equal triangles may start at different corners.
+    first = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    _, kept = np.unique(np.take_along_axis(faces, first, axis=1), axis=0, return_index=True)
+    return vertices, faces[np.sort(kept)]
 
 
-def _data(path: Path) -> bytes:
+def mesh_bytes(path: Path) -> bytes:
+    """Return the contents of a mesh file within bounds; errors as for `load_mesh`."""
     try:
         return read_bytes(path, file_bounds().max_mesh_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
 
 
-def _check_claims(path: Path, kind: str, data: bytes) -> None:
+def check_claims(path: Path, kind: str, data: bytes) -> None:
     """Refuse a file whose header claims more data than it has, or that instances itself."""
     if kind == ".dae":
         if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
@@ -87,6 +97,11 @@ def _check_claims(path: Path, kind: str, data: bytes) -> None:
         claims = re.findall(rb"element\s+\S+\s+(\d+)", data[: data.find(b"end_header") + 1])
         if any(len(number) > 12 or int(number) > len(data) for number in claims):
             raise SpecError(f"{path} declares more elements than it has bytes")
+    if kind == ".obj":
+        if max(map(len, data.splitlines()), default=0) > _MAX_LINE:
+            raise SpecError(f"{path} has a line of over {_MAX_LINE} bytes; split large polygons")
+        if sum(map(data.count, (b"usemtl", b"\ng ", b"\no "))) > _MAX_GROUPS:
+            raise SpecError(f"{path} has over {_MAX_GROUPS} groups and uses of materials")
     if kind in (".glb", ".gltf"):
         _check_accessors(path, data)
 
@@ -97,18 +112,42 @@ def _check_accessors(path: Path, data: bytes) -> None:
         (length,) = struct.unpack_from("<I", data, 12)
         text = data[20 : 20 + length]
     try:
-        accessors = json.loads(text).get("accessors", [])
+        document = json.loads(text)
+        accessors = document.get("accessors", [])
         counts = [accessor["count"] for accessor in accessors]
-        limit = file_bounds().max_mesh_mib * MIB
-        fits = all(isinstance(n, int) and 0 <= n <= limit for n in counts) and sum(counts) <= limit
-    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
+        fits = all(isinstance(n, int) and 0 <= n <= _MAX_ELEMENTS for n in counts)
+        fits = fits and _instanced(document, counts) <= _MAX_ELEMENTS
+    except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
         raise SpecError(f"{path} is not glTF: its JSON cannot be read") from None
     # An accessor without a buffer view stands for any number of zeros.
     if not fits or any("bufferView" not in accessor for accessor in accessors):
-        raise SpecError(f"{path} declares more vertices than it has bytes")
+        raise SpecError(f"{path} declares more vertices than it has bytes, or repeats too many")
 
 
-def _buffers(path: Path) -> Any:
+def _instanced(document: dict[str, Any], counts: list[int]) -> int:
+    """Return the number of vertices and indices of all instances in a glTF document."""
+    sizes = []
+    for mesh in document.get("meshes", []):
+        used = [
+            index
+            for primitive in mesh["primitives"]
+            for index in (*primitive["attributes"].values(), primitive.get("indices"))
+            if index is not None
+        ]
+        sizes.append(sum(counts[index] for index in used))
+    nodes = document.get("nodes", [])
+    total, waiting = 0, [k for scene in document.get("scenes", []) for k in scene.get("nodes", [])]
+    # A node may be a child of several others.
+    for _ in range(_MAX_NODES):
+        if not waiting:
+            return total
+        node = nodes[waiting.pop()]
+        total += sizes[node["mesh"]] if "mesh" in node else 0
+        waiting += node.get("children", [])
+    return _MAX_ELEMENTS + 1
+
+
+def folder_buffers(path: Path) -> Any:
     """Return a resolver that gives a glTF file access only to .bin files in its folder."""
     from trimesh.resolvers import Resolver
 
@@ -119,7 +158,7 @@ def _buffers(path: Path) -> Any:
         def get(self, key: str) -> bytes:
             if not str(key).endswith(".bin"):
                 raise FileNotFoundError(key)
-            return _data(inside(path, str(key)))
+            return mesh_bytes(inside(path, str(key)))
 
         def keys(self) -> list[str]:
             return []

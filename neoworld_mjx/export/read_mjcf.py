@@ -32,7 +32,6 @@ from .mechanism import (
     unchecked_site,
 )
 from .mjcf_looks import geom_color
-from .mjcf_trial import try_mjcf
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
 _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
@@ -73,13 +72,12 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
     """
     path = Path(path)
     notes: list[str] = []
-    roots = checked_roots(path, path, set())
+    roots = checked_roots(path)
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
     notes += [
         f"{tag} is not imported" for tag in LOST if any(r.find(tag) is not None for r in roots)
     ]
-    try_mjcf(path, roots)
     model, stated, massless = compiled_mjcf(path, notes)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0

@@ -14,7 +14,7 @@ from pxr import Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from ..errors import SpecError
 from ..spec.base import Vec3
-from .checked_usd import open_inside
+from .checked_usd import open_usd
 from .link_frames import unused
 from .mechanism import Assembly, Link, Mechanism, triple, unchecked_site
 from .read_usd_joints import JointReader, StageJoint, is_joint, rotation_matrix, state_of
@@ -51,7 +51,7 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
         SpecError: the file is broken or hostile, the prim does not exist, or it has several
             objects.
     """
-    return one_object(path, open_inside(Path(path)), object_path)
+    return one_object(path, open_usd(Path(path)), object_path)
 
 
 def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> Mechanism:

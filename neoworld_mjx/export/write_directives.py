@@ -29,8 +29,7 @@ def package_text(scene: SceneSpec) -> str:
         '<?xml version="1.0"?>\n<package format="2">\n'
         f" <name>{scene.name}</name>\n <version>0.0.0</version>\n"
         " <description>A scene</description>\n"
-        ' <maintainer email="nobody@example.com">nobody</maintainer>\n'
-        " <license>unknown</license>\n</package>\n"
+        "</package>\n"
     )
 
 

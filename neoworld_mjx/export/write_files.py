@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..errors import ExportError
+from ..io.files import write_inside
 from ..spec import ObjectSpec, SceneSpec
 from .meshes import mesh_files
 from .textures import texture_files
@@ -82,15 +83,14 @@ def encoded(files: dict[str, str | None]) -> dict[str, bytes]:
 
 
 def write_all(files: dict[str, bytes], out: Path) -> None:
-    """Write files, given by their paths relative to a folder.
+    """Write files, given by their paths relative to a folder, through no link.
 
     Raises:
         ExportError: a file cannot be written.
     """
     for path, content in files.items():
-        target = out / path
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
+            out.mkdir(parents=True, exist_ok=True)
+            write_inside(out, path, content, sync=False)
         except OSError as error:
-            raise ExportError(f"cannot write {target}: {error.strerror}") from None
+            raise ExportError(f"cannot write {out / path}: {error.strerror}") from None

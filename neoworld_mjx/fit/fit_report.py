@@ -65,7 +65,8 @@ class FitReport:
     """True if anything moved."""
     reason: str
     agreement_before: float
-    """Mean agreement of projected 3D boxes with 2D boxes, 0 to 1."""
+    """Mean agreement of the 2D boxes with the projected outlines of categories or built shapes, 0
+    to 1."""
     agreement_after: float
     pitch_deg: float = 0.0
     """Change of the camera's pitch [deg]."""
@@ -76,7 +77,9 @@ class FitReport:
     """New supports of the objects whose parsed support is infeasible."""
 
     def notes(self) -> Iterator[tuple[str, str]]:
-        """Yield a note for each object whose fit was refused or that moved far."""
+        """Yield a note for a fit that was not applied, and for refused and far objects."""
+        if self.reason.startswith("not applied"):
+            yield "the parsed camera and boxes are kept", self.reason
         for name, change in self.objects.items():
             ratio = math.prod(change.size_ratio) ** (1 / 3)
             if change.refused:

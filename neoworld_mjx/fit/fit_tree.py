@@ -11,30 +11,36 @@ environment do not move. After Step 2, built shapes replace the outlines, see `r
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
+from scipy.sparse import csr_matrix
 
 from ..measure import SidesShown
 from ..spec import SceneTree, TreeNode
 from .fit_data import CAMERA
 from .fit_problem import FitProblem, fit_problem
 from .fit_report import BoxChange, FitReport
-from .outline_residuals import outline_residuals
+from .outline_residuals import outline_agreements, outline_residuals
 from .priors import is_slab
-from .tree_checks import agreement, check_tree
+from .tree_checks import agreement, check_objects
 from .wireframe import Wireframe
 
 MAX_RESIDUAL_GROWTH = 1.0
 """Maximum growth of an object's largest residual, in standard deviations."""
+MAX_AGREEMENT_LOSS = 0.005
+"""Loss of mean agreement with the 2D boxes above which a fit is not applied."""
 CAMERA_GAIN = 0.01
 """Minimum decrease of the sum of squared residuals for which the camera moves."""
 LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
 """Change, in standard deviations, above which an object needs a number of visible sides."""
 MAX_EVALUATIONS = 60
 """Maximum number of evaluations by the solver."""
+MAX_WORK = 400
+"""Maximum number of evaluations times objects, which limits crowds of more than ten objects."""
 MAX_SOLVES = 3
 """Maximum number of solves, each with the refused objects fixed."""
 MAX_EXACT_OBJECTS = 12
@@ -76,7 +82,7 @@ def fit_tree(
     except (ValueError, np.linalg.LinAlgError) as error:
         mean = float(np.mean([agreement(tree, node) for node in objects]))
         return tree, FitReport(False, f"the solver failed: {error}", mean, mean)
-    return _outcome(problem, x, fixed, refused)
+    return _outcome(problem, x, fixed, refused, shapes or {})
 
 
 def _solve_with_camera(
@@ -113,15 +119,20 @@ def _minimize(
         full[free] = part
         return full
 
-    # SciPy's stubs accept only names of schemes for `jac`.
-    derivative: Any = lambda part: problem.jacobian(expanded(part))[:, free]
+    exact = len(problem.data.objects) <= MAX_EXACT_OBJECTS
+
+    def derivative(part: Float[np.ndarray, " f"]) -> Any:
+        jacobian = problem.jacobian(expanded(part))[:, free]
+        # An object's residuals depend on few unknowns.
+        return jacobian if exact else csr_matrix(jacobian)
+
     result = least_squares(
         lambda part: problem.residuals(expanded(part)),
         initial[free],
-        jac=derivative,
+        jac=derivative,  # pyright: ignore[reportArgumentType] Its stubs lack functions.
         x_scale="jac",
-        tr_solver="exact" if len(problem.data.objects) <= MAX_EXACT_OBJECTS else "lsmr",
-        max_nfev=MAX_EVALUATIONS,
+        tr_solver="exact" if exact else "lsmr",
+        max_nfev=min(MAX_EVALUATIONS, max(MAX_WORK // len(problem.data.objects), 5)),
         ftol=1e-7,
         xtol=1e-7,
     )
@@ -169,7 +180,7 @@ def _prior_deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[
 
 def _error_codes(tree: SceneTree) -> dict[str, set[str]]:
     codes: dict[str, set[str]] = {}
-    for issue in check_tree(tree):
+    for issue in check_objects(tree):
         if issue.severity == "error":
             codes.setdefault(issue.node, set()).add(issue.code)
     return codes
@@ -180,12 +191,20 @@ def _outcome(
     x: Float[np.ndarray, " u"],
     fixed: Bool[np.ndarray, " n"],
     refused: dict[str, str],
+    shapes: Mapping[str, Wireframe],
 ) -> tuple[SceneTree, FitReport]:
-    initial, fitted = problem.data.tree, problem.tree(x, fixed)
-    changes = {
-        node.name: _change(initial, fitted, node, hidden, refused.get(node.name, ""))
-        for node, hidden in zip(problem.data.objects, problem.data.hidden, strict=True)
-    }
+    """Return the fitted tree and the report; the initial tree if the fit lowers the agreement."""
+    data = problem.data
+    initial, fitted = data.tree, problem.tree(x, fixed)
+    # The cuboid of a built object extends beyond its shape: its agreement may fall in a good fit.
+    of_shapes = [outline_agreements(data, u) for u in (data.initial_unknowns(), x)]
+    changes = {}
+    for i, node in enumerate(data.objects):
+        change = _change(initial, fitted, node, data.hidden[i], refused.get(node.name, ""))
+        if node.name in shapes:
+            before, after = (float(values[i]) for values in of_shapes)
+            change = replace(change, agreement_before=before, agreement_after=after)
+        changes[node.name] = change
     before, after = np.mean(
         [(change.agreement_before, change.agreement_after) for change in changes.values()], axis=0
     )
@@ -193,8 +212,25 @@ def _outcome(
         change.distance_m > 0 or change.yaw_deg != 0 or change.size_ratio != (1.0, 1.0, 1.0)
         for change in changes.values()
     )
-    applied = moved > 0 or fitted.camera != initial.camera
+    # Contents and containers move towards each other, whatever their boxes.
+    inside = {
+        name for node in initial.nodes if node.relation == "in" for name in (node.name, node.parent)
+    }
+    gains = [c.agreement_after - c.agreement_before for n, c in changes.items() if n not in inside]
+    lower = bool(gains) and float(np.mean(gains)) < -MAX_AGREEMENT_LOSS
+    applied = (moved > 0 or fitted.camera != initial.camera) and not lower
     reason = f"{moved} of {len(changes)} objects moved, {len(refused)} refused"
+    if lower:
+        reason = f"not applied: it would lower the agreement from {before:.3f} to {after:.3f}"
+        changes = {
+            node.name: replace(
+                _change(initial, initial, node, data.hidden[i], refused.get(node.name, "")),
+                agreement_before=changes[node.name].agreement_before,
+                agreement_after=changes[node.name].agreement_before,
+            )
+            for i, node in enumerate(data.objects)
+        }
+        return initial, FitReport(False, reason, float(before), float(before), objects=changes)
     report = FitReport(
         applied,
         reason,

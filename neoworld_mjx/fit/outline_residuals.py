@@ -1,5 +1,6 @@
 """Residuals of projected outlines: distances [px] from the 2D boxes and contacts."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,6 +13,8 @@ from .projection import NEAR_M, Silhouette
 from .visible_sides import EDGE
 from .wireframe import Wireframe, extents_in_picture, hull_wireframe, near_border
 
+MAX_CUT = 8
+"""Maximum number of objects whose visible part is projected edge by edge, which is slow."""
 FOOT_HEIGHT = 0.03
 """Height of the foot of an object above its lowest point, relative to the object's height."""
 _OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
@@ -56,6 +59,20 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     return np.concatenate([sides, contact], axis=1)
 
 
+def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
+    """Return the intersection over union of each projected outline and 2D box, 0 to 1.
+
+    Hidden sides agree wherever the outline extends beyond them.
+    """
+    outward = _OUTWARD * data.boxes
+    projected = _OUTWARD * (outward - outline_residuals(data, x)[:, :4])
+    low = np.maximum(projected[:, :2], data.boxes[:, :2])
+    high = np.minimum(projected[:, 2:], data.boxes[:, 2:])
+    shared = np.prod(np.maximum(high - low, 0.0), axis=1)
+    areas = [np.prod(np.maximum(b[:, 2:] - b[:, :2], 0.0), axis=1) for b in (projected, data.boxes)]
+    return shared / np.maximum(sum(areas) - shared, 1e-9)
+
+
 def to_camera_frame(
     data: FitData,
     camera: Camera,
@@ -81,13 +98,16 @@ def to_camera_frame(
 def cut_surfaces(
     data: FitData, shapes: Mapping[str, Wireframe], silhouettes: Sequence[Silhouette]
 ) -> dict[int, tuple[Wireframe, ...]]:
-    """Return the surfaces of the objects that the picture's border may cut, by their index."""
+    """Return the surfaces of the first objects that the picture's border may cut, by their index.
+
+    Sides at the border do not count for the others.
+    """
+    cut = (i for i in range(len(data.objects)) if _may_be_cut(data, i))
     return {
-        i: (_trimmed(data, i, shapes[node.name]),)
-        if node.name in shapes
+        i: (_trimmed(data, i, shapes[data.objects[i].name]),)
+        if data.objects[i].name in shapes
         else tuple(hull_wireframe(p) for p in (silhouettes[i].inner, silhouettes[i].outer))
-        for i, node in enumerate(data.objects)
-        if _may_be_cut(data, i)
+        for i in itertools.islice(cut, MAX_CUT)
     }
 
 

@@ -51,9 +51,19 @@ SPREAD = 4.0
 
 
 def camera_sd(tree: SceneTree) -> Float[np.ndarray, "2"]:
-    """Return the standard deviations of the camera's pitch [rad] and log height."""
-    factors = [MEASURED if name in tree.camera_measured else 1.0 for name in ("pitch", "height")]
-    return np.array([PITCH, LOG_HEIGHT]) * factors
+    """Return the standard deviations of the camera's pitch [rad] and log height.
+
+    They are those that the response states, else the usual ones of guesses or measurements.
+    """
+    usual = {
+        name: sd * (MEASURED if stated is None and name in tree.camera_measured else 1.0)
+        for name, sd, stated in (
+            ("pitch", PITCH, tree.pitch_sd),
+            ("height", LOG_HEIGHT, tree.height_sd),
+        )
+    }
+    pitch = _stated_or_usual(tree.pitch_sd, usual["pitch"])
+    return np.array([pitch, _stated_or_usual(tree.height_sd, usual["height"])])
 
 
 def side_sd(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"]:

@@ -68,15 +68,18 @@ class SceneIssue(BaseModel):
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
     """Check a parse; return errors before warnings, each in the order of the nodes."""
-    issues: list[SceneIssue] = []
-    for node in tree.nodes:
-        issues += _projection(tree, node)
-        issues += _size(node)
-        issues += _flags(tree, node)
-        if node.parent is not None:
-            issues += _support(node, tree.node(node.parent))
-    issues += _pairs(tree)
+    issues = [*check_objects(tree), *_pairs(tree)]
     return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
+
+
+def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
+    """Check every node and its support; pairs of objects, which `check_tree` adds, only warn."""
+    for node in tree.nodes:
+        yield from _projection(tree, node)
+        yield from _size(node)
+        yield from _flags(tree, node)
+        if node.parent is not None:
+            yield from _support(node, tree.node(node.parent))
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
@@ -166,8 +169,11 @@ def _size(node: TreeNode) -> Iterator[SceneIssue]:
 
 
 def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
-    if node.environment and node.articulation:
-        hint = "it is marked as environment but has moving parts, so it should be an object"
+    if node.environment and node.articulation and not node.furniture:
+        hint = (
+            "it is marked as environment but has moving parts, so it should be an object, or "
+            "furniture if nothing of it but these parts moves"
+        )
         yield _issue(node, "environment", float(len(node.articulation)), 0.0, hint)
     if not node.environment and node.label.lower().split(" ")[-1] in _ENVIRONMENT:
         hint = f"a {node.label} should be marked as environment"
@@ -206,7 +212,7 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     # An object may rest in a hollow below its support's top, but a slab supports only at its top.
     slab = parent.slab and parent.box3d.size[2] < 0.2 * min(parent.box3d.size[:2])
     gap, words = 0.0, ""
-    if bottom > top + bound:
+    if bottom > top + bound and not (node.environment and node.slab):
         gap, words = bottom - top, f"it floats above {parent.name}"
     elif bottom < floor - bound:
         gap, words = floor - bottom, f"it extends below {parent.name}"

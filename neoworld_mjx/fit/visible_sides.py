@@ -1,10 +1,12 @@
 """Sides of 2D boxes that are an object's own outline, not cut by occluders or the border."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..measure import SidesShown
-from ..spec import SceneTree, TreeNode
+from ..spec import Box3D, Camera, Quat, SceneTree, TreeNode
 from .projection import outline_points, to_world
 
 SIDES = ("left", "top", "right", "bottom")
@@ -103,10 +105,15 @@ def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
         return False
     if other.parent == node.name or node.parent == other.name:
         return False
-    eye, axis = tree.camera.position(), tree.camera.axes()[:, 2]
-    other_depth = (other.box3d.corners(other.base_tilt) - eye) @ axis
-    node_depth = (node.box3d.corners(node.base_tilt) - eye) @ axis
-    return bool(other_depth.mean() < node_depth.mean())
+    camera = tree.camera
+    return _depth(camera, other.box3d, other.base_tilt) < _depth(camera, node.box3d, node.base_tilt)
+
+
+@lru_cache(maxsize=1024)  # Every pair of objects compares its depths.
+def _depth(camera: Camera, box: Box3D, tilt: Quat) -> float:
+    """Return the mean depth of a box's corners [m]."""
+    eye, axis = camera.position(), camera.axes()[:, 2]
+    return float(((box.corners(tilt) - eye) @ axis).mean())
 
 
 def _covered_fractions(

@@ -84,7 +84,10 @@ def extents_in_picture(
     shown = enter <= leave
     a, direction = a[shown], (b - a)[shown]
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
-    covered = corners[[_surrounds(pixels.reshape(-1, 2), corner) for corner in corners]]
+    flat = pixels.reshape(-1, 2)
+    low, high = flat.min(axis=0, initial=np.inf), flat.max(axis=0, initial=-np.inf)
+    near = ((low <= corners) & (corners <= high)).all(axis=1)
+    covered = corners[[n and _surrounds(flat, c) for n, c in zip(near, corners, strict=True)]]
     points = np.concatenate(
         [a + enter[shown, None] * direction, a + leave[shown, None] * direction, covered]
     )

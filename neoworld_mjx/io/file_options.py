@@ -31,15 +31,24 @@ class FileOptions(Options):
     )
     timeout_s: float = option(
         8.0,
-        "Time limit for a third-party library to read a file that could occupy it for hours.",
+        "Processor time limit of the process that reads an asset, a large image or a table.",
         unit="s",
         gt=0,
+        le=86400,
+    )
+    memory_mib: int = option(
+        500,
+        "Address space that this process may add to that of the idle process.",
+        unit="MiB",
+        ge=64,
+        le=65536,
     )
     max_mesh_mib: int = option(64, "Maximum size of a mesh file.", unit="MiB", ge=1, le=1024)
-    max_picture_mib: int = option(512, "Maximum size of an image file.", unit="MiB", ge=1, le=4096)
+    max_picture_mib: int = option(256, "Maximum size of an image file.", unit="MiB", ge=1, le=4096)
     max_picture_mpx: int = option(
         134,
-        "Maximum number of pixels of an image; common phone cameras reach 108 megapixels.",
+        "Maximum number of pixels of a photograph; common phone cameras reach 108 megapixels. "
+        "Large ones other than JPEG are limited by `memory_mib` first.",
         unit="MP",
         ge=1,
         le=1000,

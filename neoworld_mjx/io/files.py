@@ -23,6 +23,7 @@ from pydantic import BaseModel
 from ..errors import NeoWorldError
 
 MIB = 1 << 20
+IRREGULAR = "it is a pipe or device, not a regular file"
 PART = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
 """Temporary name of a file that is being written."""
 _CHUNK = MIB
@@ -93,31 +94,49 @@ def write_output(path: Path, data: str | bytes, error: type[NeoWorldError]) -> N
         raise error(f"cannot write {path}: {problem.strerror}") from None
 
 
-def write_inside(folder: Path, name: str, data: str | bytes) -> None:
+def write_inside(folder: Path, name: str, data: str | bytes, *, sync: bool = True) -> None:
     """Write a file below a folder as `write_atomic` does, creating missing subfolders.
 
     Args:
         folder: an existing folder.
         name: relative path, with "/".
         data: the content.
+        sync: False to let the system write the file to the disk later.
 
     Raises:
-        OSError: the file cannot be written, or its path leads out of the folder or through a link.
+        OSError: the file cannot be written, its path leads out of the folder or through a link, or
+            a folder, pipe or device has its name.
     """
     with open_parent(folder, name, create=True) as (parent, last):
+        _check_replaceable(parent, last, folder / name)
         part = f".{last}.{secrets.token_hex(8)}.part"
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
             with os.fdopen(os.open(part, flags, 0o666, dir_fd=parent), "wb") as handle:
                 handle.write(data.encode() if isinstance(data, str) else data)
                 handle.flush()
-                os.fsync(handle.fileno())
+                if sync:
+                    os.fsync(handle.fileno())
             os.replace(part, last, src_dir_fd=parent, dst_dir_fd=parent)
         except BaseException:
             with suppress(OSError):
                 os.unlink(part, dir_fd=parent)
             raise
-        os.fsync(parent)
+        if sync:
+            os.fsync(parent)
+
+
+def _check_replaceable(parent: int, last: str, path: Path) -> None:
+    """Raise an OSError if a file's name belongs to a folder, pipe or device.
+
+    A rename would replace even a device, which every program of the machine may need.
+    """
+    with suppress(FileNotFoundError):
+        mode = os.stat(last, dir_fd=parent, follow_symlinks=False).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, "it is a folder; name a file", str(path))
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
+            raise OSError(errno.EINVAL, IRREGULAR, str(path))
 
 
 @contextmanager
@@ -247,7 +266,7 @@ def _opened(path: Path) -> Iterator[int]:
         if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, "it is a folder; name a file", str(path))
         if not stat.S_ISREG(mode):
-            raise OSError(errno.EINVAL, "it is a pipe or device, not a regular file", str(path))
+            raise OSError(errno.EINVAL, IRREGULAR, str(path))
         yield handle
     finally:
         os.close(handle)

@@ -16,10 +16,18 @@ IMAGE_FORMATS = (
 )
 """Accepted formats. Pillow decodes all of them itself; EPS, for example, starts Ghostscript."""
 
+PLAIN_MPX = 16
+"""Number of megapixels that is decoded without a limited worker."""
+
 
 @contextmanager
 def open_image(
-    data: bytes, name: str, error: type[NeoWorldError], formats: tuple[str, ...] = IMAGE_FORMATS
+    data: bytes,
+    name: str,
+    error: type[NeoWorldError],
+    formats: tuple[str, ...] = IMAGE_FORMATS,
+    *,
+    large: bool = False,
 ) -> Iterator[Image.Image]:
     """Open an image, or the first frame of an animation or multi-page file.
 
@@ -28,6 +36,8 @@ def open_image(
         name: name of the file for messages.
         error: class of the error to raise.
         formats: formats to try.
+        large: True to allow `files.max_picture_mpx` megapixels instead of `PLAIN_MPX`, for callers
+            that decode them in a limited worker.
 
     Yields:
         The image, before its pixels are decoded.
@@ -37,6 +47,7 @@ def open_image(
             many pixels, or is damaged, which may only show when the image is used.
     """
     limit = file_bounds().max_picture_mpx
+    limit = limit if large else min(limit, PLAIN_MPX)
     try:
         with warnings.catch_warnings():
             # Pillow warns about large images; the bound below decides.

@@ -2,10 +2,13 @@
 
 import re
 import unicodedata
-from collections.abc import Container
+from collections import Counter
+from collections.abc import Container, Iterable
 
 MAX_NAME = 48
 NAME_RULE = f"letters, digits and underscores, a letter first, at most {MAX_NAME}"
+RESERVED = frozenset({"world"})
+"""Names that MuJoCo keeps for itself, which no object can have."""
 _NAME = re.compile(rf"[A-Za-z][A-Za-z0-9_]{{0,{MAX_NAME - 1}}}")
 _HIDDEN = {"Cc", "Cf", "Co", "Cs"}
 """Unicode categories of control and formatting characters (such as those that change the reading
@@ -23,16 +26,22 @@ def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
     Args:
         text: any text.
         kind: name to use for an empty text; its first letter is the prefix of a leading digit.
-        taken: names that are already in use.
+        taken: names that are already in use; an "object" takes none of `RESERVED` either.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", text[:MAX_NAME])[: MAX_NAME - 4] or kind
     if not plain[0].isalpha():
         plain = f"{kind[0]}_{plain}"[: MAX_NAME - 4]
+    reserved = RESERVED if kind == "object" else ()
     name, count = plain, 1
-    while name in taken:
+    while name in taken or name in reserved:
         ending = f"_{count}"
         name, count = plain[: MAX_NAME - len(ending)] + ending, count + 1
     return name
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that occur more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def file_name(text: str, length: int = 60) -> str:

@@ -8,10 +8,12 @@ from typing import Any
 import arro3.io
 from arro3.core import Array, DataType, Table
 
-from ..errors import NeoWorldError
+from ..errors import NeoWorldError, RunError
 from .file_options import file_bounds
 from .files import MIB, read_bytes, write_output
+from .limited_worker import call_limited
 
+MAX_ROWS = 500_000
 _TYPES: dict[type, Any] = {
     bool: DataType.bool(),
     int: DataType.int64(),
@@ -60,26 +62,37 @@ def read_rows(
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, is not a Parquet file, is
-            damaged, or lacks a column.
+            damaged, lacks a column, or has over `MAX_ROWS` rows or `files.max_values` values.
     """
+    # A few bytes can stand for any number of rows.
+    return call_limited(_read_rows, path, tuple(required), error=error)
+
+
+def _read_rows(path: Path, required: Sequence[str]) -> list[dict[str, Any]]:
     try:
         data = read_bytes(path, file_bounds().max_text_mib * MIB)
     except OSError as failure:
-        raise error(f"cannot read {path}: {failure.strerror}") from None
+        raise RunError(f"cannot read {path}: {failure.strerror}") from None
     if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
-        raise error(f"{path} is not a Parquet file")
+        raise RunError(f"{path} is not a Parquet file")
+    rows: list[dict[str, Any]] = []
+    limit = file_bounds().max_values
     try:
-        table = arro3.io.read_parquet(io.BytesIO(data)).read_all()
-        columns = [column.to_pylist() for column in table.columns]
-        names = list(table.column_names)
-        rows = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
-    except (KeyboardInterrupt, SystemExit):
+        reader = arro3.io.read_parquet(io.BytesIO(data))
+        names = list(reader.schema.names)
+        for batch in reader:
+            count = len(rows) + batch.num_rows
+            if count > MAX_ROWS or count * len(names) > limit:
+                raise RunError(f"{path} holds over {MAX_ROWS} rows, or over {limit} values")
+            columns = [column.to_pylist() for column in batch.columns]
+            rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+    except (KeyboardInterrupt, SystemExit, MemoryError, RunError):
         raise
     except BaseException as failure:  # A panic of the Rust reader is not an Exception.
-        raise error(
+        raise RunError(
             f"{path} is damaged ({type(failure).__name__}); start over with --overwrite"
         ) from None
     missing = sorted(set(required) - set(names))
     if missing:
-        raise error(f"{path} has no column {missing[0]}; start over with --overwrite")
+        raise RunError(f"{path} has no column {missing[0]}; start over with --overwrite")
     return rows

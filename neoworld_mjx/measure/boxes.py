@@ -1,5 +1,7 @@
 """Overlap of boxes: 2D boxes in images, and upright 3D boxes with a yaw."""
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,24 +48,22 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
     """Return the intersection area [m^2] of two counterclockwise polygons [n, 2] m, `b` convex."""
-    clipped = a
-    for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
-        if len(clipped) == 0:
-            return 0.0
-        edge = end - start
-        inward = np.array([-edge[1], edge[0]])
-        height = (clipped - start) @ inward
+    # Plain numbers: a scene has many pairs, and arrays of four points cost more than they save.
+    clipped, corners = a.tolist(), b.tolist()
+    for (x0, y0), (x1, y1) in itertools.pairwise([*corners, corners[0]]):
+        heights = [(y - y0) * (x1 - x0) - (x - x0) * (y1 - y0) for x, y in clipped]
         points = []
-        for k in range(len(clipped)):
+        for k, (x, y) in enumerate(clipped):
             j = (k + 1) % len(clipped)
-            if height[k] >= 0:
-                points.append(clipped[k])
-            if (height[k] >= 0) != (height[j] >= 0):
-                points.append(
-                    clipped[k] + height[k] / (height[k] - height[j]) * (clipped[j] - clipped[k])
-                )
-        clipped = np.array(points).reshape(-1, 2)
-    return max(polygon_area(clipped), 0.0)
+            if heights[k] >= 0:
+                points.append((x, y))
+            if (heights[k] >= 0) != (heights[j] >= 0):
+                share = heights[k] / (heights[k] - heights[j])
+                points.append((x + share * (clipped[j][0] - x), y + share * (clipped[j][1] - y)))
+        if not points:
+            return 0.0
+        clipped = points
+    return max(polygon_area(np.array(clipped)), 0.0)
 
 
 def shared_3d(a: Box3D, b: Box3D) -> float:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..spec import SceneSpec, bounds, world_poses
-from ..spec.pose import yaw_of
+from ..spec.pose import angle_between, yaw_of
 
 
 class Move(NamedTuple):
@@ -17,6 +17,8 @@ class Move(NamedTuple):
     size_ratio: float
     """New size over old size, geometric mean of the axes."""
     yaw_deg: float
+    turn_deg: float
+    """Angle between its orientations, tilt included."""
 
 
 def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
@@ -34,5 +36,6 @@ def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
             float(np.linalg.norm(np.subtract(b.pos, a.pos))),
             float(np.prod(sizes[0] / sizes[1])) ** (1 / 3),
             math.degrees(turn),
+            math.degrees(float(angle_between(a.quat, b.quat))),
         )
     return result

@@ -12,6 +12,7 @@ import anthropic
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from .connection import classified, encoded
+from .http_limits import http_limits
 from .requests import Rejection, Reply, Request, Usage
 from .server import Received, ServerProvider, corrections
 
@@ -38,7 +39,7 @@ class Anthropic(ServerProvider):
 
     def __init__(self, options: MLLMOptions, *, batch_poll_s: float = 30.0) -> None:
         super().__init__(options)
-        self._retries = options.retries
+        self._retries, self._call_timeout_s = options.retries, options.call_timeout_s
         self._batch_poll_s = batch_poll_s
 
     async def _receive(self, params: dict[str, Any], received: Received) -> None:
@@ -65,17 +66,21 @@ class Anthropic(ServerProvider):
             ModelError: the batch could not be sent or fetched.
         """
         request, role = calls[0]
+        limit_s = self._call_timeout_s
         batches = self._open().with_options(max_retries=self._retries).messages.batches
         sent = [{"custom_id": r.key, "params": self._params(r, o, ())} for r, o in calls]
         replies: dict[str, Reply] = {}
         try:
-            batch = await batches.create(requests=cast(Any, sent))
+            async with asyncio.timeout(limit_s):
+                batch = await batches.create(requests=cast(Any, sent))
             while batch.processing_status != "ended":
                 await asyncio.sleep(self._batch_poll_s)
-                batch = await batches.retrieve(batch.id)
-            async for item in await batches.results(batch.id):
-                if item.result.type == "succeeded":
-                    replies[item.custom_id] = _batched_reply(item.result.message)
+                async with asyncio.timeout(limit_s):
+                    batch = await batches.retrieve(batch.id)
+            async with asyncio.timeout(limit_s):
+                async for item in await batches.results(batch.id):
+                    if item.result.type == "succeeded":
+                        replies[item.custom_id] = _batched_reply(item.result.message)
         except Exception as error:
             failure = classified(error, self._connection, request.role, role, Usage())
             raise ModelError(f"batch of {len(calls)} requests: {failure}") from None
@@ -91,6 +96,7 @@ class Anthropic(ServerProvider):
             default_headers=connection.merged_headers(older if connection.local else {}),
             timeout=connection.timeout_s,
             max_retries=0,
+            http_client=anthropic.DefaultAsyncHttpxClient(**http_limits()),
         )
 
     def _params(

@@ -90,14 +90,17 @@ class Calls:
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
         failure = Transient("no call was made")
+        left_s = self.options.call_timeout_s
         for attempt in range(self.options.retries + 1):
             if attempt:
                 await asyncio.sleep(self._delay(request, attempt, failure))
-            try:
-                async with self._slots:
-                    return await self._call_and_record(request, role, rejected)
-            except Transient as error:
-                failure = error
+            async with self._slots:
+                start = time.perf_counter()
+                try:
+                    return await self._call_and_record(request, role, rejected, left_s)
+                except Transient as error:
+                    failure = error
+                left_s -= time.perf_counter() - start
         tries = self.options.retries + 1
         raise self.error(
             f"{request.name}: {self.provider.name} did not answer in {tries} "
@@ -106,13 +109,26 @@ class Calls:
         )
 
     async def _call_and_record(
-        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+        self,
+        request: Request[Any],
+        role: RoleOptions,
+        rejected: Sequence[Rejection],
+        left_s: float,
     ) -> Reply:
         tokens = token_bound(request, role.max_tokens, rejected)
         bound_usd = self.ledger.cost_bound(role.model, tokens)
         async with self._reserved(request, bound_usd):
             try:
-                reply = await self._call_provider(request, role, rejected)
+                async with asyncio.timeout(left_s):
+                    reply = await self._call_provider(request, role, rejected)
+            except TimeoutError:
+                # The server may bill what it has sent until now.
+                self.ledger.add(request.role, role.model, tokens, failed=True)
+                raise self.error(
+                    f"{request.name}: {self.provider.name} took longer than "
+                    f"{self.options.call_timeout_s:g} s, with all retries; resume the run later, "
+                    "or raise mllm.call_timeout_s"
+                ) from None
             except Transient as error:
                 self.ledger.add(request.role, role.model, error.usage, failed=True)
                 raise

@@ -19,8 +19,6 @@ from .secrets import environment_key, expand
 
 _MAX_PICTURE_BYTES = 3_500_000
 """Maximum size of a sent picture; servers reject more than 5 MB in base64."""
-_CALL_TIMEOUT_FACTOR = 10
-"""Maximum duration of a call, as a multiple of the timeout for silence."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,6 @@ class Connection:
     def local(self) -> bool:
         """True if the server is not the service's own."""
         return self.url is not None
-
-    @property
-    def call_timeout_s(self) -> float:
-        """Maximum duration of a call [s]."""
-        return _CALL_TIMEOUT_FACTOR * self.timeout_s
 
     def merged_headers(self, defaults: Mapping[str, str]) -> dict[str, str]:
         """Return default headers overridden by the user's; names are case-insensitive."""
@@ -97,6 +90,9 @@ def classified(
 
     The errors of both SDKs have the attributes `status_code`, `response` and `message`.
     """
+    for refused in (error, error.__cause__):
+        if isinstance(refused, ModelError):  # A limit of `http_limits`.
+            return refused
     status = getattr(error, "status_code", None)
     if isinstance(status, int):
         return _classified_status(error, status, connection, role, options, usage)
@@ -111,6 +107,12 @@ def classified(
         return Transient(f"the connection failed ({reason})", usage=usage)
     if isinstance(error, json.JSONDecodeError | UnicodeDecodeError):
         return Transient(f"the server's response is garbled ({error})", usage=usage)
+    if isinstance(error, TypeError | AttributeError | LookupError):
+        server = connection.url or "the service"
+        return ModelError(
+            f"{server} does not respond as this provider's API does ({type(error).__name__}); "
+            "check mllm.base_url and --provider"
+        )
     return ModelError(f"{type(error).__name__}: {error}")
 
 

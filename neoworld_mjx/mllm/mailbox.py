@@ -16,6 +16,7 @@ changes counts as unfinished.
 
 import asyncio
 import json
+import logging
 import re
 import shutil
 import sys
@@ -33,6 +34,9 @@ from ..io.names import file_name
 from .requests import Rejection, Reply, Request, Usage
 from .responses import InvalidResponse, is_json, read_response
 
+_log = logging.getLogger(__name__)
+PACKAGE = __name__.partition(".")[0]
+"""Logger of the package."""
 _POLL_S = 0.2
 _UNCHANGED_S = 3.0
 """Time without a change after which incomplete JSON counts as finished [s]."""
@@ -52,7 +56,8 @@ class Mailbox:
         timeout_s: maximum wait for a response [s]; None for no limit.
         poll_s: interval at which the folders are polled [s].
         unchanged_s: time without a change after which invalid JSON is rejected [s].
-        report: function that shows a line with the folder; by default, on standard error.
+        report: function that shows a line for each request; by default the package's log, or
+            standard error if it has no handler.
     """
 
     name = "mailbox"
@@ -72,8 +77,7 @@ class Mailbox:
         self._timeout_s = timeout_s
         self._poll_s = poll_s
         self._unchanged_s = unchanged_s
-        self._report = report or (lambda line: sys.stderr.write(line + "\n"))
-        self._reported = False
+        self._report = report or _announce
         self._order = asyncio.Lock()
 
     async def reply(
@@ -90,10 +94,9 @@ class Mailbox:
             async with self._order:
                 await asyncio.to_thread(request.draw_pictures)
                 folder = self._find(request) or self._put(request)
-            if not self._reported and not (folder / "response.json").exists():
-                self._reported = True
+            if not (folder / "response.json").exists():
                 self._report(
-                    f"waiting for responses: write response.json into each folder of {self._folder}"
+                    f"mailbox: {request.name} ({request.role}) waits for {folder / 'response.json'}"
                 )
             text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
         except TimeoutError:
@@ -175,6 +178,13 @@ class Mailbox:
             f"It was moved to {rejected_name}. "
             "Write a corrected response.json that fits schema.json.\n",
         )
+
+
+def _announce(line: str) -> None:
+    if logging.getLogger(PACKAGE).handlers:
+        _log.info("%s", line)
+    else:
+        sys.stderr.write(line + "\n")
 
 
 def _prompt(request: Request[Any], files: Sequence[str]) -> str:

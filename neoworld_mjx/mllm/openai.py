@@ -7,6 +7,7 @@ from typing import Any
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from .connection import encoded, server_message
+from .http_limits import http_limits
 from .requests import Rejection, Reply, Request, Usage
 from .server import Received, ServerProvider, corrections
 
@@ -80,6 +81,7 @@ class OpenAI(ServerProvider):
             default_headers=self._connection.merged_headers({}),
             timeout=self._connection.timeout_s,
             max_retries=0,
+            http_client=self._sdk.DefaultAsyncHttpxClient(**http_limits()),
         )
 
     def _params(

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..config import RoleOptions
-from ..errors import MissingResponseError, ModelError
+from ..errors import MissingResponseError, ModelError, open_files_exhausted
 from ..io import read_model
 from ..io.files import write_atomic
 from .requests import Rejection, Reply, Request, Usage
@@ -163,7 +163,9 @@ def find_tape(photo_sha256: str | None, paths: Iterable[Path]) -> tuple[Tape, Pa
         for path in sorted(given_path.glob(f"*{SUFFIX}")):
             try:
                 tape = Tape.load(path)
-            except ModelError:
+            except ModelError as error:
+                if open_files_exhausted(error.__context__):
+                    raise
                 continue  # A broken tape of another photo must not stop this run.
             if photo_sha256 is not None and tape.photo == photo_sha256:
                 return tape, path

@@ -1,6 +1,5 @@
 """Base class of the providers that call a server: features, streams, errors, replies."""
 
-import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ class Received:
 class ServerProvider(ABC):
     """A provider that calls a server's API and streams the responses.
 
-    The timeout limits silence between events, rather than the length of a response. Once a server
+    The timeout limits silence; `Calls` limits the length of a whole call. Once a server
     rejects an optional feature (a JSON schema for the response, token counts in the stream, ...),
     later calls omit it.
 
@@ -88,8 +87,7 @@ class ServerProvider(ABC):
             params = self._params(request, role, rejected)
             received = Received(role.model)
             try:
-                async with asyncio.timeout(self._connection.call_timeout_s):
-                    await self._receive(params, received)
+                await self._receive(params, received)
             except Exception as error:
                 feature = self._rejected_feature(error, params)
                 rejected_feature = (role.model, feature or "", self._scope(feature, request))

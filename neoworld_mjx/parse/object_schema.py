@@ -30,6 +30,15 @@ class ParsedCamera(ResponsePart):
         description="The numbers above that you measured in the picture, from vanishing points, "
         "ellipses or several known sizes; the others count as guesses.",
     )
+    pitch_doubt_deg: float | None = Field(
+        default=None,
+        description="Uncertainty of `pitch_deg`: two times in three the error is smaller "
+        "[degrees]; null if you cannot estimate it.",
+    )
+    height_doubt: float | None = Field(
+        default=None,
+        description="The same of `height`, as a fraction of it: 0.1 is ten per cent.",
+    )
 
 
 class ParsedBox(ResponsePart):
@@ -112,8 +121,8 @@ class ParsedObject(ResponsePart):
         "counter, shelf.",
     )
     parent: str | None = Field(
-        description="Name of the object that supports it; null for a support of the environment "
-        "that stands on nothing listed."
+        description="Name of the object that supports it; null for the floor, a wall, and a slab "
+        "of the environment that stands on nothing listed, such as a table top without its legs."
     )
     relation: Relation = Field(
         default="on",
@@ -125,7 +134,9 @@ class ParsedObject(ResponsePart):
         description="The movable part of the parent that supports it, such as an open drawer.",
     )
     fixed_base: bool = Field(
-        default=False, description="True if it is fastened, built in or mounted."
+        default=False,
+        description="True if it never moves as a whole: built in, screwed down, or too heavy for a "
+        "robot arm.",
     )
     occluded: bool = Field(
         default=False,
@@ -182,5 +193,6 @@ class ParsedObject(ResponsePart):
     )
     furniture: bool = Field(
         default=False,
-        description="True for a support of the environment that is built from the picture.",
+        description="True for a support of the environment that is built from the picture in its "
+        "real shape, such as a table with legs that stands on a listed floor.",
     )

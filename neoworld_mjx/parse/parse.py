@@ -1,14 +1,17 @@
 """Step 1: request the scene in a photo, fit, check and criticise it, return the best round.
 
-A response is first fitted to its own 2D boxes and checked without a model. A repair request then
-contains the issues that remain and that the critic does not dismiss, and the faults that the critic
-sees in the drawn parse. The result is the response with the best score.
+A response is fitted to its own 2D boxes and checked without a model. A repair request contains the
+issues of the response that the fit does not repair and the critic does not dismiss, and the faults
+that the critic sees in the drawn parse; the answer to it contains only what changes. The result is
+the response with the best score.
 """
 
 import asyncio
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+
+from pydantic import ValidationError
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
@@ -19,7 +22,8 @@ from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree
 from .draw import draw_parse
 from .photo import Photo
-from .prompts import SceneCritique, critic_request, parse_request
+from .prompts import SceneCritique, correction_request, critic_request, parse_request
+from .room_schema import phrase
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
@@ -38,7 +42,7 @@ class SceneAttempt:
     broken: str = ""
     """Reason why the response gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
-    """Issues that remain after the fit."""
+    """Issues of the response, with its own numbers, that the fit does not repair."""
     fit: FitReport | None = None
     verdict: SceneCritique | None = None
 
@@ -143,13 +147,16 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
 
     async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
         last = attempts[-1]
-        request = parse_request(photo, last.response, last.corrections)
-        response = await ask_or_record(models, request, "no repair round", fallbacks)
-        return (
-            None
-            if response is None or response == last.response
-            else await _fit_and_check(photo, response, options)
-        )
+        request = correction_request(photo, last.response, last.corrections)
+        correction = await ask_or_record(models, request, "no repair round", fallbacks)
+        if correction is None:
+            return None
+        try:
+            response = correction.applied(last.response)
+        except ValidationError as error:
+            return SceneAttempt(last.response, None, None, phrase(error))
+        same = response == last.response
+        return None if same else await _fit_and_check(photo, response, options)
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
@@ -175,7 +182,9 @@ async def _fit_and_check(
         response_tree = tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, None, str(error))
-    report = None
+    report, checks = None, check_tree(response_tree)
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return SceneAttempt(response, tree, response_tree, checks=check_tree(tree), fit=report)
+        remaining = {(issue.node, issue.code) for issue in check_tree(tree)}
+        checks = tuple(issue for issue in checks if (issue.node, issue.code) in remaining)
+    return SceneAttempt(response, tree, response_tree, checks=checks, fit=report)

@@ -5,7 +5,8 @@ to 8-bit RGB, and resizes it for the models. All other pixel coordinates are tho
 original; `Photo.scale` converts them to the resized picture. Embedded colour profiles are ignored,
 so a file gives the same pixels on every machine.
 
-A file that could exhaust the memory is rejected by its header, before any pixel is decoded.
+A file that could exhaust the memory is rejected by its header, before any pixel is decoded; a large
+picture is decoded in a limited worker.
 """
 
 import hashlib
@@ -19,9 +20,15 @@ from PIL import Image, ImageOps
 from ..errors import PhotoError
 from ..io import file_bounds, open_image
 from ..io.files import MIB, read_bytes
+from ..io.image_files import PLAIN_MPX
+from ..io.limited_worker import call_limited
 from .enlarge import enlarged
 
 MIN_SIDE_PX = 16
+DRAFT_MPX = 40
+"""Number of megapixels above which a JPEG is decoded at half its size."""
+_ROWS = 256
+"""Number of rows that are converted to bytes at once."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +69,23 @@ def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Pho
     """
     path = Path(path)
     data = _read(path)
-    image = _decode(path, data)
-    original = image.size
+    with open_image(data, str(path), PhotoError, large=True) as image:
+        width, height = image.size
+    digest = hashlib.sha256(data).hexdigest()
+    if width * height <= PLAIN_MPX * 1_000_000:
+        rgb, original = _resized(path, max_side_px)
+    else:
+        del data
+        rgb, original = call_limited(_resized, path, max_side_px, error=PhotoError)
+    factor = max(1, max_side_px // max(rgb.shape[:2]))
+    rgb = enlarged(rgb, min_side_px, factor)
+    rgb.flags.writeable = False
+    return Photo(rgb, original, digest, path)
+
+
+def _resized(path: Path, max_side_px: int) -> tuple[UInt8[np.ndarray, "h w 3"], tuple[int, int]]:
+    """Return a photograph at the size that models receive, and the size of the original."""
+    image, original = _decode(path, _read(path))
     longest = max(original)
     if longest > max_side_px:
         size = (
@@ -76,10 +98,7 @@ def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Pho
                 f"{max_side_px} pixels its short side is under {MIN_SIDE_PX}; crop it"
             )
         image = image.resize(size, Image.Resampling.LANCZOS)
-    factor = max(1, max_side_px // max(image.size))
-    rgb = enlarged(np.array(image), min_side_px, factor)
-    rgb.flags.writeable = False
-    return Photo(rgb, original, hashlib.sha256(data).hexdigest(), path)
+    return np.array(image), original
 
 
 def _read(path: Path) -> bytes:
@@ -95,17 +114,22 @@ def _read(path: Path) -> bytes:
         ) from None
 
 
-def _decode(path: Path, data: bytes) -> Image.Image:
-    """Return the picture upright, in mode RGB, at full size."""
-    with open_image(data, str(path), PhotoError) as image:
+def _decode(path: Path, data: bytes) -> tuple[Image.Image, tuple[int, int]]:
+    """Return the picture upright, in mode RGB, and the size of the upright original."""
+    with open_image(data, str(path), PhotoError, large=True) as image:
         width, height = image.size
         if min(image.size) < MIN_SIDE_PX:
             raise PhotoError(
                 f"{path}: {width} x {height} pixels is too small; "
                 f"at least {MIN_SIDE_PX} pixels a side are needed"
             )
+        if width * height > DRAFT_MPX * 1_000_000:
+            # The JPEG decoder can halve a picture while it decodes it.
+            image.draft("RGB", (width // 2, height // 2))
         image.load()
-        return _to_rgb(_upright(image))
+        upright = _upright(image)
+        turned = (upright.size[0] > upright.size[1]) != (image.size[0] > image.size[1])
+        return _to_rgb(upright), (height, width) if turned else (width, height)
 
 
 def _upright(image: Image.Image) -> Image.Image:
@@ -132,10 +156,18 @@ def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
     White is 65535 for integers, 1 for floats up to 1 and 255 for other floats, or the maximum if it
     is larger.
     """
-    grey = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    top = float(grey.max())
+    blocks = range(0, len(values), _ROWS)
+    top = max(float(_grey(values[row : row + _ROWS]).max()) for row in blocks)
     if np.issubdtype(values.dtype, np.floating):
         white = 1.0 if top <= 1.0 else max(255.0, top)
     else:
         white = max(65535.0, top)
-    return np.clip(np.rint(grey * (255.0 / white)), 0, 255).astype(np.uint8)
+    result = np.empty(values.shape, np.uint8)
+    for row in blocks:
+        grey = _grey(values[row : row + _ROWS]) * (255.0 / white)
+        result[row : row + _ROWS] = np.clip(np.rint(grey), 0, 255)
+    return result
+
+
+def _grey(values: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..mllm import Picture, Request, package_text
 from .photo import Photo
-from .schema import ParsedScene
+from .schema import ParsedScene, SceneCorrection
 
 REQUEST_PROMPT = (
     "Describe the scene in this photograph of {width} x {height} pixels: the camera, every object, "
@@ -16,8 +16,8 @@ REQUEST_PROMPT = (
 REPAIR_PROMPT = (
     "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
     "checked for consistency. These faults were found; look at the photograph again for each of "
-    "them, since a finding can itself be wrong:\n\n{findings}\n\nRespond again with the complete "
-    "scene, with the faults corrected and everything that was right unchanged."
+    "them, since a finding can itself be wrong:\n\n{findings}\n\nRespond with the changes only: "
+    "each object that you correct or add, complete, and the names of those that do not exist."
 )
 CRITIC_PROMPT = (
     "The photograph has {width} x {height} pixels. The parse lists {count} objects:"
@@ -71,30 +71,41 @@ class SceneCritique(BaseModel):
         return min(self.boxes, self.completeness, self.hierarchy)
 
 
-def parse_request(
-    photo: Photo, response: ParsedScene | None = None, findings: Sequence[str] = ()
-) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo, or for the correction of a response.
+def parse_request(photo: Photo) -> Request[ParsedScene]:
+    """Return the request for the scene in a photo."""
+    width, height = photo.size
+    return Request(
+        role="reasoner",
+        name="parse",
+        system=package_text(__package__, "reasoner"),
+        prompt=REQUEST_PROMPT.format(width=width, height=height),
+        schema=ParsedScene,
+        pictures=[Picture.of("photo", photo.rgb)],
+    )
+
+
+def correction_request(
+    photo: Photo, response: ParsedScene, findings: Sequence[str]
+) -> Request[SceneCorrection]:
+    """Return the request for the correction of a response.
 
     Args:
         photo: the photograph.
-        response: an earlier response to correct.
-        findings: faults of the earlier response, one line each.
+        response: the response to correct.
+        findings: its faults, one line each.
     """
     width, height = photo.size
-    prompt = REQUEST_PROMPT.format(width=width, height=height)
-    if response is not None:
-        prompt = REPAIR_PROMPT.format(
-            ask=prompt,
-            response=response.model_dump_json(indent=1),
-            findings="\n".join(f"- {line}" for line in findings),
-        )
+    prompt = REPAIR_PROMPT.format(
+        ask=REQUEST_PROMPT.format(width=width, height=height),
+        response=response.model_dump_json(indent=1),
+        findings="\n".join(f"- {line}" for line in findings),
+    )
     return Request(
         role="reasoner",
-        name="parse" if response is None else "parse:mend",
+        name="parse:mend",
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
-        schema=ParsedScene,
+        schema=SceneCorrection,
         pictures=[Picture.of("photo", photo.rgb)],
     )
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from ..io.names import MAX_NAME, plain_text
 
 FURTHEST_M, LARGEST_M, THINNEST_M = 1000.0, 1000.0, 1e-4
-MAX_LISTED = 200
+MAX_LISTED, MAX_OBJECTS = 200, 100
 _POSITION, _EDGE = (-FURTHEST_M, FURTHEST_M), (THINNEST_M, LARGEST_M)
 _PIXEL, _ANGLE, _FRACTION = (-1e5, 1e5), (-720.0, 720.0), (-1.0, 1.0)
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -26,7 +26,12 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **{"surface.colour": (0.0, 1.0), "surface.second_colour": (0.0, 1.0)},
     **{"doubt.position": (1e-6, FURTHEST_M), "doubt.size": (1e-6, 10.0)},
     **{"doubt.yaw_deg": (1e-6, 360.0)},
-    **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _ANGLE},
+    **{
+        "camera.pitch_doubt_deg": (0.0, 57.0),
+        "camera.height_doubt": (0.0, 1.0),
+        "camera.pitch_deg": (-90.0, 90.0),
+        "camera.roll_deg": _ANGLE,
+    },
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _POSITION},
 }
 """Minimum and maximum [m, degrees, pixels, fractions] by the number's path in an object or in the
@@ -49,8 +54,9 @@ def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
         parts = [value] if isinstance(value, BaseModel) else value
         if not isinstance(parts, list):
             continue
-        if len(parts) > MAX_LISTED:
-            yield f"{prefix}{field} lists {len(parts)} entries, at most {MAX_LISTED} are accepted"
+        most = MAX_OBJECTS if field == "objects" else MAX_LISTED
+        if len(parts) > most:
+            yield f"{prefix}{field} lists {len(parts)} entries, at most {most} are accepted"
             continue
         for part in parts:
             if isinstance(part, BaseModel):

@@ -63,7 +63,14 @@ def build_tree(
     nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in objects)
     names = dict.fromkeys(camera.measured)
     measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
-    return SceneTree(camera=tree_camera, camera_measured=tuple(measured), nodes=nodes)
+    pitch_sd = camera.pitch_doubt_deg
+    return SceneTree(
+        camera=tree_camera,
+        camera_measured=tuple(measured),
+        pitch_sd=None if pitch_sd is None else math.radians(pitch_sd),
+        height_sd=camera.height_doubt,
+        nodes=nodes,
+    )
 
 
 def _node(

@@ -5,10 +5,10 @@ in words. Validation reports all errors of a response at once, in words for the 
 docstrings and descriptions of the classes are part of the request, as in `object_schema`.
 """
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..io.names import MAX_NAME, NAME_RULE, is_name, plain_text
+from ..io.names import MAX_NAME, NAME_RULE, RESERVED, is_name, plain_text
 from ..spec import SceneTree
 from .object_schema import ParsedCamera, ParsedObject
 from .photo import Photo
@@ -39,6 +39,49 @@ class ParsedScene(ResponsePart):
         except ValidationError as error:
             raise ValueError(phrase(error)) from None
         return self
+
+
+class SceneCorrection(ResponsePart):
+    """Changes of an earlier response."""
+
+    observations: str = Field(
+        default="", description="In a few sentences: what is corrected, and why; or what is not."
+    )
+    camera: ParsedCamera | None = Field(
+        default=None, description="The complete camera if any of its numbers changes; else null."
+    )
+    objects: list[ParsedObject] = Field(
+        default_factory=list,
+        description="Only the objects that change or are new, each complete; an object replaces "
+        "the earlier one of the same name.",
+    )
+    removed: list[str] = Field(
+        default_factory=list, description="Names of the earlier objects that do not exist."
+    )
+
+    def applied(self, earlier: ParsedScene) -> ParsedScene:
+        """Return the corrected response.
+
+        Raises:
+            ValidationError: the corrected scene is inconsistent; its messages are for the model.
+        """
+        changed = {obj.name: obj for obj in self.objects}
+        names = [obj.name for obj in earlier.objects]
+        kept = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
+        added = [obj for obj in self.objects if obj.name not in names]
+        data = {
+            "observations": self.observations or earlier.observations,
+            "camera": self.camera or earlier.camera,
+            "objects": [*kept, *added],
+        }
+        # Objects are validated again: whether parents and occluders exist depends on all of them.
+        return ParsedScene.model_validate({key: _plain(value) for key, value in data.items()})
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    return [_plain(entry) for entry in value] if isinstance(value, list) else value
 
 
 def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
@@ -87,6 +130,8 @@ def _problems(response: ParsedScene) -> list[str]:
         where = f"object {plain_text(obj.name, MAX_NAME)}"
         if not is_name(obj.name):
             problems.append(f"{where}: a name has {NAME_RULE}")
+        if obj.name in RESERVED:
+            problems.append(f"{where}: MuJoCo reserves this name, choose another")
         if obj.box.left >= obj.box.right or obj.box.top >= obj.box.bottom:
             problems.append(
                 f"{where}: box needs left < right and top < bottom, got {corners(obj.box)}"

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from neoworld_kernels import pair_depth
+from neoworld_kernels import pair_depth, pair_gap
 
 from ..spec.pose import length
 from ..traces import stored_trace
@@ -64,6 +64,19 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
     pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
     depth = pair_depth(pos, turn, scale, samples, scene.colliders)
     return jnp.where(scene.pair_mask, depth, 0.0)
+
+
+def pair_gaps(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
+    """Return the signed distance [m] of each pair of objects, negative where they penetrate.
+
+    It is the smaller one of the two directions of `neoworld_kernels.pair_gap`; inf between
+    environment supports and on the diagonal.
+    """
+    turn = jnp.asarray(rotation(poses.quat))
+    pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
+    gap = pair_gap(pos, turn, scale, samples, scene.colliders)
+    gap = jnp.where(scene.pair_mask, gap, jnp.inf)
+    return jnp.minimum(gap, jnp.swapaxes(gap, 1, 2))
 
 
 @eqx.filter_jit

@@ -1,20 +1,21 @@
 """Steps 1 to 3 of a run: parse the photograph, program the objects, verify them."""
 
 import asyncio
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, TypeVar
 
 from ..errors import ProgramError
-from ..spec import SceneTree, TreeNode
-from .coroutines import run_coroutine
-from .program_inputs import program_inputs
+from ..mllm.coroutines import run_coroutine
+from ..spec import TreeNode
+from .program_inputs import program_inputs, with_corrected_sizes
 from .step_context import (
     RESPONSE_TREE,
     TREE,
-    VERIFIED,
     StepContext,
-    read_allowances,
-    read_spec,
     read_tree,
 )
+
+T = TypeVar("T")
 
 
 def parse_photo(context: StepContext) -> None:
@@ -88,80 +89,54 @@ def program_objects(context: StepContext) -> None:
             for skipped, reason in result.fallbacks:
                 run.fallback(name, skipped, reason)
             if colour is not None and colour.source in ("answer", "material"):
-                reason = f"it is unoccluded in only {colour.share:.1%} of the picture"
-                run.fallback(name, f"{node.name} in the colour of its {colour.source}", reason)
+                source = "response" if colour.source == "answer" else colour.source
+                reason = f"only {colour.share:.1%} of the picture shows it"
+                run.note(name, f"{node.name} has the colour of its {source}", reason)
             if result.size is not None:
                 sizes = (" x ".join(f"{v:.3f}" for v in s) for s in (node.box3d.size, result.size))
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
-                run.fallback(name, f"{node.name} with a corrected size", reason)
+                run.note(name, f"{node.name} has a corrected size", reason)
         last_finished = run.now()
 
-    async def program_all() -> None:
-        results = await asyncio.gather(*map(program_one, tree.nodes), return_exceptions=True)
-        for error in results:  # Keep all finished objects, then raise the first error.
-            if isinstance(error, BaseException):
-                raise error
-
-    run_coroutine(program_all())
+    run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
 
 
 def verify_objects(context: StepContext) -> None:
-    """Step 3: write each object's verify.json, and its repaired spec if repairs were needed."""
-    tree = read_tree(context.run)
-    for node in tree.nodes:
-        _verify_object(context, node, tree)
+    """Step 3: write each object's verify.json, and its repaired object if it was changed.
+
+    Objects are simulated one after another; their requests to models wait at the same time.
+    """
+    from ..parse.crops import crops
+    from .object_verification import ObjectVerification
+
+    tree = with_corrected_sizes(context.run, read_tree(context.run))
+    crop_by_name = {} if context.photo is None else crops(context.photo, tree)
+    # An object's time counts from when the previous one finished, so the times add up.
+    last_finished = context.run.now()
+
+    async def verify_all() -> None:
+        turn = asyncio.Lock()
+
+        async def compute(work: Callable[[], T]) -> T:
+            async with turn:
+                return await asyncio.to_thread(work)
+
+        async def verify_one(node: TreeNode) -> None:
+            nonlocal last_finished
+            verification = ObjectVerification(context, node, tree, crop_by_name.get(node.name))
+            if context.run.finished(verification.name, verification.inputs):
+                return
+            result = await verification.result(compute)
+            await compute(lambda: verification.write(result, last_finished))
+            last_finished = context.run.now()
+
+        await _all_or_first_error(verify_one(node) for node in tree.nodes)
+
+    run_coroutine(verify_all())
 
 
-def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> None:
-    from ..checks.object_tests import run_object_tests
-    from ..compose.resting_pose import on_level, pose_without_scene
-    from ..verify import verify_and_repair
-    from ..verify.films import films
-    from ..verify.patch import write_overlay
-
-    run, options = context.run, context.config.verify
-    name = f"verify/{node.name}"
-    object_folder = run.path / "objects" / node.name
-    spec, program = object_folder / "spec.json", object_folder / "program.json"
-    level = on_level(node, tree)
-    inputs = {"spec": spec, "program": program, "options": options, "node": node, "level": level}
-    with run.step(name, inputs) as out:
-        if out is None:
-            return
-        object_ = read_spec(spec)
-        tilt, fixed_base = pose_without_scene(node, object_, level=level)
-        result = verify_and_repair(
-            object_,
-            options,
-            fixed_base=fixed_base,
-            tilt=tilt,
-            allowed=read_allowances(program),
-            models=None if options.critic == "never" else context.models,
-        )
-        object_folder = out / "objects" / node.name
-        object_folder.mkdir(parents=True)
-        (object_folder / "verify.json").write_text(result.to_json(), encoding="utf-8")
-        verdict = result.verdict
-        if options.films == "always" or (options.films == "questionable" and verdict.questionable):
-            tests = run_object_tests(
-                result.applied(object_),
-                options,
-                fixed_base=fixed_base,
-                tilt=tilt,
-                allowed=read_allowances(program),
-            )
-            for kind, film in films(tests).items():
-                (object_folder / f"{kind}.gif").write_bytes(film)
-        if not result.patch.empty:
-            write_overlay(object_folder / "program.py", result.patch)
-            (object_folder / VERIFIED).write_text(
-                result.applied(object_).to_json(), encoding="utf-8"
-            )
-            run.fallback(name, f"{node.name} with edits", "; ".join(result.changes))
-        for critic, reason in result.lost_critics:
-            run.fallback(name, f"{node.name} without the critic {critic}", reason)
-        for check in result.verdict.checks:
-            if check.outcome in ("FAIL", "TOOL_FAILURE"):
-                fallback = f"{node.name} unchanged, although {check.scenario}/{check.name} failed"
-                reason = f"{check.value} against {check.threshold}: {check.hint}"
-                run.fallback(name, fallback, reason)
+async def _all_or_first_error(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Run coroutines concurrently until all have ended, then raise the first error."""
+    for error in await asyncio.gather(*work, return_exceptions=True):
+        if isinstance(error, BaseException):
+            raise error

@@ -1,7 +1,6 @@
 """Steps 4 and 5 of a run, and the export: compose, refine and export the scene."""
 
 import json
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,6 @@ from .step_context import (
     read_spec,
     read_tree,
 )
-
-_log = logging.getLogger(__name__)
 
 
 def compose_scene(context: StepContext) -> None:
@@ -82,9 +79,9 @@ def compose_scene(context: StepContext) -> None:
                     run.note("compose", outcome, reason)
                 for name, support in report.supports.items():
                     change = f"{name} {support.relation} {support.parent}, not {support.before}"
-                    run.fallback("compose", change, support.phrase())
+                    run.note("compose", change, support.phrase())
             composed = compose(tree, objects, config.compose)
-            scene, notes = composed.scene, composed.notes
+            scene, notes, shortfalls = composed.scene, composed.notes, composed.shortfalls
             if config.compose.align.enabled:
                 scene = _aligned(context, scene, tree, out)
                 scene, moved = in_contact(scene, config.compose)
@@ -94,11 +91,12 @@ def compose_scene(context: StepContext) -> None:
             scales = json.dumps(composed.scales, indent=1) + "\n"
             (out / "compose" / "scales.json").write_text(scales, encoding="utf-8")
             for note in notes:
-                run.fallback("compose", "a scene that differs from the parsed one", note)
+                name, _, change = note.partition(": ")
+                record = run.fallback if note in shortfalls else run.note
+                record("compose", name, change)
             for name in sorted(patch.objects.keys() - set(stale)):
-                run.fallback(
-                    "compose", f"{name} at a person's placement", f"{LAYOUT_PATCH} contains it"
-                )
+                reason = f"{LAYOUT_PATCH} contains it"
+                run.note("compose", f"{name} is where a person placed it", reason)
             for name in stale:
                 reason = f"{LAYOUT_PATCH} contains it, but the scene does not"
                 run.fallback("compose", f"no {name}", reason)
@@ -119,7 +117,9 @@ def _aligned(context: StepContext, scene: SceneSpec, tree: SceneTree, out: Path)
         (out / OUTLINES).parent.mkdir(exist_ok=True)
         (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned.scene)))
     if aligned.failure:
-        context.run.fallback("compose", "a scene not aligned with the photograph", aligned.failure)
+        context.run.fallback(
+            "compose", "the scene is not aligned with the photograph", aligned.failure
+        )
     for outcome, reason in aligned.notes(scene):
         context.run.note("compose", outcome, reason)
     return aligned.scene
@@ -151,10 +151,11 @@ def _check_composed(context: StepContext) -> None:
         text = json.dumps({"unstable": entries}, indent=1) + "\n"
         (out / CHECK).write_text(text, encoding="utf-8")
         if moving:
-            _log.warning("compose: before the search %s", phrases(moving))
+            count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
+            run.note("compose/check", f"{count} not rest before the search", phrases(moving))
         for entry in moving:
             if not entry.held:
-                run.fallback("compose/check", f"{entry.name} without a stable support", entry.why)
+                run.fallback("compose/check", f"{entry.name} has no stable support", entry.why)
 
 
 def refine_layout(context: StepContext) -> None:
@@ -166,7 +167,7 @@ def refine_layout(context: StepContext) -> None:
     run, config = context.run, context.config
     by_model = config.refine.semantic.scorer == "mllm"
     photo = None
-    if by_model or config.refine.reward.w_photo > 0:
+    if by_model or "s_photo" in config.refine.reward.terms:
         photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb)
     inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
 
@@ -190,6 +191,7 @@ def refine_layout(context: StepContext) -> None:
         )
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
         (out / SCENE).write_text(refined.scene.to_json(), encoding="utf-8")
+        moves = object_moves(composed, refined.scene)
         summary = {
             "passed": refined.passed,
             "engine": refined.engine,
@@ -197,8 +199,8 @@ def refine_layout(context: StepContext) -> None:
             "winner": list(refined.winner),
             "finalists_tried": refined.finalists_tried,
             "mean_log_scale": refined.mean_log_scale,
-            "mean_shift_m": refined.mean_shift_m,
-            "mean_turn_deg": refined.mean_turn_deg,
+            "mean_shift_m": _mean([move.distance_m for move in moves.values()]),
+            "mean_turn_deg": _mean([move.turn_deg for move in moves.values()]),
             "kept": list(refined.kept),
             "rollouts": refined.rollouts,
             "scoring": refined.scoring,
@@ -213,8 +215,9 @@ def refine_layout(context: StepContext) -> None:
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=refined.seconds)
         for note in refined.fallbacks:
-            run.fallback("refine", "a refinement without it", note)
-        for name, move in object_moves(composed, refined.scene).items():
+            outcome, _, reason = note.partition(": ")
+            run.fallback("refine", outcome, reason)
+        for name, move in moves.items():
             if move.distance_m > NOTED_M or abs(move.size_ratio - 1) > NOTED_SIZE:
                 run.note(
                     "refine",
@@ -222,6 +225,10 @@ def refine_layout(context: StepContext) -> None:
                     f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else 0.0
 
 
 def export_files(context: StepContext) -> None:

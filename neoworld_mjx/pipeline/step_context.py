@@ -26,6 +26,8 @@ RESULT = "refine/result.json"
 TAPE = "answers.tape.json"
 VERIFIED = "verified.json"
 """Object after repairs by Step 3; missing if Step 3 changed nothing."""
+REPROGRAMMED = "reprogrammed.py"
+"""Program that Step 3 requested in place of program.py; its rounds are in reprogrammed.json."""
 
 
 @dataclass(frozen=True)

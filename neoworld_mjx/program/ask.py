@@ -129,8 +129,17 @@ def revise_request(
     stage: StageInput,
     program: str,
     critiques: Sequence[Critique],
+    made: Picture | None = None,
 ) -> Request[ProgramResponse]:
-    """Return the request to revise a program according to the critics' faults."""
+    """Return the request to revise a program according to the critics' faults.
+
+    Args:
+        subject: the object.
+        stage: stage of the program.
+        program: the program.
+        critiques: the critics' faults.
+        made: picture of the object that it builds, as the critics saw it.
+    """
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
         for critique in critiques
@@ -140,9 +149,26 @@ def revise_request(
         lines.append(
             "- object: the measured box was wrong; it is corrected above -> fill the corrected box"
         )
-    heading = "It runs. Rendered and compared with the photo, it differs:"
+    shown = "" if made is None else f' The picture "{made.label}" shows what it builds.'
+    heading = f"It runs.{shown} Rendered and compared with the photo, it differs:"
     prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
-    return _request("revise", subject, stage, prompt)
+    return _request("revise", subject, stage, prompt, () if made is None else (made,))
+
+
+def reprogram_request(
+    subject: Subject, stage: StageInput, program: str, findings: Sequence[str]
+) -> Request[ProgramResponse]:
+    """Return the request to write a program again whose object does not move like the real one."""
+    heading = (
+        "It runs and looks like the photo. Simulated by itself on a level floor, it does not "
+        "behave as the real object would:"
+    )
+    lines = [f"- {finding}" for finding in findings]
+    lines.append(
+        "- object: keep what the photo shows; change shapes, parts and joints only as far as needed"
+    )
+    prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
+    return _request("reprogram", subject, stage, prompt)
 
 
 def instructions(file: str, language: Language = "sdk") -> str:
@@ -153,13 +179,17 @@ def instructions(file: str, language: Language = "sdk") -> str:
 
 
 def _request(
-    kind: str, subject: Subject, stage: StageInput, prompt: str
+    kind: str,
+    subject: Subject,
+    stage: StageInput,
+    prompt: str,
+    more_pictures: Sequence[Picture] = (),
 ) -> Request[ProgramResponse]:
     """Return a request named after its kind, program, debug or revise, and its stage."""
     name = kind if stage.file == "program" else f"{kind}-{stage.file}"
     name = stage.file if kind == "program" else name
     system = instructions(stage.file, stage.language)
-    pictures: list[Picture] = [subject.crop]
+    pictures: list[Picture] = [subject.crop, *more_pictures]
     name = f"{name}:{subject.node.name}"
     return Request("programmer", name, system, prompt, ProgramResponse, pictures)
 

@@ -166,6 +166,9 @@ def run_sandboxed(
                     raise session.exceeded
     except monty.MontyTypingError as error:
         errors = type_signals(json.loads(error.display()))
+        if not errors:
+            unchecked = options.model_copy(update={"type_check": False})
+            return run_sandboxed(text, session, unchecked, patient=patient)
     except LimitExceeded:
         pass  # Reported below, whether or not the program caught it.
     except monty.MontyError as error:

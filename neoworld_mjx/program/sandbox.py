@@ -5,6 +5,8 @@ process without isolation, for your own programs only. The same text gives the s
 byte. With `program.language: blender` a program that imports bpy runs in Blender (`blender/`).
 """
 
+import errno
+import os
 import re
 import time
 from dataclasses import dataclass, field, replace
@@ -15,6 +17,7 @@ from ..checks.allowance import Allowance
 from ..checks.compile_checks import check
 from ..checks.signals import Signal, deduplicated, error_signal, has_errors
 from ..config import ProgramOptions
+from ..errors import open_files_exhausted
 from ..spec import ObjectSpec
 from .assemble import assemble
 from .blender.blender_availability import require_blender
@@ -98,6 +101,8 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
                 spec, structure = assemble(session.objects, loose=loose)
                 errors = [*errors, *structure]
         except Exception as error:
+            if open_files_exhausted(error):
+                raise OSError(errno.EMFILE, os.strerror(errno.EMFILE)) from None
             message = f"{type(error).__name__}: {error}"[:500]
             hint = "this is a fault of the SDK, not of the program"
             errors = [error_signal("internal", message, hint=hint)]

@@ -14,7 +14,8 @@ from ..checks.compile_checks import check_geometry
 from ..checks.signals import Signal, deduplicated, error_signal
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
-from ..export import export_object, import_urdf
+from ..export import export_object, read_urdf
+from ..export.importing import to_object
 from ..spec import ObjectSpec, TreeNode, inertial
 from .attempt import joined
 from .sandbox import BuildResult, build, run
@@ -79,7 +80,7 @@ def urdf_round_trip(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
     try:
         with tempfile.TemporaryDirectory() as folder:
             export_object(spec, Path(folder))
-            read = import_urdf(Path(folder) / "object.urdf").spec
+            read = to_object(read_urdf(Path(folder) / "object.urdf")).spec
     except NeoWorldError as error:
         return None, [error_signal("export", f"the object's URDF cannot be read back: {error}")]
     signals = []

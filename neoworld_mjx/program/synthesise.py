@@ -27,6 +27,7 @@ from .ask import (
     instructions,
     program_request,
     repair_request,
+    reprogram_request,
     revise_request,
 )
 from .attempt import ProgramAttempt, Size, SynthesisResult, joined
@@ -89,10 +90,7 @@ async def synthesise(
     Raises:
         ModelError: the first request failed, a tape lacks a response, or the cost cap is reached.
     """
-    if isinstance(crop, bytes):
-        subject = Subject(node, Picture("crop", crop), camera=camera)
-    else:
-        subject = Subject(node, crop.picture, crop.note, camera, crop.window)
+    subject = _subject(node, crop, camera)
     work = _Synthesis(subject, models, options)
     if node.slab:
         if colour is None and node.surface is None:
@@ -112,6 +110,53 @@ async def synthesise(
             break
     assert best is not None
     return work.result(best)
+
+
+async def reprogram(
+    node: TreeNode,
+    crop: Cutout | bytes,
+    text: str,
+    findings: Sequence[str],
+    models: Model,
+    options: ProgramOptions,
+    *,
+    camera: Camera | None = None,
+) -> SynthesisResult:
+    """Request a new program of an object that does not behave like the real one, and debug it.
+
+    Args:
+        node: the parsed object, with the size that the program fills.
+        crop: its picture.
+        text: the program so far.
+        findings: what is wrong with its motion, one line each.
+        models: programmer.
+        options: debug rounds, sandbox.
+        camera: the photo's camera.
+
+    Returns:
+        The result; it has no object if the model failed, or if the new program lost parts.
+
+    Raises:
+        MissingResponseError: a tape lacks a response.
+        BudgetError: the cost cap is reached.
+    """
+    work = _Synthesis(_subject(node, crop, camera), models, options)
+    before = ProgramAttempt("program", text, await asyncio.to_thread(run, text, options))
+    stage = StageInput(language=options.language)
+    response = await work.ask(
+        "reprogram", reprogram_request(work.subject, stage, text.strip(), findings)
+    )
+    if response is None:
+        return work.result(ProgramAttempt("reprogram", text, BuildResult(None)))
+    best = await work.debugged("reprogram", response.model_copy(update={"box": None}), before)
+    lost = any(signal.code == "lost" for signal in best.built.signals)
+    return work.result(replace(best, built=replace(best.built, spec=None)) if lost else best)
+
+
+def _subject(node: TreeNode, crop: Cutout | bytes, camera: Camera | None) -> Subject:
+    if isinstance(crop, bytes):
+        return Subject(node, Picture("crop", crop), camera=camera)
+    return Subject(node, crop.picture, crop.note, camera, crop.window)
 
 
 def guide() -> str:
@@ -186,7 +231,7 @@ class _Synthesis:
             request = repair_request(
                 self.subject, self._stage_input, attempts[-1].text, signals, earlier
             )
-            repair = await self._ask("debug", request)
+            repair = await self.ask("debug", request)
             best = max(attempts, key=lambda attempt: attempt.rank)
             return None if repair is None else await self._checked("debug", repair, best)
 
@@ -205,15 +250,17 @@ class _Synthesis:
         for box in filter(None, map(corrected_box, critiques)):
             self._resize(box, "the critic")
         rejecting = [critique for critique in critiques if not accepts(critique)]
-        request = revise_request(self.subject, self._stage_input, last.text, rejecting)
-        response = await self._ask("revise", request)
+        request = revise_request(
+            self.subject, self._stage_input, last.text, rejecting, self._made(last)
+        )
+        response = await self.ask("revise", request)
         return None if response is None else await self.debugged("revise", response, last)
 
     async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
         """Request the verdicts of the enabled critics, and return the attempt with them."""
         requests = self._critic_requests(attempt)
         responses = await asyncio.gather(
-            *(self._ask(f"judge ({name})", request) for name, request in requests.items())
+            *(self.ask(f"judge ({name})", request) for name, request in requests.items())
         )
         verdicts = {
             name: response
@@ -254,17 +301,22 @@ class _Synthesis:
         """Return the verdicts of the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
+    def _made(self, attempt: ProgramAttempt) -> Picture | None:
+        """Return the picture of an attempt's object, from the photo's view where it is known."""
+        spec, (node, _, _, camera, window) = attempt.built.spec, self.subject
+        if spec is None:
+            return None
+        if camera is None or window is None:
+            return draw(spec, node, camera)
+        return draw_in_place(spec, node, camera, window)
+
     def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
         """Return the request to each enabled critic that has something to judge."""
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
-        window = self.subject.window
-        picture: Picture = (
-            draw(spec, node, camera)
-            if camera is None or window is None
-            else draw_in_place(spec, node, camera, window)
-        )
+        picture = self._made(attempt)
+        assert picture is not None
         moves = any(joint.type != "fixed" for joint in spec.joints)
         opened = [draw(spec, node, camera, opened=True)] if moves else []
         requests: dict[str, Request[Critique]] = {}
@@ -328,6 +380,6 @@ class _Synthesis:
         node = node.model_copy(update={"box3d": box})
         self.subject = self.subject._replace(node=node)
 
-    async def _ask(self, stage: str, request: Request[T]) -> T | None:
+    async def ask(self, stage: str, request: Request[T]) -> T | None:
         skipped = f"{self.subject.node.name}: no {stage} round"
         return await ask_or_record(self.models, request, skipped, self.fallbacks)

@@ -17,6 +17,9 @@ from .sdk_object import Object
 MAX_TYPE_SIGNALS = 20
 _CLASSES = {kind.__name__: kind for kind in (Object, Part, Geom, Joint, Shape)}
 _TUPLE = re.compile(r"Expected `tuple\[((?:float, )*float)\]")
+_NUMBER = r"(?:float|int|Literal\[[-\d, ]+\])\*?"
+_UNKNOWN_LENGTH = re.compile(rf"found `tuple\[{_NUMBER}(?: \| {_NUMBER})*, \.\.\.\]`")
+"""Numbers in a tuple of unknown length, as of tuple(... for ...), which the SDK counts itself."""
 _OWN_MODULES = ("neoworld_mjx", "sdk")
 _ELSEWHERE = {
     **dict.fromkeys(("hinge", "rotate_joint"), "Object.revolute"),
@@ -34,7 +37,7 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
 
     For a text that does not parse, only syntax errors are returned, because the check then also
     reports every import of the SDK. Numbers in place of a tuple give two findings; only the one
-    that names the tuple is returned.
+    that names the tuple is returned. Tuples of unknown length are no error.
     """
     broken = [finding for finding in findings if finding["code"] == "invalid-syntax"]
     tuples = {_line(finding) for finding in findings if _TUPLE.search(finding["message"])}
@@ -42,6 +45,7 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
         finding
         for finding in broken or findings
         if not (finding["code"] == "too-many-positional-arguments" and _line(finding) in tuples)
+        and not (_TUPLE.search(message := finding["message"]) and _UNKNOWN_LENGTH.search(message))
     ]
     return [
         error_signal(

@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
@@ -24,27 +25,62 @@ SHAPES = 4
 
 
 def tile_of(runs: int, population: int) -> int:
-    """Return the number of runs that are drawn and scored at once."""
+    """Return the number of runs that are drawn and scored at once, on all devices together."""
     if computes_on_cpu():
         return 1
-    return max(1, min(runs, TILE // population))
+    count = len(devices())
+    tile = max(1, min(runs, count * TILE // population))
+    return tile if tile == 1 else -(-tile // count) * count
+
+
+def devices() -> list[Any]:
+    """Return the local devices that share the work: all, unless `jax.default_device` names one."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.local_devices() if chosen is None else jax.local_devices()[:1]
+
+
+def split(tree: Any, length: int) -> Any:
+    """Split arrays whose leading axis has a length over the devices, and copy all others to each.
+
+    Nothing changes with one device, or if the length is no multiple of their number.
+    """
+    every = devices()
+    if len(every) == 1 or length < 1 or length % len(every):
+        return tree
+    mesh = Mesh(np.array(every), ("part",))
+    parts, copies = (NamedSharding(mesh, PartitionSpec(*axis)) for axis in (("part",), ()))
+    arrays, rest = eqx.partition(tree, _is_array)
+    where = lambda x: parts if np.shape(x)[:1] == (length,) else copies
+    return eqx.combine(jax.tree.map(lambda x: jax.device_put(x, where(x)), arrays), rest)
 
 
 def map_runs(
-    fn: Callable[..., Any], scene: SceneArrays, rows: Sequence[tuple[Any, ...]], tile: int
+    fn: Callable[..., Any],
+    scene: SceneArrays,
+    rows: Sequence[tuple[Any, ...]],
+    tile: int,
+    population: int = 0,
 ) -> list[Any]:
     """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
 
     The last tile is padded by repeating its last row, so that only one shape is compiled. With a
-    tile of one run, `fn` is called without `vmap`, as in a single refinement.
+    tile of one run, `fn` is called without `vmap`, as in a single refinement. Several devices share
+    the runs of a tile, or the candidates of a single run.
+
+    Args:
+        fn: pure function of a scene and a row.
+        scene: the scene's arrays.
+        rows: arguments of each run.
+        tile: number of runs at once.
+        population: number of candidates of a run.
     """
     if tile == 1 or len(rows) == 1:
-        return [jax.device_get(fn(scene, *row)) for row in rows]
+        return [jax.device_get(fn(scene, *split(row, population))) for row in rows]
     results = []
     for first in range(0, len(rows), tile):
         tile_rows = list(rows[first : first + tile])
         stacked_rows = stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
-        stacked_results = jax.device_get(_mapped(fn)(scene, stacked_rows))
+        stacked_results = jax.device_get(_mapped(fn)(scene, split(stacked_rows, tile)))
         results += [
             jax.tree.map(lambda x, k=k: x[k], stacked_results) for k in range(len(tile_rows))
         ]
@@ -65,7 +101,8 @@ def stack(rows: Sequence[Any]) -> Any:
     Raises:
         ValueError: the trees differ in structure, such as runs with different static options.
     """
-    if len({str(jax.tree.structure(row)) for row in rows}) > 1:
+    form = jax.tree.structure(rows[0])
+    if any(jax.tree.structure(row) != form for row in rows[1:]):
         raise ValueError("stack: the trees differ in structure, such as in a static option")
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
     return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])

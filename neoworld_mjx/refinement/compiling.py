@@ -2,10 +2,17 @@
 
 import functools
 
+import numpy as np
+from jaxtyping import UInt8
+
+from ..align.photo_evidence import with_photo
 from ..config import RefineOptions
+from ..errors import ConfigError
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
 
+S_PHOTO = "s_photo"
+"""Term that rates candidates by the pixels of the photograph."""
 LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7
 """Smallest reach, that of the default sigma_xy, and reach per sigma_xy."""
 
@@ -26,6 +33,24 @@ def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
     """Compile a scene for a search with these options; the last four results are cached."""
     r = options.rollout
     return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach_of(options))
+
+
+def with_evidence(
+    model: SceneModel, options: RefineOptions, photo: UInt8[np.ndarray, "row column 3"] | None
+) -> SceneModel:
+    """Return a compiled scene with the evidence of its photograph, if a reward term needs it.
+
+    Raises:
+        ConfigError: S_photo is a term, and there is neither a photograph nor its evidence.
+    """
+    if S_PHOTO not in options.reward.terms or (photo is None and np.any(model.photo.evidence)):
+        return model
+    if photo is None:
+        raise ConfigError(
+            f"refine.reward.terms: {S_PHOTO} needs the photograph; pass it as photo, or name a run "
+            "folder"
+        )
+    return with_photo(model, photo)
 
 
 @functools.lru_cache(maxsize=4)

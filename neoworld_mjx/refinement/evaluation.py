@@ -44,11 +44,11 @@ class Evaluation(NamedTuple):
     def place(self, layouts: Sequence[Layout]) -> list[Placed]:
         """Place the populations of several runs, settle them if enabled, and measure them."""
         began = time.perf_counter()
-        on_cpu = computes_on_cpu()
+        on_cpu, pop = computes_on_cpu(), self.options.cem.population
         if on_cpu:
             starts = [poses_in_chunks(self.arrays, z) for z in layouts]
         else:
-            starts = map_runs(placed_poses, self.arrays, [(z,) for z in layouts], self.tile)
+            starts = map_runs(placed_poses, self.arrays, [(z,) for z in layouts], self.tile, pop)
         ends, placing = starts, time.perf_counter() - began
         if self.options.settle.enabled:
             ends = settle_candidates(self.scene, starts, self.engine, self.options, self.runs)
@@ -57,7 +57,7 @@ class Evaluation(NamedTuple):
         if on_cpu:
             placed = [measured_in_chunks(self.arrays, *pair) for pair in pairs]
         else:
-            placed = map_runs(placed_at_rest, self.arrays, pairs, self.tile)
+            placed = map_runs(placed_at_rest, self.arrays, pairs, self.tile, pop)
         self.clock["settle"] += settling
         self.clock["score"] += time.perf_counter() - began - settling
         return placed
@@ -92,7 +92,7 @@ class Evaluation(NamedTuple):
             (z, candidates, pad_rollout(rollout, self.arrays), r.problem.objective, s_sem)
             for r, z, candidates, rollout in zip(live, layouts, placed, rollouts, strict=True)
         ]
-        scored = map_runs(evaluate, self.arrays, rows, self.tile)
+        scored = map_runs(evaluate, self.arrays, rows, self.tile, self.options.cem.population)
         self.clock["score"] += time.perf_counter() - began
         return scored
 

@@ -105,7 +105,7 @@ def search(
             s_sem = _collect(evaluation, live[0], layouts[0], s_sem, scorer)
         scores = evaluation.score(live, layouts, placed, rollouts, s_sem)
         rows = [(r.problem, r.state, z, s) for r, z, s in zip(live, layouts, scores, strict=True)]
-        states = map_runs(update, arrays, rows, tile)
+        states = map_runs(update, arrays, rows, tile, o.cem.population)
         for k, (r, state) in enumerate(zip(live, states, strict=True)):
             r.state = state
             status = np.asarray(rollouts[k].status)

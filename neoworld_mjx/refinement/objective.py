@@ -48,7 +48,6 @@ def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
 
 TERMS: dict[str, Callable[[RefineOptions], Term]] = {
     "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, padded=True),
-    "s_photo": lambda o: Term("s_photo", photo_agreement, o.reward.w_photo, padded=True),
     "prior": lambda o: Term("prior", Prior(sigma_of(o)), -o.reward.w_prior, padded=True),
     "d_pen": lambda o: Term(
         "d_pen",
@@ -66,10 +65,11 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         cap=o.reward.d_drift_cap,
         padded=True,
     ),
+    "s_photo": lambda o: Term("s_photo", photo_agreement, 1.0, padded=True),
 }
 """Built-in terms. Those of ALWAYS have their own options; others are used if `refine.reward.terms`
 names them, with the weight given there."""
-ALWAYS = ("s_sem", "s_photo", "prior", "d_pen", "d_drift")
+ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
 PHYSICAL = ("d_pen", "d_drift")
 """Terms that the validity bounds limit for a valid candidate."""
 RESERVED = (

@@ -25,11 +25,22 @@ from ..physics.placed import pair_depths
 from ..physics.scene_arrays import SceneArrays
 from ..physics.visibility import Visible, visibility
 from ..spec.pose import angle_between, length
+from .motion import gaps, speeds
 from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
-__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_photo", "s_sem"]
+__all__ = [
+    "Term",
+    "TermValue",
+    "d_drift",
+    "d_pen",
+    "drifts",
+    "gaps",
+    "s_photo",
+    "s_sem",
+    "speeds",
+]
 
 
 class TermValue(eqx.Module):

@@ -9,7 +9,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..align.photo_evidence import with_photo
 from ..config import RefineOptions
 from ..engines import EngineChoice
 from ..mllm import Panel, Picture
@@ -20,7 +19,7 @@ from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
 from .choosing import choose
-from .compiling import compile_for_search
+from .compiling import compile_for_search, with_evidence
 from .delivery import delivered
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
@@ -89,8 +88,7 @@ def refine(
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
         began = time.perf_counter()
         model = open_scene(scene, o)
-        if photo is not None and o.reward.w_photo > 0:
-            model = with_photo(model, photo.rgb)
+        model = with_evidence(model, o, None if photo is None else photo.rgb)
         clock["compile"] = time.perf_counter() - began
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:

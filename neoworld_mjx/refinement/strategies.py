@@ -3,6 +3,7 @@
 `refine.optimizer: evosax:SNES` names one, `refine.strategy` sets its parameters.
 """
 
+import functools
 import inspect
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -111,12 +112,19 @@ class Strategy(eqx.Module):
         return StrategyState(state.mean, told, jnp.asarray(True))
 
     def _es(self) -> Any:
-        strategy, more = _strategies()[self.name], {}
-        if self.learning_rate is not None:
-            import optax
+        return _built(self.name, self.population, len(self.free), self.learning_rate)
 
-            more["optimizer"] = optax.adam(self.learning_rate)
-        return strategy(self.population, jnp.zeros(len(self.free)), **more)
+
+@functools.cache
+def _built(name: str, population: int, numbers: int, learning_rate: float | None) -> Any:
+    """Return evosax's object, always the same one: some keep constants that `init` sets."""
+    more = {}
+    if learning_rate is not None:
+        import optax
+
+        more["optimizer"] = optax.adam(learning_rate)
+    with jax.ensure_compile_time_eval():  # It outlives any trace.
+        return _strategies()[name](population, np.zeros(numbers, np.float32), **more)
 
 
 def _by_population(es: Any) -> bool:
@@ -192,9 +200,10 @@ def open_strategy(
     except ConfigError:
         raise
     except (AssertionError, TypeError, ValueError) as error:
+        first = str(error).split("\n", 1)[0]
         raise ConfigError(
             f"refine.optimizer: evosax:{name} cannot search {len(free)} numbers with "
-            f"refine.cem.population {options.population}: {error}"
+            f"refine.cem.population {options.population}: {first}"
         ) from None
     return built
 

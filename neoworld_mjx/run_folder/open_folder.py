@@ -40,6 +40,10 @@ Mode = Literal["new", "resume", "edited", "redo", "overwrite"]
 """Treatment of an earlier run in the folder, see `RunFolder`."""
 
 
+WAITED_S = 0.5
+"""Time of waiting from which it is mentioned."""
+
+
 class Moment(NamedTuple):
     """Elapsed and waiting time at a moment of a run."""
 
@@ -178,12 +182,14 @@ class RunFolder:
             "outputs": outputs,
         }
         self.save()
-        report(f"{name}: done in {seconds:.1f} s", **_status(name, _step_of(name)))
+        waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
+        computed = f"{name}: done in {max(seconds - waiting, 0.0):.1f} s{waited}"
+        report(computed, **_status(name, _step_of(name)))
 
     def fallback(self, step: str, outcome: str, reason: str) -> None:
         """Record that a step did less than requested: its actual outcome, and the reason."""
         if self._add_entry("fallbacks", step, outcome, reason):
-            _log.warning("%s: fell back to %s: %s", step, outcome, reason)
+            _log.warning("%s: %s: %s", step, outcome, reason)
 
     def note(self, step: str, outcome: str, reason: str) -> None:
         """Record a noteworthy outcome of a step that did as requested, such as a large move."""

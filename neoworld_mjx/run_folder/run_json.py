@@ -18,6 +18,8 @@ from ..io.files import stays_inside
 from ..io.validation_message import validation_message
 
 FORMAT = "neoworld-run/1"
+MAX_STEPS = 2000
+"""Largest number of steps and their parts; a part is an object."""
 
 _PACKAGES = (
     *("neoworld-mjx", "jax", "mujoco", "mujoco-mjx", "mujoco-warp", "warp-lang", "numpy", "scipy"),
@@ -50,6 +52,9 @@ class _Fallback(BaseModel):
     why: str
 
 
+_Entries = Annotated[list[_Fallback], Field(max_length=MAX_STEPS)]
+
+
 class _Photo(BaseModel):
     name: str = ""
     sha256: str = ""
@@ -62,9 +67,9 @@ class _Record(BaseModel):
     error: str = ""
     started: str = ""
     fingerprint: str = ""
-    steps: dict[str, _Step]
-    fallbacks: list[_Fallback]
-    notes: list[_Fallback] = []
+    steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS)]
+    fallbacks: _Entries
+    notes: _Entries = []
     config: dict[str, Any] = {}
     seeds: dict[str, Any] = {}
     versions: dict[str, str] = {}
@@ -107,7 +112,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "status": "running",
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "started": earlier.get("started") or datetime.now(UTC).isoformat(timespec="seconds"),
         "config": _without_header_values(config),
         "fingerprint": config.fingerprint(),
         "seeds": {"run": config.seed},

@@ -45,13 +45,14 @@ class Result:
     def __repr__(self) -> str:
         """Return folder and outcome, objects, and metrics, on one line each."""
         outcome = {None: "not refined", True: "passed", False: "failed its checks"}[self.passed]
+        computing = sum(self.seconds.values()) - sum(self.waiting.values())
         numbers = [
             f"{name} {self.metrics[name]:.2g}"
             for name in ("max_depth_m", "max_drift_m", "max_tilt_deg")
             if self.metrics.get(name) is not None
         ]
         return (
-            f"Result({str(self.folder)!r}: {outcome} in {sum(self.seconds.values()):.1f} s\n"
+            f"Result({str(self.folder)!r}: {outcome} in {computing:.1f} s of computing\n"
             f"  objects: {', '.join(self.objects)}\n"
             f"  {', '.join(numbers) or 'no metrics'}, {len(self.fallbacks)} fallbacks)"
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from ..io.names import RESERVED, repeated
 from .base import Name, Point3, Quat, Rotation, ScalableSpec, Vec3, unit_vector
 from .dimensions import (
     AUTHORED_MASS,
@@ -83,13 +84,10 @@ class GeomSpec(ScalableSpec):
 
 
 class AuthoredInertia(ScalableSpec):
-    """Where a part's mass is and how it is spread, where that is known better than by volume.
-
-    Nothing is asked of the numbers here: whether a body can have them is for the checks to say.
-    """
+    """Centre of mass and inertia of a part, in place of those that follow from its volume."""
 
     # The docstring is part of a schema sent to models (verify.critic), and tapes depend on it.
-    # The mass is authored, so moments go with s^2.
+    # Checks report numbers that no body can have. The mass is authored, so moments scale with s^2.
 
     pos: Point3
     """Centre of mass in the object's frame at rest [m]."""
@@ -142,6 +140,8 @@ class ObjectSpec(ScalableSpec):
 
     @model_validator(mode="after")
     def _tree(self) -> "ObjectSpec":
+        if self.name in RESERVED:
+            raise ValueError(f"name: MuJoCo reserves {self.name!r}, choose another")
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])
@@ -228,7 +228,6 @@ def mass_exponent(part: PartSpec) -> float:
 
 
 def _unique(kind: str, names: list[str]) -> set[str]:
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(sorted(twice))}")
+    if twice := repeated(names):
+        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(twice)}")
     return set(names)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from ..io.names import repeated
 from .base import Length, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .forest import name_on_cycle, parents_first
@@ -138,13 +139,18 @@ class SceneTree(Spec):
     camera: Camera
     camera_measured: tuple[Literal["pitch", "height", "fovy", "roll"], ...] = ()
     """Camera parameters that the parse measured in the image; the others are rough estimates."""
+    pitch_sd: float | None = Field(default=None, ge=0, le=1, exclude_if=lambda value: value is None)
+    """Stated standard deviation of the camera's pitch [rad]."""
+    height_sd: float | None = Field(
+        default=None, ge=0, le=1, exclude_if=lambda value: value is None
+    )
+    """The same of its height, as a fraction of it."""
     nodes: tuple[TreeNode, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _hierarchy(self) -> "SceneTree":
         names = [node.name for node in self.nodes]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := repeated(names):
             raise ValueError(f"node names must be unique, repeated: {', '.join(twice)}")
         parents = {node.name: node.parent for node in self.nodes}
         for node in self.nodes:

@@ -28,7 +28,7 @@ class Case:
     errors: Callable[[SceneSpec], dict[str, float]] | None = None
     """Function that returns the errors of a delivered scene; None without ground truth."""
     photo: Path | None = None
-    """File of the photograph, for scores by a model; None if there is none."""
+    """File of the photograph, for S_photo and for scores by a model; None if there is none."""
 
 
 Source = Callable[[str], Case]

@@ -37,7 +37,8 @@ EFFECTS = (
 def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
     """Draw a sweep as SVG; without matplotlib, log that and return None.
 
-    Left: best reward so far by iteration, median and interquartile range over scenes and seeds.
+    Left: best reward so far over the rollouts made, median and interquartile range over scenes and
+    seeds.
     Middle: dependence on the first two axes with several values, as lines with all runs or as heat
     maps. Right: S_sem over D_drift of every run.
 
@@ -59,10 +60,11 @@ def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
 
 
 def _convergence(plot: Any, rows: Sequence[Row]) -> None:
-    curves = defaultdict(list)
+    curves, rollouts = defaultdict(list), defaultdict(list)
     for row in rows:
         steps = row.get("history", ())
         curves[row["point"]].append([np.nan if s["best"] is None else s["best"] for s in steps])
+        rollouts[row["point"]].append([s["rollouts"] for s in steps])
     quartiles = {}
     for point, runs in curves.items():
         length = max(map(len, runs))
@@ -77,11 +79,12 @@ def _convergence(plot: Any, rows: Sequence[Row]) -> None:
     shown = ranked[:MAX_LINES]
     for point in (point for point in quartiles if point in shown):
         low, median, high = quartiles[point]
-        t = np.arange(1, len(median) + 1)
-        (line,) = plot.plot(t, median, marker=".", label=_short(point))
-        plot.fill_between(t, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+        # Runs of a point draw equal populations, so the longest one has the rollouts of all.
+        made = max(rollouts[point], key=len)
+        (line,) = plot.plot(made, median, marker=".", label=_short(point))
+        plot.fill_between(made, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
     best_of = f" of the best {len(shown)} of {len(ranked)}" if len(shown) < len(ranked) else ""
-    plot.set(title=f"convergence{best_of}", xlabel="iteration", ylabel="best reward so far")
+    plot.set(title=f"convergence{best_of}", xlabel="rollouts", ylabel="best reward so far")
     plot.xaxis.get_major_locator().set_params(integer=True)
     if shown:
         plot.legend(fontsize=6)

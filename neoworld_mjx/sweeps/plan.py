@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
@@ -45,6 +45,20 @@ class _Request(Options):
     """Tapes of responses, or folders of tapes, for the provider `replay`."""
 
 
+class Study(Options):
+    """Adaptive choice of points by Optuna; see `study`."""
+
+    trials: int = Field(ge=1, le=MAX_POINTS)
+    """Number of points."""
+    sampler: Literal["tpe", "cma_es", "random"] = "tpe"
+    goal: str = "merit"
+    """Column of the rows whose mean over scenes and seeds is the value of a point."""
+    direction: Literal["maximize", "minimize"] = "maximize"
+    prune: bool = False
+    """True to end trials early, after some of the scenes (asynchronous successive halving)."""
+    seed: int = Field(default=0, ge=0)
+
+
 class Plan(_Request):
     """A sweep: every combination of the axes' values, with every seed, on every scene."""
 
@@ -57,6 +71,8 @@ class Plan(_Request):
     """Number of draws from the axes that are ranges without `n`."""
     draw_seed: int = Field(default=0, ge=0)
     """Seed of the draws."""
+    study: Study | None = None
+    """Lets Optuna choose the points; None combines the axes' values."""
     fold: bool = True
     """True if runs that differ only in traced options share a computation."""
 

@@ -1,6 +1,7 @@
 """Result of a sweep or an ablation: rows, summaries and tables."""
 
 import functools
+import math
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -62,6 +63,11 @@ def stored_result(
     labels = [point["label"] for point in about["points"] if point["label"] in present]
     summaries = summary(rows, labels)
     compared = differences(rows, labels) if about["kind"] == "ablation" else []
+    if about["plan"]["fold"] and "mllm" not in about:
+        for entry in (*summaries, *compared):
+            # Runs of one computation have equal shares of its time, which do not vary.
+            if "seconds" in entry:
+                entry["seconds"] |= {"low": math.nan, "high": math.nan}
     title, made = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
     notes = f"{NOTES} {made}"
     markdown = f"# {title}\n\n{text_table(notes, summaries).markdown()}"

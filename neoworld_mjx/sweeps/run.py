@@ -13,11 +13,13 @@ from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..errors import ConfigError
 from ..io.files import content_hash
+from ..io.names import repeated
+from ..parse.photo import load_photo
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
 from ..progress import report
-from ..refinement.compiling import compile_for_search, reach_of
+from ..refinement.compiling import S_PHOTO, compile_for_search, reach_of, with_evidence
 from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
@@ -29,6 +31,7 @@ from .model_scores import ModelScores, scored_by_model
 from .plan import Ablation, Plan, Point, points, read, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row
+from .study import check_study, run_study
 
 
 def sweep(
@@ -63,7 +66,21 @@ def sweep(
         SpecError: a scene does not exist.
         RunError: the folder cannot be written, is in use, or holds files that must not be replaced.
     """
-    runner = _Runner(read(plan, Plan), cases, sources, engine, shard)
+    plan = read(plan, Plan)
+    if plan.study is not None:
+        if shard != (1, 1):
+            raise ConfigError("shard: the trials of a study depend on each other")
+        check_study(plan)
+
+        def run_point(point: Plan, scene: Case) -> SweepResult:
+            return _Runner(point, [scene], {}, engine, (1, 1)).run(
+                None, resume=False, overwrite=False
+            )
+
+        scenes = _cases(plan, cases, sources)
+        path = None if out is None else Path(out)
+        return run_study(plan, scenes, run_point, path, resume=resume, overwrite=overwrite)
+    runner = _Runner(plan, cases, sources, engine, shard)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -213,7 +230,10 @@ class _Runner:
             part = pending[first : first + size]
             start, before = time.perf_counter(), compiled()
             if shape not in models:
-                models[shape] = compile_for_search(scene.scene, options)
+                model = compile_for_search(scene.scene, options)
+                rated = S_PHOTO in options.reward.terms and scene.photo is not None
+                photo = load_photo(scene.photo).rgb if rated else None
+                models[shape] = with_evidence(model, options, photo)
             rows = self._rows(scene, options, models[shape], part, engine, compiled_kinds)
             heads = self._heads()
             for (point, seed), row in zip(part, rows, strict=True):
@@ -324,8 +344,6 @@ def _cases(
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
-    names = [case.name for case in cases]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise ConfigError(f"scenes: {', '.join(repeated)} appears twice")
+    if twice := repeated(case.name for case in cases):
+        raise ConfigError(f"scenes: {', '.join(twice)} appears twice")
     return cases

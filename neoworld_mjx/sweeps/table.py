@@ -95,8 +95,8 @@ def _estimates(
         values = [tuple(row.get(column.name) for row in group) for group in groups]
         known = [k for k, group in enumerate(values) if all(map(_known, group))]
         if known:
-            chosen = ([x[k] for k in known] for x in (values, scenes))
-            result[column.name] = estimate(column.name, *chosen)
+            of = [scenes[k] for k in known]
+            result[column.name] = estimate(column.name, [values[k] for k in known], of)
     return result
 
 

@@ -18,6 +18,9 @@ from .patch import Patch, overlay_path, read_overlay, write_overlay
 from .patched import build_patched
 from .verification import VerificationResult, verify_and_repair
 
+MAX_JOINTS = 64
+"""Largest number of moving joints of an imported object that is checked; each takes seconds."""
+
 
 def import_object(path: Path) -> Imported:
     """Read a URDF, MJCF or USD file with one object.
@@ -98,6 +101,10 @@ def check_object(
     else:
         imported = imported or import_object(path)
         spec, output["notes"] = imported.spec, list(imported.notes)
+        if (joints := sum(joint.type != "fixed" for joint in spec.joints)) > MAX_JOINTS:
+            raise SpecError(
+                f"{path} has {joints} joints that move; at most {MAX_JOINTS} are checked"
+            )
     start = time.perf_counter()
     options = config.verify if repair else config.verify.model_copy(update={"rounds": 0})
     result = verify_and_repair(spec, options, fixed_base=fixed_base, allowed=allowed)

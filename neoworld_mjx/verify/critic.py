@@ -1,27 +1,46 @@
-"""Step 3 with models (3.2): the critic judges key frames, the reasoner proposes edits.
+"""Step 3 with models (3.2): the critic judges key frames, and its verdict has an effect.
 
-Models see objects that direct repairs left with failed or borderline checks, or all on request.
-The reasoner proposes a `Patch`, which must lower the fault score like every repair. The critic's
-findings are reported with the verdict and change no outcome. An object that passes with borderline
-checks goes only to the critic: its fault score is 0, and no edit could lower that.
+Models see objects that direct repairs left with failed or borderline checks, or all on request. On
+the verdict "edit" the reasoner proposes a `Patch`, which must lower the fault score like every
+repair; on "reprogram" the programmer writes the program again, which must lower it as well; "sound"
+waives checks that fail only because the object is tested without its scene. An object that passes
+with borderline checks goes only to the critic: its fault score is 0, and no edit could lower that.
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..checks.object_tests import ObjectTests
+from ..checks.support_polygon import support_polygon
 from ..errors import MissingResponseError
-from ..mllm import Panel, Request, ask_or_record, package_text, revise
-from ..spec import ObjectSpec, inertial
+from ..mllm import Model, Request, ask_or_record, package_text, revise
+from ..program.attempt import SynthesisResult
+from ..spec import PartSpec, bounds, inertial, pieces
+from ..spec.convex import box_around
 from .key_frames import questionable, strips
 from .patch import Patch
 from .repairs import Repair
 
 T = TypeVar("T", bound=BaseModel)
+R = TypeVar("R")
+
+Reprogram = Callable[[Sequence[str]], Awaitable[SynthesisResult]]
+"""Writes an object's program again according to findings, one line each."""
+
+
+@runtime_checkable
+class Compute(Protocol):
+    """Run a function in a thread and wait for it, for instance one at a time."""
+
+    def __call__(self, work: Callable[[], R], /) -> Awaitable[R]:
+        """Return the function's result."""
+        ...
+
 
 # Titles, docstrings and descriptions of the responses are part of the requests, the keys of tapes.
 
@@ -55,50 +74,98 @@ class ProposedEdit(BaseModel):
     why: Annotated[str, Field(max_length=600)] = ""
 
 
-def key_frames_request(tests: ObjectTests, *, always: bool = False) -> Request[MotionCritique]:
-    """Return the request to the critic about an object's key frames; see `strips`."""
-    prompt = f"The object: {tests.spec.label or tests.spec.name}.\n\n{_numbers(tests)}"
+def key_frames_request(
+    tests: ObjectTests,
+    *,
+    surroundings: str = "",
+    tried: Sequence[str] = (),
+    always: bool = False,
+) -> Request[MotionCritique]:
+    """Return the request to the critic about an object's key frames.
+
+    Args:
+        tests: results of the object tests.
+        surroundings: what the object stands on or in, as a sentence.
+        tried: changes that models proposed before, with their outcomes.
+        always: see `strips`.
+    """
+    paragraphs = [
+        f"The object: {tests.spec.label or tests.spec.name}. {surroundings}".rstrip(),
+        _numbers(tests),
+        _listed("Tried before", tried) if tried else "",
+    ]
+    prompt = "\n\n".join(filter(None, paragraphs))
     name, frames = f"simulation:{tests.spec.name}", strips(tests, always=always)
     return Request("critic", name, _instructions("critic"), prompt, MotionCritique, frames)
 
 
-def edit_request(tests: ObjectTests, critique: MotionCritique) -> Request[ProposedEdit]:
-    """Return the request to the reasoner for a patch."""
-    findings = "\n".join(f"- {f.where}: {f.what} -> {f.suggestion}" for f in critique.findings)
-    prompt = (
-        f"{_numbers(tests)}\n\nThe critic's findings:\n{findings or '- none'}\n\n"
-        f"The object:\n{described(tests.spec)}"
-    )
+def edit_request(
+    tests: ObjectTests,
+    critique: MotionCritique,
+    *,
+    surroundings: str = "",
+    tried: Sequence[str] = (),
+) -> Request[ProposedEdit]:
+    """Return the request to the reasoner for a patch; see `key_frames_request`."""
+    paragraphs = [
+        surroundings,
+        _numbers(tests),
+        _listed("The critic's findings", findings(critique)),
+        _listed("Edits that were dropped or did not suffice", tried) if tried else "",
+        f"The object:\n{described(tests)}",
+    ]
+    prompt = "\n\n".join(filter(None, paragraphs))
     name = f"edit:{tests.spec.name}"
     return Request("reasoner", name, _instructions("editor"), prompt, ProposedEdit)
+
+
+def findings(critique: MotionCritique) -> list[str]:
+    """Return the findings of a critique, one line each."""
+    return [
+        f"{f.where}: {f.what}" + (f" -> {f.suggestion}" if f.suggestion else "")
+        for f in critique.findings
+    ]
 
 
 def _instructions(name: str) -> str:
     return package_text(__package__, name).removesuffix("\n")
 
 
+def _listed(title: str, lines: Sequence[str]) -> str:
+    return f"{title}:\n" + "\n".join(f"- {line}" for line in lines or ("none",))
+
+
 def _numbers(tests: ObjectTests) -> str:
     lines = []
     for check in questionable(tests.verdict):
-        value = "none" if check.value is None else f"{check.value:.3g}"
         outcome = "BARELY PASSED" if check.borderline else check.outcome
-        lines.append(
-            f"- {outcome} {check.scenario} {check.name}: {value}, threshold "
-            f"{check.threshold:.3g} {check.unit} {check.evidence}".rstrip()
+        evidence = f" ({check.evidence})" if check.evidence else ""
+        lines.append(f"{outcome} {check.scenario} {check.phrase()}{evidence}")
+    return _listed("Values that failed or barely passed", lines)
+
+
+def described(tests: ObjectTests) -> str:
+    """Describe an object's extent and base, and its editable numbers with their present values."""
+    spec = tests.spec
+    low, high = bounds(spec)
+    lines = [f"extent: {_ranges(low, high)}; the origin is (0, 0, 0)"]
+    if tests.simulation is not None:
+        width, margin = support_polygon(tests.simulation)
+        place = (
+            f"{1e3 * margin:.1f} mm within it" if margin >= 0 else f"{-1e3 * margin:.1f} mm outside"
         )
-    return "Values that failed or barely passed:\n" + "\n".join(lines or ["- none"])
-
-
-def described(spec: ObjectSpec) -> str:
-    """Describe the editable parts and joints of an object with their present values."""
-    lines = []
+        mass = sum(inertial(spec, part).mass for part in spec.parts)
+        lines.append(
+            f"base: its contact with a level floor is {1e3 * width:.1f} mm wide; the centre of "
+            f"mass is {place}; {mass:.4g} kg in all"
+        )
+    for material in spec.materials:
+        lines.append(f"material {material.name}: friction {material.friction:.3g}")
     for part in spec.parts:
         inertia = inertial(spec, part)
         x, y, z = inertia.pos
-        geoms = ", ".join(f"{g.name} ({g.shape.type}, {g.role})" for g in part.geoms[:12])
-        lines.append(
-            f"part {part.name}: {inertia.mass:.4g} kg, centre ({x:.3f}, {y:.3f}, {z:.3f}); {geoms}"
-        )
+        lines.append(f"part {part.name}: {inertia.mass:.4g} kg, centre ({x:.3f}, {y:.3f}, {z:.3f})")
+        lines += _geom_lines(part)
     for j in spec.joints:
         x, y, z = j.pos
         lines.append(
@@ -109,24 +176,55 @@ def described(spec: ObjectSpec) -> str:
     return "\n".join(lines)
 
 
+def _geom_lines(part: PartSpec) -> list[str]:
+    """Describe the geoms of a part with their extents."""
+    boxes: dict[str, list[np.ndarray]] = {}
+    for role in ("collision", "visual"):
+        for geom, piece, frame in pieces(part, role):
+            boxes.setdefault(geom.name, []).append(np.array(box_around(piece, frame)))
+    lines = []
+    for geom in part.geoms[:12]:
+        ends = np.array(boxes[geom.name]) if geom.name in boxes else np.zeros((1, 2, 3))
+        lines.append(
+            f"  geom {geom.name}: {geom.shape.type}, {geom.role}, {geom.material}, "
+            f"{_ranges(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0))}"
+        )
+    return lines
+
+
+def _ranges(low: np.ndarray, high: np.ndarray) -> str:
+    axes = zip("xyz", low, high, strict=True)
+    return ", ".join(f"{axis} {a + 0.0:.3f} to {b + 0.0:.3f}" for axis, a, b in axes)
+
+
 @dataclass(frozen=True)
 class _Round:
     tests: ObjectTests
     critique: MotionCritique | None = None
 
 
-def revise_with_models(
-    repaired: Repair, models: Panel, *, rounds: int = 2, always: bool = False
+async def revise_with_models(
+    repaired: Repair,
+    models: Model,
+    *,
+    rounds: int = 6,
+    always: bool = False,
+    surroundings: str = "",
+    reprogram: Reprogram | None = None,
+    compute: Compute = asyncio.to_thread,
 ) -> list[MotionCritique]:
-    """Request findings from the critic and edits from the reasoner, in at most `rounds` rounds.
+    """Request verdicts from the critic, and edits or new programs that they ask for.
 
-    An object that passes gets findings but no edits; so does every object if `rounds` is 0.
+    An object that passes gets findings but no changes; so does every object if `rounds` is 0.
 
     Args:
-        repaired: the result of direct repairs; edits that help are added to it.
+        repaired: the result of direct repairs; changes that help are added to it.
         models: critic and reasoner.
-        rounds: largest number of edits.
+        rounds: largest number of edits and new programs.
         always: True if the critic also sees valid objects; then a tape must hold its responses.
+        surroundings: what the object stands on or in, as a sentence.
+        reprogram: writes the object's program again; None if there is none to write.
+        compute: runs simulations.
 
     Returns:
         The critique of each round.
@@ -135,6 +233,7 @@ def revise_with_models(
         BudgetError: the cost cap is reached.
         MissingResponseError: with `always`, a tape lacks the response.
     """
+    tried: list[str] = []
 
     async def ask(request: Request[T]) -> T | None:
         try:
@@ -147,31 +246,65 @@ def revise_with_models(
             return None
 
     async def criticise(attempt: _Round) -> _Round:
-        request = key_frames_request(attempt.tests, always=always)
+        request = key_frames_request(
+            attempt.tests, surroundings=surroundings, tried=tried, always=always
+        )
         return replace(attempt, critique=await ask(request))
 
     def accept(attempt: _Round) -> bool:
         critique = attempt.critique
-        editable = critique is not None and critique.verdict == "edit"
-        return not editable or not rounds or attempt.tests.verdict.passed
+        changes = critique is not None and critique.verdict != "sound"
+        return not changes or not rounds or attempt.tests.verdict.passed
 
-    async def edit(attempts: Sequence[_Round]) -> _Round | None:
-        critique = attempts[-1].critique
+    async def changed(attempts: Sequence[_Round]) -> _Round | None:
+        critique, before = attempts[-1].critique, len(repaired.tried)
         assert critique is not None
-        proposed = await ask(edit_request(repaired.tests, critique))
-        if proposed is None or proposed.patch.empty:
-            return None
-        helped = await asyncio.to_thread(repaired.try_patches, [proposed.patch])
-        return _Round(repaired.tests) if helped and not repaired.after.passed else None
+        if critique.verdict == "reprogram":
+            if not await rewritten(critique):
+                return None
+        else:
+            request = edit_request(repaired.tests, critique, surroundings=surroundings, tried=tried)
+            proposed = await ask(request)
+            if proposed is None or proposed.patch.empty:
+                return None
+            await compute(lambda: repaired.try_patches([proposed.patch]))
+        tried.extend(repaired.tried[before:])
+        return None if repaired.after.passed else _Round(repaired.tests)
 
-    attempts = models.run(
-        revise(
-            _Round(repaired.tests),
-            rounds=max(rounds, 1),
-            accept=accept,
-            next_attempt=edit,
-            criticise=criticise,
-            criticise_last=False,
-        )
+    async def rewritten(critique: MotionCritique) -> bool:
+        """Have the program written again and test it; return False if that is impossible."""
+        lines = findings(critique)
+        if reprogram is None:
+            repaired.unmet.append("; ".join(lines) or "the critic states no finding")
+            return False
+        try:
+            result = await reprogram([*lines, *_failed(repaired.tests)])
+        except MissingResponseError:
+            if always:
+                raise
+            repaired.tried.append("new program: the tape does not hold the answer")
+            return False
+        repaired.lost_critics += result.fallbacks
+        await compute(lambda: repaired.try_program(result))
+        return True
+
+    attempts = await revise(
+        _Round(repaired.tests),
+        rounds=max(rounds, 1),
+        accept=accept,
+        next_attempt=changed,
+        criticise=criticise,
+        criticise_last=False,
     )
+    last = attempts[-1].critique
+    if last is not None and last.verdict == "sound":
+        repaired.waive()
     return [attempt.critique for attempt in attempts if attempt.critique is not None]
+
+
+def _failed(tests: ObjectTests) -> list[str]:
+    return [
+        f"simulated by itself: {check.scenario.replace('_', ' ')} {check.phrase()}"
+        for check in tests.verdict.checks
+        if check.outcome == "FAIL"
+    ]

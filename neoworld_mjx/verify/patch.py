@@ -1,8 +1,9 @@
 """Patches: the restricted edits that Step 3 may make to an object (paper Section 3.2).
 
-A patch edits masses and inertias, joint limits, damping and friction, origins, and collision
-geometry. It cannot express parts, joints, axes, types, or visual geometry. The patch of a program
-is a file next to it and is applied to the object that the program builds, so it survives a rebuild.
+A patch edits masses and inertias, joint limits, damping and friction, origins, collision geometry,
+and the friction of surfaces. It cannot express parts, joints, axes, types, or visual geometry. The
+patch of a program is a file next to it and is applied to the object that the program builds, so it
+survives a rebuild.
 """
 
 from pathlib import Path
@@ -16,7 +17,17 @@ from ..errors import SpecError
 from ..io import read_model
 from ..io.files import write_output
 from ..io.validation_message import validation_message
-from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Site, Vec3
+from ..spec import (
+    AuthoredInertia,
+    GeomSpec,
+    JointSpec,
+    Material,
+    Name,
+    ObjectSpec,
+    PartSpec,
+    Site,
+    Vec3,
+)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, le=1e6)]
@@ -24,31 +35,47 @@ Placed = TypeVar("Placed", AuthoredInertia, GeomSpec, Site)
 SUFFIX = ".patch.json"
 
 
-class Edit(BaseModel):
-    """Base of all edits: closed."""
+# Docstrings of edits and of their fields are part of the schema that models receive, and tapes
+# depend on them.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class Edit(BaseModel):
+    """Edit that leaves unset fields unchanged."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class PartEdit(Edit):
     """Edit of a part."""
 
     mass: Positive | Literal["derived"] | None = None
-    """[kg], or by volume and density."""
+    """Mass [kg], or "derived": volume times density."""
     inertia: AuthoredInertia | Literal["derived"] | None = None
+    """Centre of mass [m] and inertia about it [kg m^2] in the object's frame, or "derived"."""
     shift: Vec3 | None = None
-    """Translation [m] of the part and all parts below it; its own joint stays."""
+    """Translation [m] of the part and of all parts on it; its own joint stays."""
 
 
 class JointEdit(Edit):
     """Edit of a joint."""
 
     lower: Finite | None = None
+    """Lower limit [rad or m]."""
     upper: Finite | None = None
+    """Upper limit [rad or m]."""
     damping: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Damping [N m s/rad or N s/m]."""
     friction: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Dry friction [N m or N]."""
     origin: Vec3 | None = None
     """Point [m] that its axis passes through."""
+
+
+class MaterialEdit(Edit):
+    """Edit of a material, on all surfaces that have it."""
+
+    friction: Annotated[float, Field(ge=0, le=10)] | None = None
+    """Sliding friction coefficient of the surface."""
 
 
 class GeomEdit(Edit):
@@ -72,11 +99,12 @@ class Patch(Edit):
     parts: dict[Name, PartEdit] = {}
     joints: dict[Name, JointEdit] = {}
     geoms: dict[Name, GeomEdit] = {}
+    materials: dict[Name, MaterialEdit] = {}
 
     @property
     def empty(self) -> bool:
         """True if it changes nothing."""
-        return not (self.parts or self.joints or self.geoms)
+        return not (self.parts or self.joints or self.geoms or self.materials)
 
     def joined(self, other: "Patch") -> "Patch":
         """Merge another patch into this one: shifts add up, otherwise the other's values win."""
@@ -95,7 +123,7 @@ class Patch(Edit):
         edits = self.model_dump(exclude_none=True, exclude_defaults=True)
         return tuple(
             f"{kind[:-1]} {name}: {key} = {_short(value)}"
-            for kind in ("parts", "joints", "geoms")
+            for kind in ("parts", "joints", "geoms", "materials")
             for name, edit in edits.get(kind, {}).items()
             for key, value in edit.items()
         )
@@ -109,8 +137,8 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
     """Apply a patch to an object.
 
     Returns:
-        The object, and the names of parts, joints and geoms that the patch edits but the object
-        lacks, for instance after a change of its program.
+        The object, and the names of parts, joints, geoms and materials that the patch edits but the
+        object lacks, for instance after a change of its program.
 
     Raises:
         SpecError: the patched object is invalid.
@@ -122,6 +150,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
             ("part", patch.parts, spec.parts),
             ("joint", patch.joints, spec.joints),
             ("geom", patch.geoms, geoms),
+            ("material", patch.materials, spec.materials),
         )
         for name in edits
         if name not in {item.name for item in items}
@@ -137,7 +166,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
         patched = ObjectSpec(
             name=spec.name,
             label=spec.label,
-            materials=spec.materials,
+            materials=tuple(_material(material, patch) for material in spec.materials),
             parts=tuple(_part(part, patch, shifts[part.name]) for part in spec.parts),
             joints=tuple(JointSpec.model_validate(joint.model_dump()) for joint in joints),
             sites=tuple(_translated(site, shifts[site.part]) for site in spec.sites),
@@ -196,6 +225,11 @@ def _joint(joint: JointSpec, patch: Patch, shift: NDArray) -> JointSpec:
     update = edit.model_dump(include=fields, exclude_none=True)
     update["pos"] = tuple(np.add(edit.origin or joint.pos, shift).tolist())
     return joint.model_copy(update=update)
+
+
+def _material(material: Material, patch: Patch) -> Material:
+    edit = patch.materials.get(material.name, MaterialEdit())
+    return material.model_copy(update=edit.model_dump(exclude_none=True))
 
 
 def overlay_path(program: Path) -> Path:

@@ -2,20 +2,25 @@
 
 Each round takes the likeliest cause, runs the object tests with each of a few patches, and accepts
 the best patch that lowers the fault score and adds no fault. Direct repairs send no request to a
-model; `Repair.try_patches` applies the same rule to patches that a model proposes.
+model; `Repair.try_patches` applies the same rule to patches that a model proposes, and
+`Repair.try_program` to a new program.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks.allowance import Allowance
 from ..checks.joint_checks import on_edge, pivot_edges
 from ..checks.object_tests import ObjectTests
 from ..checks.part_distances import Probe
-from ..checks.verdict import Check, Fault, Verdict
+from ..checks.verdict import Check, Fault, Verdict, waived
 from ..errors import SpecError
+from ..program.attempt import SynthesisResult
 from ..program.joint_losses import SETTLING_S, default_losses
 from ..spec import JointSpec, ObjectSpec, PartSpec, Vec3, inertial, part_bounds
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
@@ -24,19 +29,26 @@ GAP_M = 0.0005
 """Gap that a repair leaves between parts that it moves apart or together."""
 GAIN = 0.05
 """Least decrease of the fault score by an accepted patch."""
-RunTests = Callable[[ObjectSpec], ObjectTests]
+
+
+@runtime_checkable
+class RunTests(Protocol):
+    """Run the object tests, by default with the overlaps that the first program declares."""
+
+    def __call__(self, spec: ObjectSpec, /, *, allowed: Sequence[Allowance] = ...) -> ObjectTests:
+        """Return the results."""
+        ...
 
 
 @dataclass
 class Repair:
     """Repair of an object: the accepted patch so far, and the test results of the patched object.
 
-    `try_patches` updates it.
+    `try_patches`, `try_program` and `waive` update it.
     """
 
     original: ObjectSpec
     run: RunTests
-    """Runs the object tests."""
     tests: ObjectTests
     """Test results of the object with `patch`."""
     before: Verdict
@@ -46,6 +58,10 @@ class Repair:
     """Every patch that was tried: its changes, and the fault score before and after."""
     lost_critics: list[tuple[str, str]] = field(default_factory=list)
     """Requests that a model failed to answer, and why."""
+    program: SynthesisResult | None = None
+    """The new program that built `original`; None for the first one."""
+    unmet: list[str] = field(default_factory=list)
+    """Findings for which the critic asked for a new program that could not be requested."""
 
     @property
     def after(self) -> Verdict:
@@ -75,6 +91,31 @@ class Repair:
         if best is not None:
             _, self.patch, self.tests = best
         return best is not None
+
+    def try_program(self, result: SynthesisResult, *, rounds: int = 6) -> bool:
+        """Replace the object by that of a new program if it has a lower fault score.
+
+        Args:
+            result: the new program.
+            rounds: largest number of causes that direct repairs of the new object address.
+        """
+        before = self.after.score
+        if result.spec is None:
+            self.tried.append(f"new program: {result.reason}")
+            return False
+        run = partial(self.run, allowed=result.allowances)
+        fresh = repair(result.spec, run, rounds=rounds)
+        self.tried.append(f"new program: fault score {before:.2f} to {fresh.after.score:.2f}")
+        if fresh.after.score >= before - GAIN:
+            return False
+        self.tried += fresh.tried
+        self.original, self.run, self.program = fresh.original, run, result
+        self.patch, self.tests = fresh.patch, fresh.tests
+        return True
+
+    def waive(self) -> None:
+        """Accept the checks that an object fails only because it is tested without its scene."""
+        self.tests = replace(self.tests, verdict=waived(self.after))
 
 
 def repair(

@@ -1,5 +1,6 @@
 """Step 3 for one object: the object tests, repairs, and the cache of results."""
 
+import asyncio
 import json
 import logging
 from collections.abc import Sequence
@@ -11,15 +12,16 @@ from pydantic import BaseModel, ConfigDict
 from ..cache import cache_folder
 from ..checks.allowance import Allowance
 from ..checks.object_tests import VERSION, run_object_tests
-from ..checks.verdict import Verdict
+from ..checks.verdict import WAIVED, Check, Verdict
 from ..config import VerifyOptions
 from ..errors import RunError
 from ..io import read_model
 from ..io.files import content_hash, write_atomic
-from ..mllm import Panel
+from ..mllm import Model, Panel
+from ..mllm.coroutines import run_coroutine
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .critic import MotionCritique, revise_with_models
+from .critic import Compute, MotionCritique, Reprogram, revise_with_models
 from .key_frames import standard_runs
 from .patch import Patch, apply
 from .repairs import repair
@@ -45,9 +47,28 @@ class VerificationResult(BaseModel):
     """The critic's findings in the key frames."""
     lost_critics: tuple[tuple[str, str], ...] = ()
     """Requests that a model failed to answer, and why."""
+    unmet: tuple[str, ...] = ()
+    """Findings for which the critic asked for a new program that could not be requested."""
+    program: str | None = None
+    """Text of a new program that replaces the first one."""
+    program_json: str | None = None
+    """All rounds of the new program, see `SynthesisResult.to_json`."""
+    reprogrammed: ObjectSpec | None = None
+    """The object that the new program builds."""
+
+    @property
+    def changed(self) -> bool:
+        """True if the object differs from the programmed one."""
+        return self.reprogrammed is not None or not self.patch.empty
+
+    @property
+    def waived(self) -> tuple[Check, ...]:
+        """Failed checks that the critic waived."""
+        return tuple(check for check in self.verdict.checks if check.hint == WAIVED)
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
-        """Return the object with its patch."""
+        """Return the object, or that of the new program, with its patch."""
+        spec = self.reprogrammed or spec
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
     def to_json(self) -> str:
@@ -57,30 +78,31 @@ class VerificationResult(BaseModel):
         return json.dumps(data, indent=1) + "\n"
 
 
-def verify_and_repair(
+async def verify_object(
     spec: ObjectSpec,
-    options: VerifyOptions | None = None,
+    options: VerifyOptions,
     *,
     fixed_base: bool = False,
     tilt: Quat = IDENTITY,
     allowed: Sequence[Allowance] = (),
-    models: Panel | None = None,
+    models: Model | None = None,
+    surroundings: str = "",
+    reprogram: Reprogram | None = None,
+    compute: Compute = asyncio.to_thread,
 ) -> VerificationResult:
-    """Test an object, and repair it from the measurements in at most `options.rounds` rounds.
-
-    Without models, results are cached; with models, the tapes are the cache.
+    """Test and repair an object as `verify_and_repair` does, among others that wait for models.
 
     Args:
         spec: the object.
-        options: options of the tests; with `rounds` 0 the object is not changed, without
-            `direct_repairs` only models change it.
+        options: options of the tests.
         fixed_base: True if its base is fixed.
         tilt: its resting orientation.
         allowed: overlaps that its program declares.
-        models: critic and reasoner for failed and borderline checks, or as `options.critic` says;
-            None sends no request.
+        models: critic and reasoner; None sends no request.
+        surroundings: what the object stands on or in, as a sentence for the models.
+        reprogram: writes the object's program again if the critic asks for it.
+        compute: runs simulations.
     """
-    options = options or VerifyOptions()
     key = {
         "version": VERSION,
         "spec": spec.model_dump(mode="json"),
@@ -98,25 +120,76 @@ def verify_and_repair(
     run = partial(
         run_object_tests, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed
     )
-    repaired = repair(spec, run, rounds=options.rounds if options.direct_repairs else 0)
+    direct = options.rounds if options.direct_repairs else 0
+    repaired = await compute(lambda: repair(spec, run, rounds=direct))
     critiques: list[MotionCritique] = []
     # A support without joints is in no scenario, so there is nothing to show.
     shown = repaired.after.questionable or (always and bool(standard_runs(repaired.tests)))
     if models is not None and shown:
-        rounds = min(2, options.rounds)
-        critiques = revise_with_models(repaired, models, rounds=rounds, always=always)
+        critiques = await revise_with_models(
+            repaired,
+            models,
+            rounds=options.rounds,
+            always=always,
+            surroundings=surroundings,
+            reprogram=reprogram,
+            compute=compute,
+        )
+    program = repaired.program
     result = VerificationResult(
         verdict=repaired.after,
-        before=None if repaired.patch.empty else repaired.before,
+        before=None if repaired.patch.empty and program is None else repaired.before,
         patch=repaired.patch,
         changes=repaired.patch.changes(),
         tried=tuple(repaired.tried),
         lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
+        unmet=tuple(repaired.unmet),
+        program=None if program is None else program.text,
+        program_json=None if program is None else program.to_json(),
+        reprogrammed=None if program is None else program.spec,
     )
     if models is None or not shown:
         _write(path, result)
     return result
+
+
+def verify_and_repair(
+    spec: ObjectSpec,
+    options: VerifyOptions | None = None,
+    *,
+    fixed_base: bool = False,
+    tilt: Quat = IDENTITY,
+    allowed: Sequence[Allowance] = (),
+    models: Panel | None = None,
+    reprogram: Reprogram | None = None,
+) -> VerificationResult:
+    """Test an object, and repair it from the measurements in at most `options.rounds` rounds.
+
+    Without models, results are cached; with models, the tapes are the cache.
+
+    Args:
+        spec: the object.
+        options: options of the tests; with `rounds` 0 the object is not changed, without
+            `direct_repairs` only models change it.
+        fixed_base: True if its base is fixed.
+        tilt: its resting orientation.
+        allowed: overlaps that its program declares.
+        models: critic and reasoner for failed and borderline checks, or as `options.critic` says;
+            None sends no request.
+        reprogram: writes the object's program again if the critic asks for it; None ends the
+            rounds then.
+    """
+    work = verify_object(
+        spec,
+        options or VerifyOptions(),
+        fixed_base=fixed_base,
+        tilt=tilt,
+        allowed=allowed,
+        models=models,
+        reprogram=reprogram,
+    )
+    return run_coroutine(work)
 
 
 def _read(path: Path) -> VerificationResult | None:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from neoworld_bench.dataset.declaration import ROOMS, declarations, read_declaration
-from neoworld_bench.dataset.make_dataset import rounded
+from neoworld_bench.dataset.make_dataset import make_dataset, rounded
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.engines.table_scenes import crowded
@@ -266,6 +266,12 @@ def test_tables_mark_the_papers_figures():
     text = markdown(records)
     assert "| NeoWorld-Pro* | 30 |" in text and "50.0 (1.3 to 98.7)" in text
     assert r"VIGA$^\ast$ & 30" in latex(records)
+
+
+def test_make_refuses_an_unknown_scene_before_it_writes(tmp_path):
+    with pytest.raises(SpecError, match="did you mean 'tents'"):
+        make_dataset(tmp_path / "data", scenes=("tent",))
+    assert not (tmp_path / "data").exists()
 
 
 def test_results_folder_refuses_a_second_noise_level(tmp_path):

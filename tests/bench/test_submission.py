@@ -20,6 +20,8 @@ from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.spec import SceneSpec
+from tests.support.bop_sample import desk
+from tests.support.mesh_scenes import write_glb, write_poses
 
 QUICK = RefineOptions(check_duration_s=0.2)
 DOCS = Path("docs/benchmark-scenes.md")
@@ -64,6 +66,27 @@ def test_ground_truth_as_json_and_mjcf_scores_perfectly(tmp_path, truth: SceneSp
     assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
     assert max(layout_errors(read.scene, truth).values()) < 1e-6
     assert read.measure.max_drift_m == pytest.approx(own.measure.max_drift_m, abs=1e-5)
+
+
+def test_ground_truth_as_meshes_scores_perfectly(tmp_path):
+    """Supports are those of the ground truth, and colliders are made from the meshes."""
+    truth = desk()
+    write_glb(tmp_path / "glb" / "desk" / "scene.glb", truth)
+    write_poses(tmp_path / "obj" / "desk", truth)
+    for folder in (tmp_path / "glb", tmp_path / "obj"):
+        assert submitted_starts(folder, "desk", 2) == (0,)
+        read = submitted(folder, 0, truth, QUICK)
+        assert [item.name for item in read.scene.objects if item.static] == ["table"]
+        assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
+        assert max(layout_errors(read.scene, truth).values()) < 1e-4
+        assert validity(read.scene, read.measure, truth, QUICK).valid
+
+
+def test_reader_says_that_it_made_colliders(tmp_path, caplog):
+    write_glb(tmp_path / "desk" / "scene.glb", desk())
+    with caplog.at_level("INFO"):
+        submitted(tmp_path, 0, desk(), QUICK)
+    assert "desk: block: link body has no colliders: derived from its visuals" in caplog.text
 
 
 def test_each_kind_of_error_affects_its_own_figure(tmp_path, truth: SceneSpec):

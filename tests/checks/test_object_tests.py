@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
-from neoworld_mjx.checks.verdict import Fault
+from neoworld_mjx.checks.verdict import Fault, Limit, judged, quantity
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
     AuthoredInertia,
     Box,
+    Capsule,
     GeomSpec,
     JointSpec,
+    Lathe,
     Material,
+    ObjectSpec,
     PartSpec,
     Sphere,
     recentred,
@@ -214,6 +217,53 @@ def test_a_ball_that_rolls_when_tilted_has_no_fault():
     assert "resting_speed:fall" in names
     assert "resting_speed:fall_tilted_x" not in names
     assert named(verdict, "fall_tilted_x").outcome == "SKIP"
+
+
+def pear():
+    """A turned fruit on its side with its axis level, where its centre of mass is not above it."""
+    turn = [math.pi * k / 16 for k in range(1, 9)]
+    profile = ((0.0, 0.0), *((0.027 * math.sin(t), 0.027 * (1 - math.cos(t))) for t in turn))
+    profile += ((0.0265, 0.031), (0.0238, 0.04), (0.019, 0.048), (0.0, 0.054))
+    fruit = GeomSpec(
+        name="fruit", shape=Lathe(profile=profile, sectors=20), pos=(-0.033, 0, 0.027),
+        quat=(math.sqrt(0.5), 0, math.sqrt(0.5), 0), material="skin",
+    )  # fmt: skip
+    skin = Material(name="skin", density=600)
+    return ObjectSpec(
+        name="pear", materials=(skin,), parts=(PartSpec(name="body", geoms=(fruit,)),)
+    )
+
+
+def test_a_round_object_may_settle_with_another_side_down():
+    verdict = verify(pear())
+    assert named(verdict, "tilt").value > 5.0
+    assert verdict.passed, bad(verdict)
+    # Beyond the tilt that composition corrects it fails, with a hint that fits.
+    load = (Sphere(radius=0.01), (0.012, 0, 0.09))
+    egg = scenes.single("egg", (Capsule(radius=0.02, length=0.06), (0, 0, 0.05)), load)
+    tilt = named(verify(egg), "tilt")
+    assert (tilt.outcome, tilt.threshold) == ("FAIL", 30.0)
+    assert "widen" not in tilt.hint and "pose in which it rests" in tilt.hint
+
+
+def test_a_flat_base_with_a_bump_is_not_round():
+    bump = (Sphere(radius=0.004), (0, 0, 0.0))
+    rocking = scenes.single("cup", (Box(size=(0.08, 0.08, 0.1)), (0, 0, 0.048)), bump)
+    lean = named(verify(rocking), "tilt")
+    assert lean.threshold == 5.0
+    assert named(verify(chest()), "tilt").threshold == 5.0
+
+
+def test_a_check_states_value_bound_direction_and_unit():
+    topples = named(
+        verify(scenes.single("pin", (Box(size=(0.01, 0.01, 0.2)), (0, 0, 0.1)))), "drift"
+    )
+    assert topples.phrase() == "drift 0 mm, at most 10.0 mm"
+    assert quantity(8.215548565693807, "deg") == "8.2 degrees"
+    least = judged(
+        "static", "covered", 0.5, Limit(0.9, "of its range", Fault.JOINT_STUCK, least=True)
+    )
+    assert least.phrase() == "covered 50 % of its range, at least 90 % of its range"
 
 
 def test_every_part_is_pushed_in_six_directions_and_twisted():

@@ -385,6 +385,12 @@ def test_an_unstable_upright_object_rolls_to_its_resting_pose():
     leaf = geom("leaf", Box(size=(0.06, 0.03, 0.002)), (0, 0, -0.0075))
     load = geom("load", Box(size=(0.06, 0.01, 0.02)), (0, 0, 0.019))
     spoon = ObjectSpec(name="spoon", materials=(LIGHT,), parts=(part("body", bar, leaf, load),))
+    # On furniture, whose top need not be level, it is settled by simulation.
+    support = ground().model_copy(update={"furniture": True})
+    tree = SceneTree(camera=CAMERA, nodes=(support, node("spoon", spoon, (1.0, 0, 0))))
+    settled = compose(tree, {"table": scenes.table(), "spoon": spoon}).scene
+    assert 5 < math.degrees(float(angle_between(settled.objects[1].base_tilt, IDENTITY))) < 30
+    assert unstable_objects(settled, scene_measure(settled)) == ()
     result = composed([node("spoon", spoon, (1.0, 0, 0))], {"spoon": spoon})
     turned = math.degrees(float(angle_between(result.scene.object("spoon").base_tilt, IDENTITY)))
     assert 5 < turned < 30
@@ -470,3 +476,25 @@ def test_a_detachable_object_is_free_and_named_if_it_falls():
 
 def test_an_object_fixed_by_the_parse_has_no_note():
     assert on_a_wall(fixed_base=True).notes == ()
+
+
+@pytest.mark.parametrize(("y", "moves"), [(0.0, False), (0.39, False), (0.5, True), (2.0, True)])
+def test_an_object_beside_its_support_is_put_back_onto_it(y, moves):
+    tree = SceneTree(
+        camera=CAMERA,
+        nodes=(
+            ground().model_copy(
+                update={"box3d": Box3D(position=(1, 0, -0.04), size=(0.6, 0.8, 0.04), yaw=0)}
+            ),
+            node("cup", scenes.cup(), (1.0, y, 0)),
+        ),
+    )
+    result = compose(tree, {"table": scenes.table(), "cup": scenes.cup()})
+    place = world_poses(result.scene)["cup"].pos
+    low, high = bounds(scenes.cup())
+    edge = 0.4 - (high - low)[:2].min() / 2
+    middle = place[1] + (low + high)[1] / 2
+    assert middle == pytest.approx(edge if moves else y, abs=1e-6)
+    assert any("back onto table" in note for note in result.notes) is moves
+    if moves:
+        assert unstable_objects(result.scene, scene_measure(result.scene)) == ()

@@ -64,7 +64,10 @@ def test_drake_directives_set_poses_welds_and_joint_positions(folder, scene):
     Loader.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(node, deep=True))
     steps = yaml.load((folder / "scene.dmd.yaml").read_text(), Loader)["directives"]
     added = {s["add_model"]["name"]: s["add_model"] for s in steps if "add_model" in s}
-    package = ET.parse(folder / "package.xml").find("name").text
+    described = ET.parse(folder / "package.xml")
+    package = described.find("name").text
+    # The files are the user's: they name neither a maintainer nor a licence that nobody stated.
+    assert described.find("maintainer") is None and described.find("license") is None
     for model in added.values():
         head, _, path = model["file"].partition(f"package://{package}/")
         assert head == "" and (folder / path).is_file()

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from neoworld_mjx.fit import fit_tree as fitting
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.projection import visible_box
 from neoworld_mjx.fit.refit import refit_tree, surface_of
@@ -378,3 +379,26 @@ def test_contents_are_fitted_into_their_container(relation):
     found, carrier = (np.array(fitted.node(n).box3d.position) for n in ("inner", "right"))
     off = float(np.linalg.norm((found - carrier)[:2]))
     assert off < 0.02 if relation == "in" else off > 0.03
+
+
+def test_a_fit_that_lowers_the_agreement_is_not_applied(monkeypatch):
+    tree = answers.exact()
+    shift = lambda problem, fixed: problem.data.initial_unknowns() + 0.05
+    monkeypatch.setattr(fitting, "_solve_with_camera", shift)
+    monkeypatch.setattr(fitting, "_refused_objects", lambda *_: {})
+    fitted, report = fit_tree(tree)
+    assert fitted is tree and not report.applied
+    assert report.reason.startswith("not applied: it would lower the agreement from 1.000 to 0.")
+    assert report.agreement_after == report.agreement_before
+    assert [change.distance_m for change in report.objects.values()] == [0.0] * 3
+    assert next(report.notes())[0] == "the parsed camera and boxes are kept"
+
+
+def test_the_agreement_of_a_built_shape_is_that_of_its_outline():
+    tree = answers.exact()
+    # A cone that fills only a part of its box.
+    cone = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, -0.5, 0], [0, 0.5, 0], [0, 0, 0.4]])
+    shape = hull_wireframe(cone * np.array(tree.node("left").box3d.size))
+    report = fit_tree(tree, {"left": shape})[1].objects
+    assert report["left"].agreement_before < 0.9
+    assert report["right"].agreement_before == pytest.approx(1, abs=1e-6)

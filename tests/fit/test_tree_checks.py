@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from neoworld_mjx.fit.priors import camera_sd
 from neoworld_mjx.fit.tree_checks import agreement, check_score, check_tree
 from neoworld_mjx.fit.visible_sides import hidden_sides
 from neoworld_mjx.measure import SidesShown
@@ -190,3 +191,34 @@ def test_findings_phrase_number_and_bound():
     assert scores == sorted(scores, reverse=True)
     assert np.ptp(scores) > 0.1
     assert not math.isnan(scores[2])
+
+
+def test_a_slab_above_a_listed_floor_is_no_error_and_furniture_may_have_moving_parts():
+    tree = answers.exact()
+    floor = tree.node("table").model_copy(
+        update={
+            "name": "floor",
+            "label": "floor",
+            "box3d": tree.node("table").box3d.model_copy(update={"position": (0.9, 0.0, -0.8)}),
+        }
+    )
+    nodes = (floor, *tree.nodes)
+    above = answers.with_node(tree.model_copy(update={"nodes": nodes}), "table", parent="floor")
+    assert check_tree(above) == ()
+    cup = answers.with_node(above, "right", parent="floor")
+    assert codes(cup, "right")["gap_m"].severity == "error"
+    knob = (PartState(part="knob", type="continuous"),)
+    built = answers.with_node(tree, "table", articulation=knob, furniture=True)
+    assert "environment" not in codes(built, "table")
+    assert (
+        "furniture"
+        in codes(answers.with_node(tree, "table", articulation=knob), "table")["environment"].hint
+    )
+
+
+def test_the_stated_uncertainty_of_a_measured_camera_widens_its_prior():
+    tree = answers.exact().model_copy(update={"camera_measured": ("pitch", "height")})
+    measured = camera_sd(tree)
+    stated = camera_sd(tree.model_copy(update={"pitch_sd": math.radians(4.0)}))
+    assert stated[0] == pytest.approx(math.radians(4.0)) and stated[1] == measured[1]
+    assert stated[0] > 5 * measured[0]

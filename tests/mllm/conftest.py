@@ -1,12 +1,18 @@
 """Small requests that the tests of this folder share."""
 
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from neoworld_mjx.mllm import Picture, Request
+from neoworld_mjx.config import MLLMOptions
+from neoworld_mjx.mllm import Panel, Picture, Request, open_panel
+from tests.support.model_server import ModelServer, Script
+
+KEY = "sk-test-0123456789-do-not-show"
 
 
 class Colour(BaseModel):
@@ -37,3 +43,22 @@ def request_of(**changes) -> Request:
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     return SimpleNamespace(request=request_of, noise=noise, Colour=Colour, Shade=Shade)
+
+
+@pytest.fixture
+def connect(monkeypatch) -> Iterator[Callable[..., tuple[ModelServer, Panel]]]:
+    """Return a function that starts a server with its scripts and opens a panel to it."""
+    monkeypatch.setenv("ANTHROPIC_API_KEY", KEY)
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    with ExitStack() as stack:
+
+        def start(dialect, *scripts: Script, server=None, record=None, **options):
+            if dialect == "openai":
+                pytest.importorskip("openai")
+            server = server or stack.enter_context(ModelServer(dialect, *scripts))
+            given = {"timeout_s": 3.0, "retries": 2, "base_url": server.url} | options
+            panel = open_panel(MLLMOptions(**given), dialect, record=record)
+            panel._calls.backoff_s = 0.01
+            return server, stack.enter_context(panel)
+
+        yield start

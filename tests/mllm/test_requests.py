@@ -79,14 +79,14 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
 @pytest.mark.parametrize(
     ("schema", "digest_start"),
     [
-        (ParsedScene, "562ad1d0cd21a6d2"),
+        (ParsedScene, "74916462df1b2bab"),
         (SceneCritique, "f7f32e8731f015d8"),
         (ProgramResponse, "13e36c10da528d5f"),
         (GeometryCritique, "b449146b76100ba9"),
         (ArticulationCritique, "dc034d1408b08466"),
         (ExportCritique, "6df1d791495d7c56"),
         (MotionCritique, "4149a114de3ac0e8"),
-        (ProposedEdit, "eb933e1791fca8f6"),
+        (ProposedEdit, "732cc387a9bac9c2"),
     ],
 )
 def test_schemas_of_responses_are_fixed(make, schema, digest_start):

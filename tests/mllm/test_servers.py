@@ -7,8 +7,6 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -18,6 +16,7 @@ from neoworld_mjx.errors import BudgetError, ModelError, NeoWorldError
 from neoworld_mjx.mllm import Panel, open_panel
 from neoworld_mjx.mllm.ledger import token_bound
 from neoworld_mjx.mllm.requests import Rejection
+from tests.mllm.conftest import KEY
 from tests.support.model_server import (
     GOOD,
     ModelServer,
@@ -33,28 +32,8 @@ from tests.support.model_server import (
     stream_of,
 )
 
-KEY = "sk-test-0123456789-do-not-show"
 SOME_MODEL = RoleOptions(model="some-model", max_tokens=512)
 both = pytest.mark.parametrize("dialect", ["anthropic", "openai"])
-
-
-@pytest.fixture
-def connect(monkeypatch) -> Iterator[Callable[..., tuple[ModelServer, Panel]]]:
-    """Return a function that starts a server with its scripts and opens a panel to it."""
-    monkeypatch.setenv("ANTHROPIC_API_KEY", KEY)
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    with ExitStack() as stack:
-
-        def start(dialect, *scripts: Script, server=None, record=None, **options):
-            if dialect == "openai":
-                pytest.importorskip("openai")
-            server = server or stack.enter_context(ModelServer(dialect, *scripts))
-            given = {"timeout_s": 3.0, "retries": 2, "base_url": server.url} | options
-            panel = open_panel(MLLMOptions(**given), dialect, record=record)
-            panel._calls.backoff_s = 0.01
-            return server, stack.enter_context(panel)
-
-        yield start
 
 
 def shown(error: BaseException) -> str:

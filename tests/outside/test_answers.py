@@ -12,6 +12,7 @@ from neoworld_mjx.mllm.requests import Reply, Usage
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.response_bounds import BOUNDS
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
+from neoworld_mjx.program import build
 from neoworld_mjx.program.validate import formatted
 from neoworld_mjx.spec import SceneTree
 from tests.support import answers
@@ -83,7 +84,7 @@ def test_an_answer_of_too_many_objects_is_one_line():
     data = answers.answer(*(answers.item(f"cup{i}") for i in range(20_000)))
     for text in (json.dumps(data), json.dumps(data | {"objects": data["objects"][:300]})):
         with pytest.raises(
-            InvalidResponse, match=r"at most 1000000 are read|at most 200 are accepted"
+            InvalidResponse, match=r"at most 1000000 are read|at most 100 are accepted"
         ):
             read_response(text, ParsedScene)
 
@@ -180,3 +181,25 @@ def test_a_list_of_shared_lists_is_shown_short():
     for _ in range(15):
         value = [value] * 6
     assert len(formatted(value)) < 1000
+
+
+def test_the_number_of_objects_is_bounded():
+    data = answers.answer(*(answers.item(f"o{k}") for k in range(99)))
+    assert len(ParsedScene.model_validate(data).objects) == 100
+    data["objects"].append(answers.item("one_more"))
+    with pytest.raises(ValueError, match="objects lists 101 entries, at most 100"):
+        ParsedScene.model_validate(data)
+
+
+def test_names_that_mujoco_reserves():
+    data = answers.answer(answers.item("world"))
+    with pytest.raises(ValueError, match="object world: MuJoCo reserves this name"):
+        ParsedScene.model_validate(data)
+    assert identifier("world", "object") == "world_1"
+    assert identifier("world", "part") == "world"
+    built = build(
+        'from neoworld_mjx.program.sdk import Object, box\no = Object("world")\n'
+        'o.part("a", material="oak").add(box((1, 1, 1)))\n'
+    )
+    assert not built.ok
+    assert "MuJoCo reserves" in str(built.signals)

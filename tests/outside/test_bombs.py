@@ -17,7 +17,7 @@ MJCF = {
     "grid": (
         "",
         '<flexcomp name="f" type="grid" count="200 200 200" spacing=".1 .1 .1" dim="3"/>',
-        r"MuJoCo (takes over|cannot read)",
+        r"takes over|cannot be read",
     ),
     "sensor": ('<sensor><user dim="1000000000"/></sensor>', BALL, "the limit is 1000"),
     "size": ('<size memory="100000G"/>', BALL, "refused by MuJoCo|MuJoCo cannot read"),
@@ -30,7 +30,7 @@ MJCF = {
     "torus": (
         '<asset><mesh name="m" builtin="supertorus" params="4000 0.5 1 1"/></asset>',
         '<geom type="mesh" mesh="m"/>',
-        "MuJoCo (takes over|cannot read)",
+        "takes over|cannot be read",
     ),
     "replicate": (
         "",

@@ -1,13 +1,16 @@
 import asyncio
 import copy
 import json
+import re
 
 import pytest
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import ModelError
+from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.prompts import SceneCritique
+from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.support import answers
 from tests.support.scripted_model import ScriptedModel
 
@@ -70,11 +73,42 @@ def test_faults_go_back_and_the_better_round_is_kept():
 
 
 def test_a_round_with_a_lower_score_is_not_kept():
-    worse = consistent()
-    worse["objects"] = worse["objects"][:2]
-    parsed, _, _ = run(consistent(), BAD, worse, BAD | {"completeness": 2})
+    worse = {"removed": ["right", "can"]}
+    parsed, _, requests = run(consistent(), BAD, worse, BAD | {"completeness": 2})
+    assert "lists 2 objects" in requests[3].prompt
     assert parsed.best_round == 0
     assert len(parsed.tree.nodes) == 4
+
+
+def test_a_correction_contains_only_what_changes():
+    can = consistent()["objects"][3] | {"description": "now with a tab"}
+    pen = can | {"name": "pen", "label": "pen"}
+    correction = {"objects": [can, pen], "removed": ["right"]}
+    parsed, _, requests = run(consistent(), BAD, correction, GOOD)
+    assert "required" not in requests[2].json_schema
+    names = [node.name for node in parsed.tree.nodes]
+    assert names == ["table", "left", "can", "pen"]
+    assert parsed.tree.node("can").description == "now with a tab"
+    assert parsed.tree.node("left").description == consistent()["objects"][1]["description"]
+
+
+def test_a_correction_that_leaves_an_inconsistent_scene_goes_back():
+    parsed, names, requests = run(
+        consistent(), BAD, {"removed": ["table"]}, {"objects": []}, critic_rounds=3
+    )
+    assert names == ["parse", "parse:judge", "parse:mend", "parse:mend"]
+    assert "parent 'table' is no object" in requests[3].prompt
+    assert parsed.best_round == 0
+
+
+def test_findings_are_those_of_the_response_and_not_of_the_fit():
+    data = consistent()
+    data["objects"][3]["size"]["height"] *= 9.0  # No fit makes a can of a mast.
+    _, _, requests = run(data, GOOD | {"dismissed": [1, 2, 3, 4, 5]})
+    tree = to_tree(ParsedScene.model_validate(data), answers.photo())
+    of_response = {issue.phrase() for issue in check_tree(tree)}
+    listed = re.findall(r"^\d+\. (.*)$", requests[1].prompt, flags=re.M)
+    assert listed and set(listed) <= of_response
 
 
 def test_rounds_are_bounded():

@@ -11,7 +11,7 @@ from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
+from neoworld_mjx.parse.prompts import SceneCritique, correction_request, listing, parse_request
 from neoworld_mjx.parse.response_to_tree import tilt_quat
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Camera, Cues
@@ -190,7 +190,7 @@ def test_the_instructions_name_every_field_that_is_not_self_evident():
 def test_a_repair_request_repeats_the_response_and_the_findings():
     seen = ParsedScene.model_validate(answers.desk())
     first = parse_request(answers.photo())
-    mend = parse_request(answers.photo(), seen, ["can: it floats"])
+    mend = correction_request(answers.photo(), seen, ["can: it floats"])
     assert mend.parts["system"] == first.parts["system"]
     assert mend.parts["pictures"] == first.parts["pictures"]
     assert "- can: it floats" in mend.prompt
@@ -204,3 +204,29 @@ def test_the_listing_gives_the_critic_supports_and_openings():
     assert "- can (soda can): on left; box 10 10 90 90" in message
     assert "lid revolute 50% open" in message
     assert "no support" in message
+
+
+def test_the_instructions_have_one_rule_for_tables_robots_cloths_and_cut_objects():
+    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
+    for rule in (
+        "its `parent` is null, even if the floor is listed",
+        "Robots, hands and people are left out",
+        "It may have moving parts",
+        "is true for an object that never moves as a whole",
+        "A cloth that is draped",
+        "A side of the box that lies on the picture's edge is a side in `cut_sides`",
+        "`camera.pitch_doubt_deg`",
+    ):
+        assert rule in guide, rule
+    assert "A table on a listed floor has the floor as parent" not in guide
+    critic = package_text("neoworld_mjx.parse", "critic")
+    assert "robots, hands and people are left out on purpose" in critic
+
+
+def test_the_uncertainty_of_the_camera_reaches_the_tree():
+    data = answers.desk()
+    data["camera"] |= {"pitch_doubt_deg": 3.0, "height_doubt": 0.2}
+    tree = to_tree(ParsedScene.model_validate(data), answers.photo())
+    assert tree.pitch_sd == pytest.approx(math.radians(3.0)) and tree.height_sd == 0.2
+    with pytest.raises(ValidationError, match="pitch_doubt_deg must lie in"):
+        ParsedScene.model_validate(data | {"camera": data["camera"] | {"pitch_doubt_deg": -1.0}})

@@ -155,6 +155,43 @@ def test_an_unknown_term_is_named(path):
         named_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
 
 
+@pytest.mark.parametrize("gap", [0.03, 0.002, -0.004])
+def test_the_gap_of_two_boxes_is_signed(gap):
+    scene = two_boxes(gap)
+    found = np.asarray(rewards.gaps(scene, Layout.zero(1, 3)))[0]
+    a, b, table = (scene.names.index(name) for name in ("a", "b", "table"))
+    assert found[a, b] == found[b, a] == pytest.approx(gap, abs=2e-6)
+    assert found[a, table] == pytest.approx(0.0, abs=1e-5)
+    assert np.isinf(found.diagonal()).all()
+    moved = shifted(scene, 0.01)
+    assert float(rewards.gaps(scene, moved)[0, a, b]) == pytest.approx(gap + 0.01, abs=2e-6)
+    start = unmoved(scene, scene.place(moved))
+    assert rewards.gaps(scene, Layout.zero(1, 3), start)[0, a, b] == pytest.approx(
+        gap + 0.01, abs=2e-6
+    )
+    slope = jax.grad(lambda z: rewards.gaps(scene, z)[0, a, b])(Layout.zero(1, 3))
+    assert float(slope.xy[0, b, 0]) == pytest.approx(1.0, abs=1e-3)
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
+
+
+def test_speeds_are_those_of_free_fall():
+    scene = two_boxes(0.05)
+    start = scene.place(Layout.zero(1, 3))
+    high = eqx.tree_at(
+        lambda p: p.pos, start, start.pos + 0.5 * np.eye(3)[2] * scene.movable[:, None]
+    )
+    rollout = NativeEngine().rollout(scene, high, duration=0.2, record_every=0.05)
+    speed, turn = rewards.speeds(rollout)
+    b = scene.names.index("b")
+    time = np.asarray(rollout.time)
+    # The mean over an interval, and half a time step of the integrator.
+    expected = 9.81 * (time - time[0] / 2 + 0.002)
+    np.testing.assert_allclose(speed[0, :, b], expected, rtol=0.01)
+    assert (
+        float(jnp.max(turn)) < 1e-3 and float(jnp.max(speed[:, :, scene.names.index("table")])) == 0
+    )
+
+
 class TestCompiled:
     """Rewards called from Python are compiled, and compose with transformations of JAX."""
 

@@ -25,9 +25,13 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, ProgramOptions, load_config
 from neoworld_mjx.errors import NeoWorldError
+from neoworld_mjx.io import limited_worker
+from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from tests.support import answers
 from tests.support.hostile import BODY, FINE, HOSTILE, resident_mb
+from tests.support.hostile_assets import grown
+from tests.support.hostile_servers import server
 
 SECONDS, MEGABYTES = 10.0, 500.0
 """Processor time and growth of memory that reading one input may take."""
@@ -277,12 +281,22 @@ def _usd(draw: random.Random, home: Path) -> None:
     import_file(path)
 
 
+POSES = """{"frame": "camera", "up": [0, -1, 0], "objects": {"box": {"file": "a.obj",
+ "fixed": false, "pose": [[1, 0, 0, 0.1], [0, 1, 0, -2.5], [0, 0, 1, 0.3], [0, 0, 0, 1]]}}}"""
+
+
 def _mesh(draw: random.Random, home: Path) -> None:
     import trimesh
 
+    from neoworld_mjx.export.importing_scene import import_file
     from neoworld_mjx.export.load_mesh import load_mesh
 
-    suffix = draw.choice(["obj", "stl", "ply", "off", "glb", "dae"])
+    suffix = draw.choice(["obj", "stl", "ply", "off", "glb", "dae", "poses"])
+    if suffix == "poses":
+        trimesh.creation.box().export(home / "a.obj")
+        (home / "poses.json").write_bytes(mutated_text(draw, POSES).encode("utf-8", "replace"))
+        import_file(home / "poses.json")
+        return
     path = home / f"a.{suffix}"
     trimesh.creation.box().export(path)
     data = path.read_bytes()
@@ -290,7 +304,9 @@ def _mesh(draw: random.Random, home: Path) -> None:
         path.write_bytes(mutated_text(draw, data.decode()).encode("utf-8", "replace"))
     else:
         path.write_bytes(mutated_bytes(draw, data))
-    load_mesh(path)
+    call_limited(load_mesh, path, needs=("trimesh",))
+    if suffix == "glb":
+        import_file(path)
 
 
 def _picture(draw: random.Random, home: Path) -> None:
@@ -303,6 +319,24 @@ def _picture(draw: random.Random, home: Path) -> None:
     path.write_bytes(mutated_bytes(draw, path.read_bytes()))
     picture(path, "a")
     load_photo(path)
+
+
+def _crowd(draw: random.Random, home: Path) -> None:
+    from neoworld_mjx.fit.fit_tree import fit_tree
+    from neoworld_mjx.fit.tree_checks import check_tree
+    from neoworld_mjx.parse.schema import ParsedScene, to_tree
+
+    names = [f"o{k}" for k in range(round(10 ** draw.uniform(0, 2.1)))]
+    data = answers.answer()
+    for k, name in enumerate(names):
+        parent = draw.choice(["table", names[max(k - 1, 0)], draw.choice(names)])
+        left, top = draw.randrange(700), draw.randrange(500)
+        box = {"left": left, "top": top, "right": left + 90, "bottom": top + 90}
+        at = (draw.uniform(0.5, 1.2), draw.uniform(-0.3, 0.3), draw.uniform(0, 0.5))
+        extra = {"parent": "table" if parent == name else parent, "box": box}
+        data["objects"].append(answers.item(name, at, **extra))
+    tree = to_tree(read_response(json.dumps(data), ParsedScene), answers.photo())
+    check_tree(fit_tree(tree)[0])
 
 
 YAML = """seed: 3
@@ -366,6 +400,9 @@ KINDS: dict[str, Callable[[random.Random, Path], None]] = {
     "yaml": _yaml,
     "tape": _tape,
     "results": _results,
+    "growing asset": grown,
+    "crowd": _crowd,
+    "server": server,
 }
 
 
@@ -413,8 +450,8 @@ class Watcher:
             self._started(event, str(details))
 
     def _started(self, event: str, command: str) -> None:
-        """Note a program that is started, but for the trial of a file and the sandbox."""
-        if not re.search(r"mujoco|monty|Usd\.Stage", command):
+        """Note a program that is started, but for readers, the sandbox and an SDK's uname."""
+        if not re.search(r"limited_worker|monty|uname", command):
             self.seen.append(f"{event} {command}"[:200])
 
     def _check(self, event: str, path: Any) -> None:
@@ -432,6 +469,13 @@ class Watcher:
 _watcher: list[Watcher] = []
 
 
+def reader_seconds() -> float:
+    """Return the processor time of the ended workers that read files."""
+    server = limited_worker._server(os.getpid())
+    stat = Path(f"/proc/{server.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return sum(map(int, stat[13:15])) / os.sysconf("SC_CLK_TCK")
+
+
 def contained(seed: int) -> Outcome:
     """Make the input of a seed, read it, and tell what that did."""
     if not _watcher:
@@ -445,7 +489,7 @@ def contained(seed: int) -> Outcome:
         for name, text in PRECIOUS.items():
             (outside / name).parent.mkdir(parents=True, exist_ok=True)
             (outside / name).write_text(text, encoding="utf-8")
-        before, start = resident_mb(), time.process_time()
+        before, start = resident_mb(), time.process_time() + reader_seconds()
         peak_before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
         wrong, outcome = "", "read"
         from neoworld_mjx.cache import cache_folder
@@ -460,7 +504,7 @@ def contained(seed: int) -> Outcome:
             except Exception as error:
                 outcome = type(error).__name__
                 wrong = f"{outcome}: {error}"[:300]
-        seconds = time.process_time() - start
+        seconds = time.process_time() + reader_seconds() - start
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
         grown = max(0.0, peak - max(before, peak_before))
         files = {

@@ -1,6 +1,7 @@
 """The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
 import io
+import json
 
 import pytest
 from PIL import Image
@@ -10,6 +11,9 @@ from neoworld_mjx.checks.verdict import Fault, Limit, judged
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm.coroutines import run_coroutine
+from neoworld_mjx.program.attempt import SynthesisResult
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
     Finding,
@@ -21,6 +25,7 @@ from neoworld_mjx.verify.critic import (
 )
 from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
+from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
 from tests.support import furniture as objects
 from tests.support.scripted_model import ScriptedModel
@@ -51,8 +56,7 @@ def edited_by(*answers):
     """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
     repaired = repair(BAD, results_of, rounds=0)
     model = ScriptedModel(*answers)
-    with Panel(model) as models:
-        critiques = revise_with_models(repaired, models)
+    critiques = run_coroutine(revise_with_models(repaired, model))
     return repaired, critiques, model
 
 
@@ -178,7 +182,7 @@ def test_films_show_the_two_standard_scenarios():
     assert list(films(run_object_tests(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
 
 
-def test_a_critique_changes_no_outcome():
+def test_a_critique_does_not_change_other_checks():
     flipped = objects.cupboard(axis=(0, 0, -1))
     sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
     assert not sound.verdict.passed
@@ -208,10 +212,12 @@ def test_an_edit_that_helps_is_accepted():
     "patch", [HARMS, Patch.model_validate({"parts": {"door": {"mass": 900.0}}})]
 )
 def test_an_edit_that_does_not_help_is_dropped_and_listed(patch):
-    repaired, _, _ = edited_by(FOUND, ProposedEdit(patch=patch))
+    sound = MotionCritique(verdict="sound")
+    repaired, _, model = edited_by(FOUND, ProposedEdit(patch=patch), sound)
     assert repaired.patch.empty
     assert repaired.after == repaired.before
     assert len(repaired.tried) == 1
+    assert f"Tried before:\n- {repaired.tried[0]}" in model.requests[2].prompt
 
 
 def test_an_object_that_needs_reprogramming_is_not_edited():
@@ -235,3 +241,96 @@ def test_direct_repairs_come_before_models():
     result = verify_and_repair(flipped, models=Panel(script))
     assert not result.verdict.passed
     assert result.seen == ("door: swings in",)
+
+
+def rewritten(spec, text="# another program"):
+    """Return a function that gives an object's new program, and the findings that it receives."""
+    received = []
+
+    async def reprogram(findings):
+        received.append(list(findings))
+        return SynthesisResult(spec, {"program": text}, (), 9.0, ())
+
+    return reprogram, received
+
+
+def test_the_verdict_reprogram_leads_to_a_new_program():
+    flipped, verdict = objects.cupboard(axis=(0, 0, -1)), MotionCritique(verdict="reprogram")
+    verdict.findings.append(Finding(where="hinge", what="opens inwards", suggestion="turn it over"))
+    reprogram, received = rewritten(objects.cupboard())
+    result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), reprogram=reprogram)
+    assert result.verdict.passed and not result.before.passed
+    assert result.program == "# another program"
+    assert result.applied(flipped) == objects.cupboard()
+    assert received[0][0] == "hinge: opens inwards -> turn it over"
+    assert received[0][1].startswith("simulated by itself: ")
+
+
+def test_a_new_program_that_is_not_better_is_dropped_and_the_critic_learns_of_it():
+    flipped = objects.cupboard(axis=(0, 0, -1))
+    reprogram, received = rewritten(flipped)
+    script = ScriptedModel(MotionCritique(verdict="reprogram"), MotionCritique(verdict="sound"))
+    result = verify_and_repair(flipped, models=Panel(script), reprogram=reprogram)
+    assert len(received) == 1 and result.program is None and not result.verdict.passed
+    assert "new program: fault score" in script.requests[1].prompt
+
+
+def test_without_a_programmer_the_wish_for_a_new_program_is_reported():
+    flipped = objects.cupboard(axis=(0, 0, -1))
+    answer = MotionCritique(findings=FOUND.findings, verdict="reprogram")
+    result = verify_and_repair(flipped, models=Panel(ScriptedModel(answer)))
+    assert result.unmet == ("door: swings in",)
+
+
+def test_edits_go_on_for_as_many_rounds_as_the_option_says():
+    halves = [-0.3, -0.2, -0.1, 0.0]
+    answers = []
+    for lower in halves:
+        patch = Patch.model_validate({"joints": {"hinge": {"lower": lower}}})
+        answers += [FOUND, ProposedEdit(patch=patch)]
+    repaired, critiques, model = edited_by(*answers)
+    assert repaired.after.passed and len(critiques) == 4
+    last = next(r for r in reversed(model.requests) if r.role == "reasoner")
+    assert "joint hinge: lower = -0.1: fault score" in last.prompt
+
+
+def pin():
+    """A pin that stands on its point: by itself it topples."""
+    shape = Box(size=(0.002, 0.002, 0.1))
+    geom = GeomSpec(name="pin", shape=shape, pos=(0, 0, 0.05), material="wood")
+    wood = Material(name="wood", density=700)
+    return ObjectSpec(
+        name="pin", materials=(wood,), parts=(PartSpec(name="pin", geoms=(geom,)),), joints=()
+    )
+
+
+def test_sound_waives_falls_that_fail_without_the_scene_and_nothing_else():
+    sound = MotionCritique(verdict="sound")
+    result = verify_and_repair(pin(), models=Panel(ScriptedModel(sound)))
+    assert result.verdict.passed
+    assert {check.scenario for check in result.waived} == {"free_fall"}
+    assert all(check.value is not None for check in result.waived)
+    flipped = objects.cupboard(axis=(0, 0, -1))
+    result = verify_and_repair(flipped, models=Panel(ScriptedModel(sound)))
+    assert not result.verdict.passed and not result.waived
+
+
+def test_the_edit_schema_offers_surface_friction_and_contains_no_comment_of_the_code():
+    request = edit_request(results_of(BAD), FOUND)
+    schema = json.dumps(request.json_schema)
+    patch = Patch.model_validate({"materials": {"wood": {"friction": 0.9}}})
+    changed, stale = apply(patch, objects.cupboard())
+    assert "MaterialEdit" in schema and "for the checks to say" not in schema
+    assert (changed.materials[0].friction, stale) == (0.9, ())
+    assert "material wood: friction" in request.prompt
+
+
+def test_requests_state_extent_base_and_surroundings():
+    tests = results_of(BAD)
+    request = edit_request(tests, FOUND, surroundings="In the scene it rests on floor (floor).")
+    assert "base: its contact with a level floor is" in request.prompt
+    assert "extent: x -" in request.prompt and "the origin is (0, 0, 0)" in request.prompt
+    assert "geom " in request.prompt and " z 0.000 to " in request.prompt
+    assert "rests on floor" in request.prompt
+    request = key_frames_request(tests, surroundings="In the scene it rests on floor (floor).")
+    assert "rests on floor" in request.prompt

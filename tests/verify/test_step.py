@@ -1,5 +1,6 @@
 """Step 3 of a run: its object tests use the parse and the program of the object."""
 
+import asyncio
 import json
 import math
 
@@ -8,6 +9,9 @@ import pytest
 from neoworld_mjx.checks.allowance import Allowance
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import Config, VerifyOptions
+from neoworld_mjx.errors import ModelError
+from neoworld_mjx.mllm import Panel, Usage
+from neoworld_mjx.mllm.requests import Reply
 from neoworld_mjx.pipeline.object_steps import verify_objects
 from neoworld_mjx.pipeline.scene_pictures import Pictures
 from neoworld_mjx.pipeline.step_context import StepContext
@@ -24,11 +28,13 @@ from neoworld_mjx.spec import (
     ObjectSpec,
     PartSpec,
     SceneTree,
+    Sphere,
     TreeNode,
     bounds,
 )
 from neoworld_mjx.spec.pose import from_axis_angle
 from neoworld_mjx.verify import verify_and_repair
+from tests.support import answers
 from tests.support import furniture as objects
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
@@ -76,6 +82,115 @@ def node(name, spec, **more):
 
 def tilted(degrees):
     return tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
+
+
+class ParallelModel:
+    """Answers that objects are sound once the requests of a number of objects wait."""
+
+    name, online, secrets = "parallel", False, ()
+
+    def __init__(self, objects):
+        self.objects, self.waiting = objects, []
+
+    async def reply(self, request, role, rejected):
+        self.waiting.append(request)
+        for _ in range(2000):
+            if len(self.waiting) >= self.objects:
+                return Reply('{"verdict": "sound"}', Usage(), self.name)
+            await asyncio.sleep(0.01)
+        raise ModelError(f"only {len(self.waiting)} requests wait together")
+
+    async def close(self): ...
+
+
+def pin(name="pin"):
+    """A rod with a pointed foot, [0.02, 0.02, 0.1] m."""
+    tip = GeomSpec(name="tip", shape=Sphere(radius=0.001), pos=(0, 0, 0.001), material="steel")
+    shape = Box(size=(0.02, 0.02, 0.09))
+    geom = GeomSpec(name="pin", shape=shape, pos=(0.002, 0, 0.055), material="steel")
+    parts = (PartSpec(name="pin", geoms=(geom, tip)),)
+    return ObjectSpec(name=name, materials=(STEEL,), parts=parts)
+
+
+def test_the_requests_of_all_objects_wait_together(tmp_path):
+    model = ParallelModel(objects=3)
+    names = ["a", "b", "c"]
+    with RunFolder(tmp_path / "run", Config()) as run:
+        table = node("table", objects.chest(), environment=True)
+        nodes = [table, *(node(name, pin(name), parent="table") for name in names)]
+        (run.path / "tree.json").write_text(SceneTree(camera=CAMERA, nodes=tuple(nodes)).to_json())
+        for entry in nodes:
+            home = run.path / "objects" / entry.name
+            home.mkdir(parents=True)
+            spec = objects.chest() if entry.name == "table" else pin(entry.name)
+            (home / "spec.json").write_text(spec.to_json())
+            (home / "program.json").write_text('{"allowances": []}')
+        with Pictures(run, Config().render) as pictures, Panel(model) as models:
+            verify_objects(StepContext(run, Config(), None, models, pictures))
+        assert sorted(request.name for request in model.waiting) == [
+            f"simulation:{name}" for name in names
+        ]
+        assert run.data["fallbacks"] == []
+        assert {note["step"] for note in run.data["notes"]} == {f"verify/{n}" for n in names}
+    assert "In the scene it rests on table (table)." in model.waiting[0].prompt
+    verdict = json.loads((run.path / "objects" / "a" / "verify.json").read_text())
+    assert verdict["passed"]
+
+
+FLAT = """from neoworld_mjx.program.sdk import Object, box
+pin = Object("pin")
+body = pin.part("pin", material=pin.material("steel", like="steel"))
+body.add(box((0.02, 0.02, 0.1)), at=(0, 0, 0), by="bottom", name="body")
+"""
+
+
+class Programmer:
+    """Critic that asks for a new program, and programmer that gives one."""
+
+    name, online, secrets = "programmer", False, ()
+
+    def __init__(self):
+        self.requests = []
+
+    async def reply(self, request, role, rejected):
+        self.requests.append(request)
+        found = {"where": "pin", "what": "it has a point", "suggestion": "a foot of 5 cm"}
+        verdict = {"findings": [found], "verdict": "reprogram"}
+        answer = {"program": FLAT} if request.role == "programmer" else verdict
+        return Reply(json.dumps(answer), Usage(), self.name)
+
+    async def close(self): ...
+
+
+def test_a_new_program_is_written_beside_the_first_and_its_object_is_used(tmp_path):
+    model, config = Programmer(), Config()
+    with RunFolder(tmp_path / "run", config) as run:
+        nodes = (
+            node("table", objects.chest(), environment=True),
+            node("pin", pin(), parent="table"),
+        )
+        (run.path / "tree.json").write_text(SceneTree(camera=CAMERA, nodes=nodes).to_json())
+        for entry, spec in zip(nodes, (objects.chest(), pin()), strict=True):
+            home = run.path / "objects" / entry.name
+            home.mkdir(parents=True)
+            (home / "spec.json").write_text(spec.to_json())
+            (home / "program.json").write_text('{"allowances": []}')
+            (home / "program.py").write_text(FLAT.replace("0.02, 0.02", "0.002, 0.002"))
+        photo = answers.photo()
+        with Pictures(run, config.render) as pictures, Panel(model) as models:
+            verify_objects(StepContext(run, config, photo, models, pictures))
+        assert [r.name for r in model.requests] == ["simulation:pin", "reprogram:pin"]
+        assert run.data["fallbacks"] == []
+        assert [note["what"] for note in run.data["notes"]] == ["pin has a new program"]
+    assert "pin: it has a point -> a foot of 5 cm" in model.requests[1].prompt
+    assert [picture.label for picture in model.requests[1].pictures] == ["crop"]
+    home = tmp_path / "run" / "objects" / "pin"
+    assert (home / "reprogrammed.py").read_text() == FLAT
+    assert json.loads((home / "reprogrammed.json").read_text())["rounds"][0]["stage"] == "reprogram"
+    assert json.loads((home / "verify.json").read_text())["passed"]
+    changed = ObjectSpec.model_validate_json((home / "verified.json").read_text())
+    low, high = bounds(changed)
+    assert (high - low).tolist() == pytest.approx([0.02, 0.02, 0.1])
 
 
 def stepped(tmp_path, spec, allowances=(), **more):
@@ -152,6 +267,14 @@ def test_an_object_that_another_one_supports_tilted_is_not_dropped(tmp_path, rel
     )
     assert ran(verdict, "free_fall") == {"rests"}
     assert verdict["passed"], reported
+
+
+def test_an_object_without_a_base_of_its_own_in_a_container_is_not_dropped(tmp_path):
+    verdict, reported = stepped(tmp_path / "in", pin(), parent="cup", relation="in")
+    assert ran(verdict, "free_fall") == {"rests"}
+    assert verdict["passed"], reported
+    verdict, _ = stepped(tmp_path / "block", objects.chest(), parent="cup", relation="in")
+    assert "fall" in ran(verdict, "free_fall")
 
 
 def test_an_object_tilted_on_level_ground_is_dropped_in_its_parsed_orientation(tmp_path):

@@ -131,7 +131,7 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     assert page.tags.count("polyline") >= 6
     for message in (
         *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
-        *("free fall drift 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        *("free fall drift 2.10 mm ≤ 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
         "force perturbation energy skipped",
         "cup 50.00 0.40 0.10°",
         "mean 0.90 0.80 0.85 cup 0.80 0.61 jar 0.90 0.80 0.85",
@@ -171,6 +171,24 @@ def test_failing_objects_are_listed_in_the_header_and_their_rows_are_open(finish
     assert "1 of 1 fail" in _words(rest)
 
 
+def test_failed_object_tests_of_a_valid_scene_are_explained_and_bounds_have_a_direction(
+    finished,
+):
+    path = next((finished / "objects").glob("*/verify.json"))
+    verdict = json.loads(path.read_text())
+    check = {
+        "scenario": "joint_drive", "name": "drive:lid", "outcome": "FAIL", "value": 0.5,
+        "threshold": 0.9, "unit": "of its range",
+    }  # fmt: skip
+    verdict |= {"passed": False, "checks": [*verdict["checks"], check]}
+    path.write_text(json.dumps(verdict))
+    with RunFolder(finished, Config(), "resume") as run:
+        run.record("metrics", passed=True)
+    words = _words(write_report(finished).read_text())
+    assert "1 of 1 fail the object tests, in which each is simulated by itself; the" in words
+    assert "joint drive drive:lid 0.5 of its range ≥ 0.9 of its range" in words
+
+
 def test_a_row_shows_photograph_and_render_in_one_frame(finished):
     tree = _tree()
     jar = tree["nodes"][0] | {"name": "jar", "box2d": {"x0": 20, "y0": 10, "x1": 40, "y1": 30}}
@@ -184,7 +202,7 @@ def test_a_row_shows_photograph_and_render_in_one_frame(finished):
     html = write_report(finished).read_text()
     row = html.partition('<details class="object">')[2].partition("</summary>")[0]
     assert row.count("data:image/jpeg") == 2
-    assert "parsed 0.90, composed 0.80, refined 0.85" in _words(row)
+    assert "parsed cuboid 0.90, composed 0.80, refined 0.85" in _words(row)
     assert "finished, valid" in _words(html)
 
 

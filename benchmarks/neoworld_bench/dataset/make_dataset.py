@@ -14,6 +14,7 @@ six digits; pictures and what is read off them follow from these.
 import io
 import json
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from importlib.util import find_spec
@@ -44,23 +45,29 @@ TASKS = "neoworld_bench.tasks"
 """Module whose `task_names()` lists the tasks."""
 
 
-def make_dataset(out: Path, *, seed: int | None = None, workers: int = 1) -> dict[str, Any]:
+def make_dataset(
+    out: Path, *, seed: int | None = None, workers: int = 1, scenes: Sequence[str] = ()
+) -> dict[str, Any]:
     """Write the data set into a folder.
 
     Args:
         out: the folder.
         seed: draws one instance of each category; None takes every program's own parameters.
         workers: processes.
+        scenes: names of the scenes to write, without the categories; all of both by default.
 
     Returns:
         "categories", "joints" that move, "scenes", "tabletop", "tasks", "hash", "seconds".
 
     Raises:
         RunError: a file cannot be written.
+        SpecError: there is no such scene.
     """
     began = time.perf_counter()
-    jobs = [("categories", name, str(out), seed) for name in templates()]
-    jobs += [("scenes", name, str(out), seed) for name in declarations()]
+    chosen = {name: declaration(name) for name in scenes} or declarations()
+    categories = [] if scenes else list(templates())
+    jobs = [("categories", name, str(out), seed) for name in categories]
+    jobs += [("scenes", name, str(out), seed) for name in chosen]
     if workers > 1:
         with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
             parts = list(pool.map(_write_part, jobs))
@@ -68,21 +75,20 @@ def make_dataset(out: Path, *, seed: int | None = None, workers: int = 1) -> dic
         parts = [_write_part(job) for job in jobs]
     tasks = task_names()
     summary = {
-        "categories": len(templates()),
+        "categories": len(categories),
         "joints": sum(part["joints"] for part in parts if part["kind"] == "categories"),
-        "scenes": len(declarations()),
-        "tabletop": sum(d.tabletop for d in declarations().values()),
+        "scenes": len(chosen),
+        "tabletop": sum(d.tabletop for d in chosen.values()),
         "tasks": len(tasks),
         "hash": content_hash([[p["name"] + ":" + p["hash"] for p in parts], sorted(tasks)]),
     }
     _write(out / SUMMARY, json.dumps(summary | {"seed": seed}, indent=1) + "\n")
-    _write(out / SHEET, contact_sheet(out))
+    _write(out / SHEET, contact_sheet(out, list(chosen)))
     return summary | {"seconds": time.perf_counter() - began}
 
 
-def contact_sheet(out: Path) -> bytes:
+def contact_sheet(out: Path, names: Sequence[str]) -> bytes:
     """Return the pictures of a written data set's scenes on one sheet, as JPEG."""
-    names = list(declarations())
     width, height, caption = THUMBNAIL
     rows = -(-len(names) // COLUMNS)
     sheet = Image.new("RGB", (COLUMNS * width, rows * (height + caption)), "white")

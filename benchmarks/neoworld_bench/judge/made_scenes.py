@@ -122,7 +122,7 @@ def _made(number: int, folder: Path, data: Path | None) -> MadeScene:
     if file is None:
         raise SpecError(f"{folder} has no scene: expected is one of {', '.join(FILES)}")
     refuse_links(folder)
-    scene, truth = read_scene_file(file), folder
+    scene, truth = read_scene_file(file).spec, folder
     if data is not None and _photograph(folder) is None:
         truth = data / "scenes" / folder.resolve().name
     picture = _photograph(truth)

@@ -1,6 +1,6 @@
 """Scenes that other methods made, read from a folder and scored as the rows of a method.
 
-    DIR/SCENE/scene.json | scene.xml | scene.usda | scene.usd | scene.usdc
+    DIR/SCENE/scene.json | scene.xml | scene.usda | scene.usd | scene.usdc | scene.glb | poses.json
     DIR/SCENE/result.json            optional: {"seconds": 12.5}
     DIR/SCENE/start_0/...            the same for each start, where a method begins at starts
 
@@ -20,10 +20,13 @@ from neoworld_mjx.io.names import identifier
 from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
 
+from ..rows import log
 from .layout_errors import unmatched
 from .scene_methods import MethodResult
 
-FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc")
+MESHES = ("scene.glb", "poses.json")
+"""Scenes of meshes, which do not say what is a support: objects that the ground truth fixes are."""
+FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc", *MESHES)
 """Names of a submitted scene; of several the first counts."""
 RESULT = "result.json"
 HELD = "held_"
@@ -86,7 +89,10 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
     file = scene_file(place)
     if file is None:
         raise SpecError(f"submission: {place} has none of {', '.join(FILES)}")
-    scene = _renamed(read_scene_file(file), truth)
+    read = read_scene_file(file)
+    scene = _renamed(_with_supports(read.spec, truth) if file.name in MESHES else read.spec, truth)
+    for note in read.notes:
+        log.info(f"{truth.name}: {note}")
     if scene.camera is None:
         scene = scene.model_copy(update={"camera": truth.camera})
     movable = [item.name for item in truth.objects if not item.static]
@@ -112,18 +118,35 @@ def scene_file(folder: Path) -> Path | None:
     return next((folder / name for name in FILES if (folder / name).exists()), None)
 
 
-def read_scene_file(file: Path) -> SceneSpec:
-    """Read a scene.json, MJCF or USD scene.
+def read_scene_file(file: Path) -> ImportedScene:
+    """Read a scene.json, an MJCF, USD or glTF scene, or a poses.json, with notes of the reader.
 
     Raises:
         SpecError: it cannot be read, or holds a single object.
     """
-    if file.suffix == ".json":
-        return read_scene(file)
+    if file.suffix == ".json" and file.name not in MESHES:
+        return ImportedScene(read_scene(file), ())
     imported = import_file(file)
     if not isinstance(imported, ImportedScene):
         raise SpecError(f"submission: {file} holds one object, not a scene on its supports")
-    return imported.spec
+    return imported
+
+
+def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
+    """Fix the objects that the ground truth fixes."""
+    fixed = {item.name: item for item in truth.objects if item.static}
+    objects = (
+        item.model_copy(
+            update={
+                "environment": fixed[item.name].environment,
+                "fixed_base": fixed[item.name].fixed_base,
+            }
+        )
+        if item.name in fixed and not item.static
+        else item
+        for item in scene.objects
+    )
+    return scene.model_copy(update={"objects": tuple(objects)})
 
 
 def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:

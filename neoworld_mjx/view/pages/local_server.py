@@ -1,6 +1,7 @@
 """Web server of the pages; by default, it accepts only local clients."""
 
 import io
+import logging
 import re
 import socket
 from contextlib import redirect_stdout
@@ -11,14 +12,19 @@ from ...errors import RunError
 
 LOCAL = "127.0.0.1"
 PORT = 8080
-_PAGES_OF_THIS_MACHINE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_HOSTS_OF_THIS_MACHINE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_PAGES_OF_THIS_MACHINE = re.compile(rf"https?://{_HOSTS_OF_THIS_MACHINE.pattern}")
+_MAX_MESSAGE_BYTES = 1 << 20
+"""Maximum size of a message from a page; its controls send a few hundred bytes."""
+_log = logging.getLogger(__name__)
 
 
 def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> Any:
     """Start a viser server.
 
     On a loopback address, the server refuses WebSocket connections from web pages of other origins
-    in the same browser. It never opens the tunnel to viser's public server.
+    in the same browser, and requests that name another host. It closes a connection that sends an
+    invalid or large message, and never opens the tunnel to viser's public server.
 
     Args:
         label: title of the page.
@@ -48,10 +54,9 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
 
     chosen_port = _free_port(host, port)
     serve = websockets.asyncio.server.serve
-    if host in (LOCAL, "localhost", "::1"):
-        # None admits clients other than browsers, which send no origin.
-        checking_serve: Any = partial(serve, origins=[None, _PAGES_OF_THIS_MACHINE])
-        websockets.asyncio.server.serve = checking_serve
+    local = host in (LOCAL, "localhost", "::1")
+    checked_serve: Any = partial(_serve_checked, serve, local)
+    websockets.asyncio.server.serve = checked_serve
     try:
         with redirect_stdout(io.StringIO()):  # The constructor prints a table.
             server = LocalServer(host=host, port=chosen_port, label=label, verbose=False)
@@ -61,6 +66,30 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
     # The controls must not cover the photograph.
     server.gui.main_panel.dock_right()
     return server
+
+
+def _serve_checked(serve: Any, local: bool, handler: Any, *address: Any, **options: Any) -> Any:
+    """Call `websockets.asyncio.server.serve` with checks of requests and messages."""
+    page = options["process_request"]
+
+    def process_request(connection: Any, request: Any) -> Any:
+        hosts = request.headers.get_all("Host")
+        if local and not (len(hosts) == 1 and _HOSTS_OF_THIS_MACHINE.fullmatch(hosts[0])):
+            return connection.respond(403, "this server is for pages of its own machine\n")
+        return page(connection, request)
+
+    async def handle(connection: Any) -> None:
+        try:
+            await handler(connection)
+        except Exception as error:  # A message may decode to anything.
+            _log.debug("a client sent an invalid message: %s", type(error).__name__)
+            await connection.close(1007, "invalid message")
+
+    options |= {"process_request": process_request, "max_size": _MAX_MESSAGE_BYTES}
+    if local:
+        # None admits clients other than browsers, which send no origin.
+        options["origins"] = [None, _PAGES_OF_THIS_MACHINE]
+    return serve(handle, *address, **options)
 
 
 def close_server(server: Any) -> None:

@@ -60,7 +60,9 @@ def all_moves(folder: Path) -> dict[str, dict[str, str]]:
     composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
     if composed.is_file() and refined.is_file():
         for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
-            moves.setdefault(name, {})[SEARCH] = _change(*move)
+            moves.setdefault(name, {})[SEARCH] = _change(
+                move.distance_m, move.size_ratio, move.yaw_deg
+            )
     return moves
 
 

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
+from pydantic import ValidationError
 
+from ...checks.verdict import Check
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
@@ -59,7 +61,12 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
     rows.sort(key=lambda row: row[0])
     failed = sum(not passed for passed, _ in rows)
     outcome = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows)} pass"
-    note = elements.paragraph(f"{outcome}. Open a row to see its checks.", "dim")
+    tests = " the object tests, in which each is simulated by itself"
+    if failed and run["metrics"].get("passed"):
+        tests += "; the scene is valid, as it supports them"
+    elif causes:
+        tests = " the object tests or the final check of the scene"
+    note = elements.paragraph(f"{outcome}{tests}. Open a row to see its checks.", "dim")
     return elements.section(TITLE, note, *(row for _, row in rows))
 
 
@@ -96,8 +103,12 @@ def _facts(
         facts.append(("parse", f"{node['label']}, {support_of(dict(node))}, {size} cm"))
     facts += moves.items()
     if agreement.get("refined") is not None:
-        steps = ("parsed", "composed", "refined")
-        overlaps = [f"{s} {agreement[s]:.2f}" for s in steps if agreement.get(s) is not None]
+        steps = {"parsed": "parsed cuboid", "composed": "composed", "refined": "refined"}
+        overlaps = [
+            f"{shown} {agreement[step]:.2f}"
+            for step, shown in steps.items()
+            if agreement.get(step) is not None
+        ]
         facts.append(("boxes agree", ", ".join(overlaps)))
     return facts
 
@@ -130,6 +141,16 @@ def _pictures(
     ]
 
 
+def _bound(check: Mapping[str, Any]) -> str:
+    """Format the threshold of a check with its direction."""
+    try:
+        least = Check.model_validate(check).least
+    except ValidationError:
+        return with_unit(check.get("threshold"), check.get("unit"))
+    threshold = with_unit(check.get("threshold"), check.get("unit"))
+    return threshold and f"{'≥' if least else '≤'} {threshold}"
+
+
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
     """Return an object's program signals, its checks in verify.json, and its films."""
     signals = [
@@ -149,7 +170,7 @@ def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Mark
         [
             f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
             with_unit(check.get("value"), check.get("unit")),
-            with_unit(check.get("threshold"), check.get("unit")),
+            _bound(check),
             elements.outcome(check.get("outcome"), bool(check.get("doubtful"))),
             check.get("hint") or check.get("evidence") or "",
         ]

@@ -135,7 +135,7 @@ def _fallbacks(run: dict[str, Any]) -> Markup:
 
 def _notes(run: dict[str, Any]) -> Markup:
     entries = run.get("notes", [])
-    return elements.section("Large moves", elements.entries(entries)) if entries else Markup()
+    return elements.section("Notes", elements.entries(entries)) if entries else Markup()
 
 
 def _numbers(run: dict[str, Any]) -> Markup:
@@ -176,7 +176,13 @@ def _numbers(run: dict[str, Any]) -> Markup:
             *("mean_log_scale", "mean log scale", f"{scale:+.4f}"),
             *(f"mean size {100 * math.expm1(scale):+.1f} %", None),
         ),
-        ("mean_shift_m", "moved from the parse", moved, "mean of optimized objects", None),
+        (
+            "mean_shift_m",
+            "moved after composition",
+            moved,
+            "mean, settling and tilt included",
+            None,
+        ),
     ]
     drawn = [
         elements.card(name, value, limit, passed)
@@ -185,8 +191,10 @@ def _numbers(run: dict[str, Any]) -> Markup:
         for key, name, value, limit, passed in cards
         if key in metrics
     ]
-    total = sum(entry["seconds"] for entry in run["steps"].values())
-    drawn.append(elements.card("all steps", f"{total:.1f} s"))
+    waited = sum(entry.get("waiting_s", 0.0) for entry in run["steps"].values())
+    total = sum(entry["seconds"] for entry in run["steps"].values()) - waited
+    waits = f"and {waited:.1f} s of waiting for models" if waited >= 0.05 else ""
+    drawn.append(elements.card("computing, all steps", f"{total:.1f} s", waits))
     return elements.section("Numbers", elements.div("cards", *drawn))
 
 
@@ -222,10 +230,11 @@ def _time(run: dict[str, Any]) -> Markup:
         return elements.section("Time", elements.missing("No step has finished yet."))
     steps = [step for step in STEPS if step in seconds]
     waits = [f"{step} {waiting[step]:.1f} s" for step in steps if waiting[step] >= 0.05]
+    computing = [(step, max(seconds[step] - waiting[step], 0.0)) for step in steps]
     return elements.section(
         "Time",
-        elements.div("bars", charts.bars([(step, seconds[step]) for step in steps], "s")),
-        elements.paragraph(f"Of these, waiting for models: {', '.join(waits) or 'none'}."),
+        elements.div("bars", charts.bars(computing, "s")),
+        elements.paragraph(f"Besides, waiting for models: {', '.join(waits) or 'none'}."),
     )
 
 

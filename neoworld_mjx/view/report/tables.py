@@ -90,7 +90,7 @@ def agreement(run: dict[str, Any]) -> Markup:
         "Intersection over union of the box of the visible pixels and the parsed box, lowest "
         "first. Parsed: projection of the 3D box, without occlusion."
     )
-    heads = ["object", *(f"#{step}" for step in steps)]
+    heads = ["object", "#parsed cuboid", "#composed", "#refined"]
     return elements.section(title, elements.table(heads, rows), elements.paragraph(note, "dim"))
 
 

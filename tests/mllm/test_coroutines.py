@@ -3,7 +3,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from neoworld_mjx.pipeline.coroutines import run_coroutine
+from neoworld_mjx.mllm.coroutines import run_coroutine
 
 WHO: ContextVar[str] = ContextVar("who", default="nobody")
 

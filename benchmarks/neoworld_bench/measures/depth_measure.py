@@ -1,0 +1,199 @@
+"""Depth error of a rendered scene against a sensor's depth image, after one similarity transform.
+
+A single photograph leaves scale open, and a reconstruction's camera differs from the true one. The
+similarity of the whole scene removes both. What remains is the error of layout and shapes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+TOLERANCE = 0.015
+"""Distance at which a pixel's weight is a quarter, over the median depth of the sensor."""
+FIRST_TOLERANCE_M = 0.3
+COOLING = 1.2
+"""Factor between the tolerances of successive steps."""
+MAX_STEPS, SETTLED = 200, 1e-7
+FIT_PIXELS = 20_000
+"""Largest number of pixels that the similarity is fitted to, spread evenly over the image."""
+LEAST_PIXELS = 100
+"""Fewest pixels with both depths for a similarity."""
+
+Points = Float[np.ndarray, "n 3"]
+
+
+class Intrinsics(NamedTuple):
+    """Pinhole intrinsics [px] as in OpenCV: (0, 0) is the center of the first pixel."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def directions(self, width: int, height: int) -> Float[np.ndarray, "h w 3"]:
+        """Return directions through the pixels' centers: x right, y down, z ahead and 1."""
+        v, u = np.mgrid[:height, :width].astype(float)
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
+
+    def project(self, points: Points) -> Float[np.ndarray, "n 2"]:
+        """Project points in the camera's frame [m] to pixels."""
+        ahead = np.maximum(points[:, 2:], 1e-6)
+        return points[:, :2] / ahead * [self.fx, self.fy] + [self.cx, self.cy]
+
+
+class Similarity(NamedTuple):
+    """A map x -> scale R x + t."""
+
+    scale: float
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, " 3"]
+    """In the units of the image points."""
+
+    def apply(self, points: Points) -> Points:
+        """Map points."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle of the rotation."""
+        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
+
+
+IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+
+
+class DepthError(NamedTuple):
+    """Depth error of the pixels of one object."""
+
+    error_mm: float
+    """Median distance of the rendered from the measured point of a pixel."""
+    depth_error_mm: float
+    """Median absolute difference of the depths."""
+    bias_mm: float
+    """Median difference of the depths; positive if the object is too far."""
+    visible_px: int
+    """Pixels that show the object in the rendered image."""
+    measured_px: int
+    """Those of them where the sensor has a depth."""
+
+
+class DepthMeasure(NamedTuple):
+    """Depth errors of a scene."""
+
+    similarity: Similarity
+    """From the frame of the scene's camera to the sensor's [m]."""
+    inliers: float
+    """Share of the compared pixels within the tolerance."""
+    tolerance_m: float
+    objects: dict[str, DepthError]
+    """By object; objects without a visible pixel are left out, and errors are NaN where the sensor
+    measured none."""
+
+
+def depth_measure(
+    rendered: Float[np.ndarray, "h w 3"],
+    segmentation: Int[np.ndarray, "h w"],
+    names: tuple[str, ...],
+    sensor: Float[np.ndarray, "h w 3"],
+    *,
+    similarity: Similarity | None = None,
+) -> DepthMeasure:
+    """Compare the points of a rendered scene with those of a sensor, pixel by pixel.
+
+    Args:
+        rendered: points of the scene in the frame of its camera (OpenCV axes) [m]; their depth is
+            inf where nothing is hit.
+        segmentation: index of the object in each pixel; -1 for the background.
+        names: names of the objects by index.
+        sensor: measured points in the frame of the sensor's camera [m]; depth 0 where the sensor
+            measured none.
+        similarity: a given similarity in place of the fitted one.
+
+    Raises:
+        ValueError: fewer than LEAST_PIXELS pixels have both depths.
+    """
+    drawn = (segmentation >= 0) & np.isfinite(rendered[..., 2])
+    both = drawn & (sensor[..., 2] > 0)
+    count = int(both.sum())
+    if count < LEAST_PIXELS:
+        raise ValueError(
+            f"{count} pixels have both a rendered and a measured depth; a comparison needs "
+            f"{LEAST_PIXELS}"
+        )
+    source, target, owner = rendered[both], sensor[both], segmentation[both]
+    tolerance = TOLERANCE * float(np.median(target[:, 2]))
+    fitted = similarity or robust_similarity(source, target, tolerance)
+    off = fitted.apply(source) - target
+    distance = np.linalg.norm(off, axis=1)
+    objects = {}
+    for index, name in enumerate(names):
+        visible = int((drawn & (segmentation == index)).sum())
+        if visible:
+            objects[name] = _error(off[owner == index], distance[owner == index], visible)
+    return DepthMeasure(fitted, float((distance <= tolerance).mean()), tolerance, objects)
+
+
+def robust_similarity(source: Points, target: Points, tolerance: float) -> Similarity:
+    """Fit the similarity that maps most points near their partners.
+
+    Minimizes the Geman-McClure loss by reweighted least squares, from the median ratio of depths.
+    The tolerance decreases from FIRST_TOLERANCE_M to the given one, so that distant starts converge
+    (graduated non-convexity, Yang et al. 2020).
+
+    Args:
+        source: points [m].
+        target: their partners [m].
+        tolerance: distance [m] at which a pair's weight is a quarter.
+    """
+    step = max(1, len(source) // FIT_PIXELS)
+    p, q = source[::step], target[::step]
+    fitted = Similarity(float(np.median(q[:, 2] / p[:, 2])), np.eye(3), np.zeros(3))
+    width = max(FIRST_TOLERANCE_M, tolerance)
+    for _ in range(MAX_STEPS):
+        distance = np.linalg.norm(fitted.apply(p) - q, axis=1)
+        new = least_squares_similarity(p, q, (1 + (distance / width) ** 2) ** -2.0)
+        change = abs(new.scale - fitted.scale) + np.abs(new.translation - fitted.translation).max()
+        fitted = new
+        if width == tolerance and change < SETTLED:
+            break
+        width = max(width / COOLING, tolerance)
+    return fitted
+
+
+def least_squares_similarity(
+    source: Points, target: Points, weights: Float[np.ndarray, " n"] | None = None
+) -> Similarity:
+    """Return the similarity with the least weighted sum of squared distances (Umeyama 1991)."""
+    w = np.full(len(source), 1.0) if weights is None else weights
+    w = w / w.sum()
+    a, b = w @ source, w @ target
+    p, q = source - a, target - b
+    rotation = Rotation.align_vectors(q, p, weights=w)[0].as_matrix()
+    scale = float(w @ np.sum((p @ rotation.T) * q, axis=1) / (w @ np.sum(p * p, axis=1)))
+    return Similarity(scale, rotation, b - scale * rotation @ a)
+
+
+def _error(off: Points, distance: Float[np.ndarray, " n"], visible: int) -> DepthError:
+    if not len(off):
+        return DepthError(np.nan, np.nan, np.nan, visible, 0)
+    return DepthError(
+        1e3 * float(np.median(distance)),
+        1e3 * float(np.median(np.abs(off[:, 2]))),
+        1e3 * float(np.median(off[:, 2])),
+        visible,
+        len(off),
+    )
+
+
+def measured_points(
+    depth: Float[np.ndarray, "h w"],
+    camera: Intrinsics,
+    valid: Bool[np.ndarray, "h w"] | None = None,
+) -> Float[np.ndarray, "h w 3"]:
+    """Return the points of a depth image [m] in the camera's frame; 0 where it has no depth."""
+    height, width = depth.shape
+    known = np.isfinite(depth) & (depth > 0)
+    known = known if valid is None else known & valid
+    return camera.directions(width, height) * np.where(known, depth, 0.0)[..., None]

@@ -1,0 +1,227 @@
+"""Views of real photographs by the format of their data, and the scores of all reconstructions."""
+
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import ConfigError, SpecError
+
+from ..measures.parse_measure import Mean
+from ..measures.pose_measure import RECALL, recall
+from ..row_files import RowFile, stored_rows
+from ..rows import log
+from .aria_twin import aria_views, is_aria_twin
+from .bop import bop_views, is_bop
+from .depth_folder import depth_views, is_depth_folder
+from .made_views import MadeView, folder_names, run_views, submitted_view
+from .messy_kitchens import is_messy_kitchens, messy_views
+from .pose_rows import AlignBy, RealObjectRow, RealViewRow, real_rows
+from .true_views import TrueView
+
+DataFormat = Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"]
+VIEWS, OBJECTS = "real_views.parquet", "real_objects.parquet"
+MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou", "chamfer", "f_score", "voxel_iou")
+
+
+def true_views(
+    data: Path,
+    kind: DataFormat,
+    names: Collection[str],
+    *,
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+) -> Iterator[TrueView]:
+    """Read views of a data set.
+
+    Args:
+        data: its folder.
+        kind: format; auto takes what the folder's files show.
+        names: of the views to read, as far as there are any.
+        intrinsics: fx, fy, cx and cy [px] of a folder of depth images without a camera.json.
+        depth_scale: millimeters of a unit of its depth images.
+
+    Raises:
+        SpecError: the folder has no known format, or a file is missing or broken.
+        ConfigError: intrinsics are given for data that has its own.
+    """
+    if not data.is_dir():
+        raise SpecError(f"{data} is no folder")
+    if kind == "auto":
+        kind = format_of(data)
+    if kind == "depth":
+        yield from depth_views(data, names, intrinsics=intrinsics, depth_scale=depth_scale)
+        return
+    if intrinsics is not None or depth_scale is not None:
+        raise ConfigError("--intrinsics and --depth-scale are for folders of depth images alone")
+    readers = {"bop": bop_views, "messy-kitchens": messy_views, "aria-twin": aria_views}
+    yield from readers[kind](data, names)
+
+
+def format_of(data: Path) -> DataFormat:
+    """Return the format that a folder's files show.
+
+    Raises:
+        SpecError: none.
+    """
+    if is_bop(data):
+        return "bop"
+    if is_messy_kitchens(data):
+        return "messy-kitchens"
+    if is_aria_twin(data):
+        return "aria-twin"
+    if is_depth_folder(data):
+        return "depth"
+    raise SpecError(
+        f"{data} has the files of none of these formats: scene_gt.json (BOP), object_models and "
+        "scenes (MessyKitchens), scene_objects.csv (Aria Digital Twin), NAME-depth.png; "
+        "docs/real-poses.md has their layouts"
+    )
+
+
+def score_real_views(
+    data: Path,
+    *,
+    runs: Sequence[Path] = (),
+    submission: Path | None = None,
+    kind: DataFormat = "auto",
+    views: Sequence[str] = (),
+    align: AlignBy = "auto",
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+    volumes: bool = True,
+    options: RefineOptions | None = None,
+    out: Path | None = None,
+) -> tuple[list[RealViewRow], list[RealObjectRow]]:
+    """Score the reconstructions of the views of a data set.
+
+    Args:
+        data: folder of the data set.
+        runs: run folders named after views, or folders of such folders.
+        submission: folder of another method's scenes.
+        kind: format of the data.
+        views: names of views; all that have a reconstruction by default.
+        align: alignment of each scene.
+        intrinsics: as for `true_views`, as depth_scale.
+        depth_scale: millimeters of a unit.
+        volumes: False to leave out Chamfer distance, F-score and voxel IoU.
+        options: of the final check.
+        out: folder of the row files; rows replace those of the same view and method.
+
+    Raises:
+        ConfigError: there is nothing to score.
+        SpecError: a file cannot be read, or no reconstruction has the name of a view.
+        RunError: the row files cannot be read or written.
+    """
+    if not runs and submission is None:
+        raise ConfigError(
+            "real-poses needs --runs DIR, run folders, --submission DIR or --poses FILE"
+        )
+    roots = [*runs, *([] if submission is None else [submission])]
+    names = list(views) or folder_names(roots)
+    files = (
+        RowFile(out and out / VIEWS, RealViewRow, lambda row: row.key),
+        RowFile(out and out / OBJECTS, RealObjectRow, lambda row: row.key),
+    )
+    view_rows: list[RealViewRow] = []
+    object_rows: list[RealObjectRow] = []
+    seen = set()
+    for view in true_views(data, kind, names, intrinsics=intrinsics, depth_scale=depth_scale):
+        made = _reconstructions(view.name, runs, submission)
+        by_method: dict[str, list[MadeView]] = {}
+        for each in made:
+            by_method.setdefault(each.method, []).append(each)
+        for method, stages in by_method.items():
+            o = options or RefineOptions()
+            scored = [real_rows(view, each, align, o, volumes=volumes) for each in stages]
+            own, inner = [row for row, _ in scored], [row for _, rows in scored for row in rows]
+            files[0].put(own, in_place_of=(view.name, method))
+            files[1].put(inner, in_place_of=(view.name, method))
+            view_rows += own
+            object_rows += inner
+            for line in lines(own, inner):
+                log.info(line)
+            seen.add(view.name)
+    missing = [name for name in views if name not in seen]
+    if missing or not seen:
+        raise SpecError(
+            f"{data}: no view with a reconstruction is named {', '.join((missing or names)[:8])}; "
+            "folders of reconstructions are named after the views (docs/real-poses.md)"
+        )
+    return view_rows, object_rows
+
+
+def _reconstructions(name: str, runs: Sequence[Path], submission: Path | None) -> list[MadeView]:
+    made = list(run_views(runs, name))
+    other = None if submission is None else submitted_view(submission, name)
+    return made if other is None else [*made, other]
+
+
+def lines(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]) -> Iterator[str]:
+    """Yield lines of the log: one for each stage, and one for each of its objects."""
+    for view in views:
+        share = "" if view.inliers is None else f", {100 * view.inliers:.0f} % of the pixels within"
+        yield f"{view.view} {view.method} {view.stage}: scale {view.scale:.3f}{share}"
+        for row in objects:
+            if (row.view, row.method, row.stage) == (view.view, view.method, view.stage):
+                yield "  " + _line(row)
+
+
+def _line(row: RealObjectRow) -> str:
+    figures = [
+        f"{label} {value:.{digits}f}"
+        for label, value, digits in (
+            ("error mm", row.error_mm, 1),
+            ("bias mm", row.bias_mm, 1),
+            ("ADD-S", row.add_s, 3),
+            ("ICP deg", row.icp_rot_deg, 1),
+            ("box IoU", row.box_iou, 3),
+        )
+        if value is not None
+    ]
+    name = row.object or f"{row.true_object} (missed)"
+    return f"{name}: {', '.join(figures) or 'nothing to compare'}"
+
+
+def real_figures(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]) -> dict[str, Any]:
+    """Return the means by method and stage, each with its n, and the recall over true objects."""
+    figures: dict[str, Any] = {}
+    for method, stage in dict.fromkeys((row.method, row.stage) for row in views):
+        own = [row for row in views if (row.method, row.stage) == (method, stage)]
+        inner = [row for row in objects if (row.method, row.stage) == (method, stage)]
+        true = [row for row in inner if row.true_object]
+        errors = [row.error_mm for row in inner if row.error_mm is not None]
+        gaps = [row.collider_sound for row in inner if row.collider_sound is not None]
+        described: dict[str, Any] = {"views": len(own)}
+        if errors:
+            described["median_error_mm"] = {"value": float(np.median(errors)), "n": len(errors)}
+        if true:
+            described |= {
+                "true_objects": len(true),
+                "missed": sum(not row.object for row in true),
+                "extra": sum(row.extra for row in own),
+                f"add_s_recall_{RECALL:g}d": recall([row.add_s for row in true]),
+                **{name: _mean([getattr(row, name) for row in true]) for name in MEANS},
+            }
+        described["check_passed"] = float(np.mean([row.check_passed for row in own]))
+        described["collider_sound"] = float(np.mean(gaps)) if gaps else None
+        figures[f"{method} {stage}"] = described
+    return figures
+
+
+def _mean(values: Sequence[float | None]) -> dict[str, Any]:
+    known = [value for value in values if value is not None]
+    return Mean(value=float(np.mean(known)) if known else None, n=len(known)).model_dump()
+
+
+def stored_real_rows(folder: Path) -> tuple[list[RealViewRow], list[RealObjectRow]]:
+    """Read the rows of a folder; none where it has no such files.
+
+    Raises:
+        RunError: they cannot be read.
+    """
+    if not (folder / VIEWS).exists():
+        return [], []
+    return stored_rows(folder / VIEWS, RealViewRow), stored_rows(folder / OBJECTS, RealObjectRow)

@@ -1,0 +1,248 @@
+"""Compose a scene of posed objects that states no supports, such as meshes of another method.
+
+What carries an object is the highest surface below its middle, within its footprint. Objects that
+carry others and have nothing below them are supports; others without a support stand on a floor.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError
+from ..io.names import identifier
+from ..spec import (
+    Box,
+    GeomSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    SceneObject,
+    SceneSpec,
+    bounds,
+    single_object_scene,
+    world_poses,
+)
+from ..spec.pose import Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
+from .compose import snap
+from .resting_pose import resting_tilt
+
+if TYPE_CHECKING:
+    import trimesh
+
+FOOTPRINT_GRID = 9
+"""Rays along each side of an object's footprint."""
+LEAST_SHARE = 0.15
+"""Least share of an object's rays that hit its support; less is a neighbor that it touches."""
+WIDE = 4.0
+"""Least area of a support that no file fixes, over the largest footprint that it carries."""
+MARGIN_M = 0.5
+"""Width of the floor around the objects."""
+FLOOR_M = 0.1
+"""Thickness of the floor."""
+
+
+@dataclass(frozen=True)
+class Supported:
+    """A scene whose objects stand on supports."""
+
+    scene: SceneSpec
+    notes: tuple[str, ...]
+    """Supports, the floor, and tilts that were corrected."""
+
+
+def with_supports(scene: SceneSpec) -> Supported:
+    """Return the scene with every object upright on what carries it.
+
+    A tilt becomes that of the nearest resting pose (`resting_tilt`), about the object's middle;
+    headings and places stay, and heights follow from the supports.
+
+    Args:
+        scene: objects at their poses in the world, without parents; fixed ones are supports.
+
+    Raises:
+        SpecError: the scene has no object that is free to move, or has parents already.
+    """
+    if any(item.parent is not None for item in scene.objects):
+        raise SpecError(f"scene {scene.name} states its supports already; refine it as it is")
+    if all(item.static for item in scene.objects):
+        raise SpecError(f"scene {scene.name} has no object that is free to move")
+    carriers = _carriers(scene)
+    supports = _supports(scene, carriers)
+    notes = [f"{name} is a support: it carries others" for name in sorted(supports)]
+    poses = world_poses(scene)
+    loose = [
+        item
+        for item in scene.objects
+        if not item.static and item.name not in supports and item.name not in carriers
+    ]
+    objects: list[SceneObject] = [
+        item.model_copy(update={"environment": True} if item.name in supports else {})
+        for item in scene.objects
+        if item.static or item.name in supports
+    ]
+    if loose:
+        floor = _floor(scene, [item.name for item in loose])
+        objects.append(floor)
+        names = ", ".join(item.name for item in loose)
+        notes.append(f"{floor.name} is added below what nothing carries: {names}")
+        carriers |= {item.name: floor.name for item in loose}
+    pending = [item for item in scene.objects if item.name not in {o.name for o in objects}]
+    frames = {item.name: world_poses(single_object_scene(item))[item.name] for item in objects}
+    while pending:
+        known = {item.name for item in objects}
+        ready = [item for item in pending if carriers[item.name] in known] or pending[:1]
+        for item in ready:
+            parent = carriers[item.name] if carriers[item.name] in known else objects[0].name
+            placed, note = _placed(item, poses[item.name], parent, frames[parent])
+            objects.append(placed)
+            at = frames[parent].pos + rotate(
+                from_yaw(yaw_of(frames[parent].quat)), np.array([*placed.xy, placed.z])
+            )
+            frames[item.name] = Pose(at, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
+            notes += note
+        pending = [item for item in pending if item not in ready]
+    composed = scene.model_copy(update={"objects": tuple(objects)})
+    return Supported(snap(composed), tuple(notes))
+
+
+def _placed(
+    item: SceneObject, pose: Pose, parent: str, frame: Pose
+) -> tuple[SceneObject, list[str]]:
+    """Return an object upright in the frame of its parent."""
+    yaw = yaw_of(pose.quat)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), pose.quat)
+    tilt = tuple((tilt / np.linalg.norm(tilt)).tolist())
+    resting = resting_tilt(item.spec, item.joint_state, tilt)
+    notes = []
+    if resting is None:
+        notes.append(f"{item.name} has no resting pose near its tilt, which is kept")
+        resting = tilt
+    else:
+        angle = np.degrees(_angle(np.array(resting), np.array(tilt)))
+        if angle > 0.1:
+            notes.append(f"{item.name} is turned upright by {angle:.1f} deg")
+    # The middle of the object stays above its place: pose errors of a mesh turn about it.
+    low, high = bounds(item.spec, item.joint_state)
+    middle = (low + high) / 2
+    turned = quat_mul(from_yaw(yaw), np.array(resting))
+    pos = pose.apply(middle) - rotate(turned, middle)
+    heading = yaw_of(frame.quat)
+    x, y, z = rotate(from_yaw(-heading), pos - frame.pos).tolist()
+    update = {
+        "parent": parent,
+        "xy": (x, y),
+        "z": z,
+        "yaw": float(yaw - heading),
+        "base_tilt": resting,
+    }
+    return item.model_copy(update=update), notes
+
+
+def _angle(a: NDArray, b: NDArray) -> float:
+    return 2 * float(np.arccos(min(1.0, abs(float(a @ b)))))
+
+
+def _carriers(scene: SceneSpec) -> dict[str, str]:
+    """Return what carries each free object, as far as anything is below it."""
+    import trimesh
+
+    poses, meshes = world_poses(scene), {}
+    for item in scene.objects:
+        parts = [
+            trimesh.Trimesh(poses[item.name].apply(geom.pose().apply(vertices)), faces)
+            for part in item.spec.parts
+            for geom in part.geoms
+            for vertices, faces in [geom.shape.surface()]
+        ]
+        meshes[item.name] = trimesh.util.concatenate(parts)
+    carriers = {}
+    for item in scene.objects:
+        if item.static:
+            continue
+        own = meshes[item.name]
+        rays = _footprint(own)
+        best: tuple[float, str] | None = None
+        for other, mesh in meshes.items():
+            if other == item.name or not _above(own, mesh):
+                continue
+            heights = _heights(mesh, rays)
+            if len(heights) >= LEAST_SHARE * len(rays):
+                height = float(np.quantile(heights, 0.9))
+                if best is None or height > best[0]:
+                    best = height, other
+        if best is not None and carriers.get(best[1]) != item.name:
+            carriers[item.name] = best[1]
+    return carriers
+
+
+def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
+    """Return origins of downward rays [n, 3] at half the height of a mesh, over its footprint."""
+    from shapely import MultiPoint, contains_xy
+
+    (x0, y0, z0), (x1, y1, z1) = mesh.bounds
+    steps = (np.arange(FOOTPRINT_GRID) + 0.5) / FOOTPRINT_GRID
+    x, y = (grid.ravel() for grid in np.meshgrid(x0 + steps * (x1 - x0), y0 + steps * (y1 - y0)))
+    inside = contains_xy(MultiPoint(mesh.vertices[:, :2]).convex_hull, x, y)
+    x, y = (x[inside], y[inside]) if inside.any() else (x, y)
+    return np.column_stack([x, y, np.full(len(x), (z0 + z1) / 2)])
+
+
+def _above(own: "trimesh.Trimesh", other: "trimesh.Trimesh") -> bool:
+    """Return whether the boxes of two meshes overlap from above, and the first is the higher."""
+    (a0, a1), (b0, b1) = own.bounds, other.bounds
+    overlap = np.minimum(a1[:2], b1[:2]) - np.maximum(a0[:2], b0[:2])
+    return bool((overlap > 0).all() and (a0[2] + a1[2]) / 2 > b0[2])
+
+
+def _heights(mesh: "trimesh.Trimesh", origins: NDArray) -> NDArray:
+    """Return the height of the first hit of each ray that hits."""
+    down = np.tile([0.0, 0.0, -1.0], (len(origins), 1))
+    points, _, _ = mesh.ray.intersects_location(origins, down, multiple_hits=False)
+    return np.asarray(points).reshape(-1, 3)[:, 2]
+
+
+def _supports(scene: SceneSpec, carriers: dict[str, str]) -> set[str]:
+    """Return the free objects that carry others, have nothing below them, and are wide."""
+    result = set()
+    for item in scene.objects:
+        carried = [scene.object(name) for name, other in carriers.items() if other == item.name]
+        if item.static or item.name in carriers or not carried:
+            continue
+        if _area(item) >= WIDE * max(_area(other) for other in carried):
+            result.add(item.name)
+    return result
+
+
+def _area(item: SceneObject) -> float:
+    low, high = bounds(item.spec, item.joint_state)
+    return float(np.prod(np.subtract(high, low)[:2]))
+
+
+def _floor(scene: SceneSpec, names: list[str]) -> SceneObject:
+    """Return a floor at the median of the lowest points of some objects."""
+    poses, corners = world_poses(scene), []
+    lowest = []
+    for item in scene.objects:
+        low, high = bounds(item.spec, item.joint_state, tuple(poses[item.name].quat.tolist()))
+        corners += [poses[item.name].pos + low, poses[item.name].pos + high]
+        if item.name in names:
+            lowest.append(float((poses[item.name].pos + low)[2]))
+    low, high = np.min(corners, axis=0) - MARGIN_M, np.max(corners, axis=0) + MARGIN_M
+    material = Material(name="floor", density=1000, friction=0.6, rgba=(0.6, 0.6, 0.6, 1))
+    size = (float(high[0] - low[0]), float(high[1] - low[1]), FLOOR_M)
+    geom = GeomSpec(
+        name="floor", shape=Box(size=size), pos=(0, 0, FLOOR_M / 2), material=material.name
+    )
+    name = identifier("floor", "object", {item.name for item in scene.objects})
+    spec = ObjectSpec(
+        name=name, materials=(material,), parts=(PartSpec(name="floor", geoms=(geom,)),)
+    )
+    return SceneObject(
+        name=name,
+        spec=spec,
+        environment=True,
+        xy=(float(low[0] + high[0]) / 2, float(low[1] + high[1]) / 2),
+        z=float(np.median(lowest)) - FLOOR_M,
+    )

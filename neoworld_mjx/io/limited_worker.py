@@ -1,0 +1,230 @@
+"""Calls of functions that read untrusted files, in processes that the system limits.
+
+A few bytes of USD, glTF or MJCF can make a library take all memory, run for hours or crash. A
+server process, started on the first call, imports the readers once and forks a worker for each
+call. On Linux, address space and processor time of a worker are limited; elsewhere, its time is.
+Its death becomes an error with one message.
+
+    python -m neoworld_mjx.io.limited_worker
+
+is the server: it receives calls on stdin and sends results to stdout.
+"""
+
+import atexit
+import importlib
+import math
+import os
+import pickle
+import resource
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+from ..errors import NeoWorldError, SpecError
+from .file_options import file_bounds, set_file_bounds
+from .files import MIB
+from .names import plain_text
+
+R = TypeVar("R")
+_LINUX = sys.platform == "linux"
+_WALL_FACTOR = 4.0
+"""Limit of wall time, as a multiple of that of processor time, for workers that wait."""
+_RESULT, _ERROR, _DEATH = range(3)
+_OUT_OF_MEMORY = 97
+"""Exit status of a worker that ran out of memory."""
+_ONE_THREAD = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PXR_WORK_THREAD_LIMIT"), "1"),
+    "MALLOC_ARENA_MAX": "1",
+}
+"""A thread would take address space, and the time of all threads counts."""
+_lock = threading.Lock()
+
+
+def call_limited(
+    function: Callable[..., R],
+    path: Path,
+    *arguments: Any,
+    needs: Sequence[str] = (),
+    error: type[NeoWorldError] = SpecError,
+) -> R:
+    """Call a function that reads a file in a worker, within `files.timeout_s` and `memory_mib`.
+
+    Args:
+        function: a function of a module; the file's path is its first argument.
+        path: the file.
+        arguments: further arguments; all must be picklable.
+        needs: modules that the server imports before it forks, as the function imports them late.
+        error: class of the errors to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the function raised one, or the worker exceeded its
+            limits or crashed.
+        OSError: the server cannot be started.
+    """
+    bounds = file_bounds()
+    call = (function, (path, *arguments), tuple(needs), bounds, Path.cwd())
+    with _lock:
+        try:
+            kind, payload = _exchange(_server(os.getpid()), pickle.dumps(call))
+        except BaseException as failure:
+            _stop()  # A late result must not become that of the next call.
+            if isinstance(failure, EOFError | BrokenPipeError):
+                raise error(f"{path}: the process that reads files has died") from None
+            raise
+    if kind == _RESULT:
+        return pickle.loads(payload)
+    if kind == _ERROR:
+        raise error(payload.decode())
+    status = int(payload)
+    if -status in (signal.SIGXCPU, signal.SIGKILL):
+        raise error(
+            f"{path}: it takes over {bounds.timeout_s:g} s to read; make the file smaller, or "
+            "raise files.timeout_s if you trust it"
+        )
+    reason = "" if status == _OUT_OF_MEMORY else f", or crashes its reader (status {status})"
+    raise error(
+        f"{path}: it takes over {bounds.memory_mib} MiB of memory to read{reason}; make the file "
+        "smaller, or raise files.memory_mib if you trust it"
+    )
+
+
+@lru_cache(maxsize=1)
+def _server(pid: int) -> "subprocess.Popen[bytes]":
+    """Return the running server of this process; `pid` gives each forked process its own."""
+    del pid
+    package = str(Path(__file__).parents[2])
+    inherited = os.environ.get("PYTHONPATH")
+    path = package if inherited is None else f"{package}{os.pathsep}{inherited}"
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        # Libraries print texts from files, which may control the terminal.
+        stderr=subprocess.DEVNULL,
+        env=os.environ | _ONE_THREAD | {"PYTHONPATH": path},
+    )
+
+
+def _exchange(server: "subprocess.Popen[bytes]", call: bytes) -> tuple[int, bytes]:
+    assert server.stdin is not None and server.stdout is not None
+    _send(server.stdin, _RESULT, call)
+    return _receive(server.stdout)
+
+
+@atexit.register
+def _stop() -> None:
+    """End the server if this process has one."""
+    if _server.cache_info().currsize:
+        server = _server(os.getpid())
+        server.kill()
+        server.communicate()
+    _server.cache_clear()
+
+
+def _send(stream: IO[bytes], kind: int, data: bytes) -> None:
+    stream.write(struct.pack("<BQ", kind, len(data)) + data)
+    stream.flush()
+
+
+def _receive(stream: IO[bytes]) -> tuple[int, bytes]:
+    head = stream.read(9)
+    if len(head) < 9:
+        raise EOFError
+    kind, size = struct.unpack("<BQ", head)
+    data = stream.read(size)
+    if len(data) < size:
+        raise EOFError
+    return kind, data
+
+
+def _serve() -> None:
+    """Answer calls until stdin ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The caller ends this process.
+    calls, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # Output of libraries must not mix with results.
+    while True:
+        try:
+            _, data = _receive(calls)
+        except EOFError:
+            return
+        try:
+            function, arguments, needs, bounds, folder = pickle.loads(data)
+            for name in needs:
+                importlib.import_module(name)
+        except Exception as failure:
+            _send(results, _ERROR, f"{type(failure).__name__}: {failure}".encode())
+            continue
+        with tempfile.TemporaryFile() as output:
+            alive, held = os.pipe()
+            pid = os.fork()
+            if not pid:
+                os.chdir(folder)
+                set_file_bounds(bounds)
+                _work(output, arguments[0], partial(function, *arguments))
+            os.close(held)
+            # The pipe ends with the worker.
+            if not select.select([alive], [], [], bounds.timeout_s * _WALL_FACTOR)[0]:
+                os.kill(pid, signal.SIGKILL)
+            os.close(alive)
+            status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+            if status in (_RESULT, _ERROR):
+                output.seek(0)
+                _send(results, status, output.read())
+            else:
+                _send(results, _DEATH, str(status).encode())
+
+
+def _work(output: IO[bytes], path: Path, call: Callable[[], Any]) -> None:
+    """Call a function in a worker, write its result and end the process."""
+    status = _RESULT
+    try:
+        _limit()
+        pickle.dump(call(), output, protocol=5)
+        output.flush()
+    except MemoryError:
+        status = _OUT_OF_MEMORY
+    except BaseException as failure:
+        text = str(failure)
+        if not isinstance(failure, NeoWorldError):
+            reason = plain_text(f"{type(failure).__name__}: {failure}", 300)
+            text = (
+                f"{path} cannot be read ({reason}); make the file smaller, or raise "
+                "files.memory_mib if you trust it"
+            )
+        output.seek(0)
+        output.truncate()
+        output.write(text.encode("utf-8", "replace"))
+        output.flush()
+        status = _ERROR
+    finally:
+        os._exit(status)
+
+
+def _limit() -> None:
+    """Limit address space, processor time and size of files of this process."""
+    bounds = file_bounds()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if _LINUX:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        space = pages * resource.getpagesize() + bounds.memory_mib * MIB
+        resource.setrlimit(resource.RLIMIT_AS, (space, space))
+    seconds = math.ceil(bounds.timeout_s)
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    size = bounds.memory_mib * MIB
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+if __name__ == "__main__":
+    # The functions that callers name use the bounds of this module, not those of __main__.
+    from neoworld_mjx.io import limited_worker
+
+    limited_worker._serve()

@@ -1,0 +1,254 @@
+"""Adaptive search for options by Optuna (Akiba et al., arXiv:1907.10902; extra `optuna`).
+
+Each trial is a point of the sweep, refined with every seed on every scene. Its value is the mean of
+a column of its rows.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError, EngineError, RunError, choices
+from ..io.files import content_hash
+from ..progress import report
+from .axes import read_axes
+from .cases import Case
+from .folder import SweepFolder, sweep_of
+from .plan import Plan, point_of, points, shared_config, takes_integers
+from .result import SweepResult, stored_result
+from .run_rows import COLUMNS, Row
+
+JOURNAL = "study.journal"
+RunPoint = Callable[[Plan, Case], SweepResult]
+"""Function that refines a scene with the only point of a plan."""
+
+
+def open_optuna() -> Any:
+    """Import Optuna.
+
+    Raises:
+        EngineError: it is not installed.
+    """
+    try:
+        import optuna  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise EngineError("study needs optuna: uv sync --inexact --extra optuna") from None
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna
+
+
+def check_study(plan: Plan) -> None:
+    """Validate a plan with a study before anything runs.
+
+    Raises:
+        ConfigError: the goal is no numeric column, there are no axes, or an option is invalid.
+        EngineError: Optuna is not installed.
+    """
+    assert plan.study is not None
+    numeric = [name for name, kind in COLUMNS.items() if kind in (float, int, bool)]
+    if plan.study.goal not in numeric:
+        raise ConfigError(f"study.goal: {choices(plan.study.goal, numeric)}")
+    if not plan.axes or plan.zip or plan.samples:
+        raise ConfigError("study: the trials choose values of axes, without zip and samples")
+    # Validates every value of a list and both ends of a range.
+    ends = {
+        path: value
+        if isinstance(value, list | tuple)
+        else [dict(value).get("low"), dict(value).get("high")]
+        for path, value in plan.axes.items()
+        if isinstance(value, list | tuple | Mapping)
+    }
+    read_axes(plan.axes, takes_integers)
+    for path, values in ends.items():
+        points(plan.model_copy(update={"axes": {path: list(dict.fromkeys(values))}}))
+    open_optuna()
+
+
+def run_study(
+    plan: Plan,
+    cases: Sequence[Case],
+    run_point: RunPoint,
+    out: Path | None,
+    *,
+    resume: bool,
+    overwrite: bool,
+) -> SweepResult:
+    """Run the trials of a plan's study, and save rows and table after each.
+
+    A resumed study continues with its own journal; the trial during which it was killed is run
+    again. With `prune`, a trial ends early if its mean over the first scenes is among the worst
+    two thirds (asynchronous successive halving).
+
+    Args:
+        plan: the plan, which `check_study` accepts.
+        cases: the scenes.
+        run_point: refines a scene with a point.
+        out: folder of the sweep and of Optuna's journal; None keeps both in memory.
+        resume: continue the study in `out`.
+        overwrite: replace it.
+
+    Raises:
+        RunError: the folder cannot be written, or holds a study of another plan.
+    """
+    if out is None:
+        return _trials(plan, cases, run_point, None, [], None)
+    with SweepFolder(out, "sweep", resume=resume, overwrite=overwrite) as folder:
+        about = sweep_of(out) or {}
+        if overwrite:
+            (out / JOURNAL).unlink(missing_ok=True)
+        elif folder.rows and _identity(about.get("plan", {})) != _identity(_json(plan)):
+            raise RunError(
+                f"{out} holds a study of another plan: only study.trials may change; use "
+                "--overwrite, or name a new folder"
+            )
+        return _trials(plan, cases, run_point, folder, folder.rows, about)
+
+
+def _json(plan: Plan) -> dict[str, Any]:
+    return plan.model_dump(mode="json")
+
+
+def _identity(plan: Mapping[str, Any]) -> str:
+    study = {k: v for k, v in (plan.get("study") or {}).items() if k != "trials"}
+    return content_hash([{**plan, "study": study}])
+
+
+def _trials(
+    plan: Plan,
+    cases: Sequence[Case],
+    run_point: RunPoint,
+    folder: SweepFolder | None,
+    rows: list[Row],
+    earlier: Mapping[str, Any] | None,
+) -> SweepResult:
+    optuna, wanted = open_optuna(), plan.study
+    assert wanted is not None
+    study = _open_study(plan, optuna, folder)
+    complete = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
+    ended = [trial for trial in study.get_trials(deepcopy=False) if trial.state in complete]
+    labels = {trial.user_attrs["point"] for trial in ended}
+    by_point = {label: [row for row in rows if row["point"] == label] for label in labels}
+    found = list((earlier or {}).get("points", []))
+    about: dict[str, Any] = {"points": [p for p in found if p["label"] in labels], "groups": []}
+    base = shared_config(plan).model_dump(mode="json")
+    result: SweepResult | None = None
+    for number in range(len(ended), wanted.trials):
+        trial = study.ask()
+        point = point_of(base, _suggested(plan, trial))
+        trial.set_user_attr("point", point.label)
+        own: list[Row] = []
+        for case in cases:
+            one = plan.model_copy(
+                update={"axes": {k: [v] for k, v in point.values.items()}, "study": None}
+            )
+            part = run_point(one.model_copy(update={"scenes": ()}), case)
+            own += part.rows
+            about = {**part.about, "points": about["points"],
+                     "groups": about["groups"] + part.about["groups"]}  # fmt: skip
+            trial.report(_value(own, plan), step=len({row["scene"] for row in own}))
+            if wanted.prune and case is not cases[-1] and trial.should_prune():
+                study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+                break
+        else:
+            study.tell(trial, _value(own, plan))
+        if point.label not in by_point:
+            about["points"].append({"label": point.label, **point.values})
+        by_point[point.label] = own
+        report(f"trial {number + 1} of {wanted.trials}: {point.label}: "
+               f"{wanted.goal} {_value(own, plan):.4g}")  # fmt: skip
+        result = _saved(plan, cases, about, by_point, folder, number + 1 == wanted.trials)
+    if result is None:
+        if earlier is None or "kind" not in earlier:
+            raise RunError("the study is complete, but its sweep.json is damaged; use --overwrite")
+        about = {**earlier, "points": about["points"]}
+        result = _saved(plan, cases, about, by_point, folder, finished=True)
+    return result
+
+
+def _saved(
+    plan: Plan,
+    cases: Sequence[Case],
+    about: dict[str, Any],
+    by_point: Mapping[str, list[Row]],
+    folder: SweepFolder | None,
+    finished: bool,
+) -> SweepResult:
+    wanted = plan.study
+    assert wanted is not None
+    values = {label: _value(rows, plan) for label, rows in by_point.items()}
+    pick = max if wanted.direction == "maximize" else min
+    # A pruned trial has rows of some scenes only.
+    whole = {
+        label: value
+        for label, value in values.items()
+        if len(by_point[label]) == len(cases) * len(plan.seeds)
+    }
+    best = pick(whole, key=lambda label: whole[label]) if whole else None
+    about = {
+        **about,
+        "plan": _json(plan),
+        "scenes": [case.name for case in cases],
+        "best": None if best is None else {"point": best, wanted.goal: whole[best]},
+    }
+    rows = [row for point in about["points"] for row in by_point[point["label"]]]
+    return stored_result(rows, about, folder, finished=finished)
+
+
+def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
+    wanted = plan.study
+    assert wanted is not None
+    storage = None
+    if folder is not None:
+        journal = optuna.storages.journal.JournalFileBackend(str(folder.path / JOURNAL))
+        storage = optuna.storages.JournalStorage(journal)
+    samplers = {
+        "tpe": lambda seed: optuna.samplers.TPESampler(seed=seed),
+        "cma_es": lambda seed: optuna.samplers.CmaEsSampler(seed=seed),
+        "random": lambda seed: optuna.samplers.RandomSampler(seed=seed),
+    }
+    pruner = (
+        optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3)
+        if wanted.prune
+        else optuna.pruners.NopPruner()
+    )
+    study = optuna.create_study(
+        study_name="sweep",
+        storage=storage,
+        pruner=pruner,
+        direction=wanted.direction,
+        load_if_exists=True,
+    )
+    trials = study.get_trials(deepcopy=False)
+    # A resumed study must not draw its first trials again.
+    study.sampler = samplers[wanted.sampler](wanted.seed + len(trials))
+    for trial in trials:
+        if trial.state == optuna.trial.TrialState.RUNNING:  # Killed.
+            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+            study.enqueue_trial(trial.params)
+    return study
+
+
+def _suggested(plan: Plan, trial: Any) -> dict[str, Any]:
+    axes = read_axes(plan.axes, takes_integers)
+    chosen: dict[str, Any] = {}
+    for path in plan.axes:
+        limits = axes.ranges.get(path)
+        if limits is None:
+            chosen[path] = trial.suggest_categorical(path, axes.lists[path])
+        elif takes_integers(path):
+            ends = round(limits.low), round(limits.high)
+            chosen[path] = trial.suggest_int(path, *ends, log=limits.log)
+        else:
+            chosen[path] = trial.suggest_float(path, limits.low, limits.high, log=limits.log)
+    return chosen
+
+
+def _value(rows: Sequence[Row], plan: Plan) -> float:
+    """Return the mean of the goal; a run without a value counts as the worst one of all."""
+    assert plan.study is not None
+    goal, sign = plan.study.goal, 1.0 if plan.study.direction == "maximize" else -1.0
+    values = [row.get(goal) for row in rows]
+    known = [float(v) for v in values if v is not None and math.isfinite(v)]
+    worst = sign * min((sign * v for v in known), default=-1e6)
+    return sum(float(v) if v is not None else worst for v in values) / max(len(values), 1)

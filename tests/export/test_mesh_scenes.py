@@ -1,0 +1,131 @@
+"""Scenes of posed meshes: glTF, and poses.json beside meshes and models."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.importing_scene import ImportedScene, import_file
+from neoworld_mjx.export.read_mesh_scene import mesh_object, read_mesh_scene
+from neoworld_mjx.export.write_files import object_files
+from neoworld_mjx.render import visible_surface
+from neoworld_mjx.spec import SceneSpec, world_poses
+from tests.support.bop_sample import camera_pose, desk
+from tests.support.mesh_scenes import object_matrices, write_glb, write_poses
+
+
+def world_vertices(scene: SceneSpec, name: str) -> np.ndarray:
+    item = scene.object(name)
+    vertices = world_poses(scene)[name].apply(visible_surface(item.spec, item.joint_state)[0])
+    return vertices[np.lexsort(np.round(vertices, 6).T)]
+
+
+def assert_same_surfaces(read: SceneSpec, scene: SceneSpec) -> None:
+    assert {item.name for item in read.objects} == {item.name for item in scene.objects}
+    for item in scene.objects:
+        own, other = world_vertices(read, item.name), world_vertices(scene, item.name)
+        gap = np.linalg.norm(own[:, None] - other[None], axis=-1)
+        assert gap.min(axis=1).max() < 1e-6 and gap.min(axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.4])
+def test_gltf_scene_keeps_names_places_and_headings(tmp_path, scale):
+    read = import_file(write_glb(tmp_path / "desk.glb", desk(), scale))
+    assert isinstance(read, ImportedScene)
+    assert_same_surfaces(read.spec, desk())
+    for name, pose in world_poses(desk()).items():
+        assert np.allclose(world_poses(read.spec)[name].pos, pose.pos, atol=1e-6)
+        assert abs(np.dot(world_poses(read.spec)[name].quat, pose.quat)) == pytest.approx(1)
+    assert sum("has no colliders: derived from its visuals" in note for note in read.notes) == 4
+    assert not any(item.static for item in read.spec.objects)
+
+
+def test_poses_beside_meshes(tmp_path):
+    read = import_file(write_poses(tmp_path, desk()))
+    assert isinstance(read, ImportedScene)
+    assert_same_surfaces(read.spec, desk())
+    assert [item.name for item in read.spec.objects if item.static] == ["table"]
+    assert read.spec.gravity == (0, 0, -9.81)
+
+
+def test_poses_in_the_frame_of_a_camera(tmp_path):
+    scene = desk()
+    axes, eye = scene.camera.axes(), scene.camera.position()
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ eye
+    up = (axes.T @ [0, 0, 1]).tolist()
+    file = write_poses(tmp_path, scene, into=into, frame="camera", up=up)
+    read = import_file(file)
+    for name in ("block", "carton"):
+        x, y, z = camera_pose(scene, name)[:3, 3]
+        # x ahead, y to the left, z up.
+        assert np.allclose(world_poses(read.spec)[name].pos, [z, -x, -y], atol=1e-9)
+    assert np.linalg.norm(read.spec.gravity) == pytest.approx(9.81)
+    # The camera looks down by 0.6 rad: the vertical leans ahead by as much.
+    assert read.spec.gravity == pytest.approx((9.81 * np.sin(0.6), 0, -9.81 * np.cos(0.6)))
+
+
+def test_models_in_place_of_meshes(tmp_path):
+    scene = desk()
+    names = {"urdf": "block", "xml": "can"}
+    objects = {}
+    for suffix, name in names.items():
+        for path, data in object_files(scene.object(name).spec).items():
+            target = tmp_path / name / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(data.encode() if isinstance(data, str) else data)
+        pose = object_matrices(scene)[name].tolist()
+        objects[name] = {"file": f"{name}/object.{suffix}", "pose": pose}
+    (tmp_path / "poses.json").write_text(json.dumps({"objects": objects}))
+    read = import_file(tmp_path / "poses.json").spec
+    for name in names.values():
+        item = scene.object(name)
+        low = world_vertices(scene, name).min(axis=0)
+        assert np.allclose(world_vertices(read, name).min(axis=0), low, atol=1e-5), item.name
+
+
+def test_mirrored_pose_mirrors_the_mesh():
+    corner = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    made = mesh_object("a", corner, faces, np.diag([-1.0, 1, 1, 1]))
+    (shape,) = made.mechanism.links["body"].shapes
+    vertices, outward = shape.shape
+    world = vertices @ made.frame[:3, :3].T + made.frame[:3, 3]
+    assert np.allclose(world, corner * [-1, 1, 1])
+    assert np.linalg.det(made.frame[:3, :3]) == pytest.approx(1)
+    a, b, c = vertices[outward].transpose(1, 0, 2)
+    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"file": "../block.obj"}, "outside its folder"),
+        ({"file": "none.obj"}, "does not exist"),
+        ({"file": "notes.txt"}, "URDF, MJCF or USD"),
+        ({"pose": np.diag([1.0, 1, 0, 1]).tolist()}, "block.*singular"),
+        ({"pose": np.ones((4, 4)).tolist()}, "no affine"),
+        ({"pose": [[1, 2], [3, 4]]}, "not a list of posed files"),
+        ({"scale": 2}, "not a list of posed files"),
+    ],
+)
+def test_broken_poses_give_one_error(tmp_path, change, message):
+    home = tmp_path / "home"
+    file = write_poses(home, desk(), names=["block"])
+    (tmp_path / "block.obj").write_bytes((home / "block.obj").read_bytes())
+    (home / "notes.txt").write_text("x")
+    content = json.loads(file.read_text())
+    content["objects"]["block"] |= change
+    file.write_text(json.dumps(content))
+    with pytest.raises(SpecError, match=message):
+        read_mesh_scene(file)
+
+
+def test_broken_gltf_gives_one_error(tmp_path: Path):
+    for data in (b"", b"glTF", b"{}", b'{"accessors": [{"count": 1000000000}]}'):
+        file = tmp_path / "a.gltf"
+        file.write_bytes(data)
+        with pytest.raises(SpecError, match=r"a\.gltf"):
+            import_file(file)
