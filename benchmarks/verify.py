@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from statistics import median
 from typing import Any
@@ -126,7 +127,7 @@ def _fault(text: str, name: str, magnitude: float, with_repair: bool) -> FaultRo
     broken = kind.inject(spec, magnitude)
     if broken is None:
         return None
-    run = lambda spec: run_object_tests(spec, threads=1)
+    run = partial(run_object_tests, threads=1)
     first = run(broken)
     verdict = first.verdict
     row = FaultRow(

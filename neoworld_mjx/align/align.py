@@ -22,7 +22,7 @@ from .acceptance import gain, shown_at
 from .alignment import Alignment, Evidence, ObjectAlignment
 from .alignment_prior import camera_deviations, is_misjudged, prior_precision
 from .colors import LabImage
-from .contacts import Colliders, contacts
+from .contacts import SceneGeoms, contacts
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, draw_objects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
@@ -102,7 +102,7 @@ def align(
         return Alignment(scene)
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in (COARSE_PX, FINE_PX)}
     o = options or AlignOptions()
-    colliders = Colliders.of(scene) if o.contacts else None
+    colliders = SceneGeoms.of(scene) if o.contacts else None
     problem = _Problem(unknowns, o, frozenset(measured), colliders)
     try:
         return _solution(problem, images)
@@ -147,7 +147,7 @@ class _Problem:
     unknowns: Unknowns
     options: AlignOptions
     measured: frozenset[str]
-    colliders: Colliders | None
+    colliders: SceneGeoms | None
     """None if objects may overlap."""
     misjudged: bool = True
     """True if the field of view is misjudged, or not yet known not to be."""

@@ -26,7 +26,7 @@ LEAST_LINE_M = 1e-7
 """Distance of the nearest points of two geoms below which their normal is not defined [m]."""
 
 
-class Contacts(NamedTuple):
+class ContactGaps(NamedTuple):
     """Linearized gaps between objects: gap + jacobian @ change is to be at least zero."""
 
     gap: Float[np.ndarray, " n"]
@@ -37,7 +37,7 @@ class Contacts(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Colliders:
+class SceneGeoms:
     """Collision geoms of a scene in their objects' frames; `place` changes the model in place."""
 
     model: mujoco.MjModel
@@ -60,7 +60,7 @@ class Colliders:
     """Object of each vertex; -1 for none."""
 
     @classmethod
-    def of(cls, scene: SceneSpec) -> "Colliders":
+    def of(cls, scene: SceneSpec) -> "SceneGeoms":
         """Compile a scene once."""
         model, data = start_state(scene)
         owner = object_of_geom(scene, model)
@@ -115,8 +115,8 @@ class Colliders:
 
 
 def contacts(
-    colliders: Colliders, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
-) -> Contacts:
+    colliders: SceneGeoms, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
+) -> ContactGaps:
     """Return the contacts of a placement whose normals are not vertical.
 
     Args:
@@ -150,7 +150,7 @@ def contacts(
                 if u % EACH != EACH - 1:  # not a size
                     moved = (neighbors[u].world(k, local) - now.world(k, local))[0] / STEP
                     row[u] += sign * (moved @ normal) * np.sign(gap)
-    return Contacts(np.array([gap for _, gap, _ in nearest]), jacobian)
+    return ContactGaps(np.array([gap for _, gap, _ in nearest]), jacobian)
 
 
 def _counts(unknowns: Unknowns) -> Bool[np.ndarray, "object object"]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .colors import LabImage, color_models
-from .contacts import Contacts
+from .contacts import ContactGaps
 from .contours import contour, displacements
 from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import STRETCH, Placement, Unknowns
@@ -183,14 +183,14 @@ class NormalEquations:
         self._gradient = -prior[:, : unknowns.size] @ x
         self._contours: dict[int, _Block] = {}
         self._boxes: set[int] = set()
-        self._contacts = Contacts(np.zeros(0), np.zeros((0, len(prior))))
+        self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))))
 
     def add_box(self, k: int, evidence: Evidence) -> None:
         """Add the evidence of an object's 2D box."""
         self._boxes.add(k)
         self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
 
-    def add_contacts(self, contacts: Contacts) -> None:
+    def add_contacts(self, contacts: ContactGaps) -> None:
         """Add the gaps between objects, which `solved` keeps from closing."""
         self._contacts = contacts
 

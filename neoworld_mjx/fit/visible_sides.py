@@ -106,7 +106,11 @@ def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
     if other.parent == node.name or node.parent == other.name:
         return False
     camera = tree.camera
-    return _depth(camera, other.box3d, other.base_tilt) < _depth(camera, node.box3d, node.base_tilt)
+    nearer, depth = (
+        _depth(camera, item.box3d, item.base_tilt)  # pyright: ignore[reportArgumentType]
+        for item in (other, node)
+    )
+    return nearer < depth
 
 
 @lru_cache(maxsize=1024)  # Every pair of objects compares its depths.

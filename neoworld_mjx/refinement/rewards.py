@@ -30,17 +30,8 @@ from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
-__all__ = [
-    "Term",
-    "TermValue",
-    "d_drift",
-    "d_pen",
-    "drifts",
-    "gaps",
-    "s_photo",
-    "s_sem",
-    "speeds",
-]
+__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "gaps"]
+__all__ += ["s_photo", "s_sem", "speeds"]
 
 
 class TermValue(eqx.Module):
@@ -128,6 +119,13 @@ def _depth(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Arra
     return pair_depths(scene, scene.place(layouts))
 
 
+def _visible(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Visible:
+    """Return the visible parts of the placed candidates, from the rollout if it has them."""
+    if isinstance(rollout, MeasuredRollout):
+        return rollout.visible
+    return visibility(scene, scene.place(layouts))
+
+
 def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
     """Compute D_pen [m], and per object the sum over its pairs; see `d_pen`."""
     pair = deeper(_depth(scene, layouts, rollout))
@@ -141,10 +139,7 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
     Visibility has no gradient, and a part of the gradient would mislead: all of it is zero.
     """
     layouts, rollout = lax.stop_gradient((layouts, rollout))
-    if isinstance(rollout, MeasuredRollout):
-        visible = rollout.visible
-    else:
-        visible = visibility(scene, scene.place(layouts))
+    visible = _visible(scene, layouts, rollout)
     scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
     return TermValue(scored.total, scored.total, scored.each)
 
@@ -153,13 +148,9 @@ def photo_agreement(
     scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
 ) -> TermValue:
     """Compute S_photo, and per object its share; see `s_photo`."""
-    if isinstance(rollout, MeasuredRollout):
-        visible = rollout.visible
-    else:
-        visible = visibility(scene, scene.place(layouts))
+    visible = _visible(scene, layouts, rollout)
     informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
-    each = jnp.where(informed, visible.evidence, 0.0)
-    each = each / jnp.maximum(jnp.sum(informed), 1)
+    each = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
     total = jnp.sum(each, axis=1)
     return TermValue(total, total, each)
 
@@ -352,9 +343,9 @@ def s_photo(
     """Compute S_photo, what the photograph's pixels say for the placed candidates.
 
     It is the mean over objects of the log likelihood ratios of the pixels that show the object,
-    over their absolute sum in the composed scene: 1 if all pixels have the object's colors,
-    negative if most have the colors of what surrounds it. Objects about which the pixels are silent
-    do not count. 0 for a scene without a photograph; `align.photo_evidence.with_photo` adds it.
+    over their absolute sum in the composed scene: 1 if all pixels have the object's colors. Silent
+    objects do not count. 0 for a scene without a photograph, which
+    `align.photo_evidence.with_photo` adds.
 
     `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
 

@@ -231,8 +231,9 @@ class _Runner:
             start, before = time.perf_counter(), compiled()
             if shape not in models:
                 model = compile_for_search(scene.scene, options)
-                rated = S_PHOTO in options.reward.terms and scene.photo is not None
-                photo = load_photo(scene.photo).rgb if rated else None
+                photo = None
+                if scene.photo is not None and S_PHOTO in options.reward.terms:
+                    photo = load_photo(scene.photo).rgb
                 models[shape] = with_evidence(model, options, photo)
             rows = self._rows(scene, options, models[shape], part, engine, compiled_kinds)
             heads = self._heads()

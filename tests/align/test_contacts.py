@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.align.align import align
-from neoworld_mjx.align.contacts import REACH_M, Colliders, contacts
+from neoworld_mjx.align.contacts import REACH_M, SceneGeoms, contacts
 from neoworld_mjx.align.unknowns import CAMERA, EACH
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.physics.exact import geom_distance, object_depths, object_of_geom, start_state
@@ -27,7 +27,7 @@ def found(scene, x=None):
     unknowns = desk.unknowns_of(scene)
     x = np.zeros(unknowns.size) if x is None else x
     now = unknowns.place(x[None])[0]
-    return unknowns, contacts(Colliders.of(scene), unknowns, now, unknowns.neighbors(x))
+    return unknowns, contacts(SceneGeoms.of(scene), unknowns, now, unknowns.neighbors(x))
 
 
 @pytest.mark.parametrize("gap", [-0.004, 0.006])
@@ -89,7 +89,7 @@ def test_placed_colliders_are_those_of_the_rearranged_scene():
     x = np.zeros(unknowns.size)
     x[unknowns.columns(1)] = (0.01, -0.004, 0.1, 0.08)
     x[unknowns.columns(2)] = (-0.003, 0.002, -0.3, -0.1)
-    colliders = Colliders.of(scene)
+    colliders = SceneGeoms.of(scene)
     colliders.place(unknowns.place(x[None])[0])
     moved = unknowns.scene_at(x)
     model, data = start_state(moved)

@@ -64,7 +64,7 @@ def test_unknown_fault_kinds_are_refused():
 
 
 def test_batched_and_single_objects_have_equal_results():
-    options = VerifyOptions(duration_s=0.3)
+    options = VerifyOptions(duration_s=0.5)
     prepared = [prepare(spec, options) for spec in valid_objects(2)]
     for p, ends in zip(prepared, OnCores(prepared, 2).run(), strict=True):
         alone = p.simulation.run(p.runs, threads=1)

@@ -69,6 +69,6 @@ def test_moves_are_in_world_coordinates(scene):
     objects = tuple(pushed if item.name == "low" else item for item in before.objects)
     moves = object_moves(before, before.model_copy(update={"objects": objects}))
     assert set(moves) == {"low", "high", "ball"}
-    assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1)))
+    assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1), np.degrees(0.1)))
     # What stands on it goes along, and nothing else moves.
-    assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0))
+    assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0, 0.0))
