@@ -3,9 +3,8 @@
 import numpy as np
 from jaxtyping import UInt8
 
-from ..render import visible_surface
-from ..spec import SceneSpec, world_poses
-from .rasterize import WorldMesh, draw_objects
+from ..spec import SceneSpec
+from .rasterize import draw_scene
 
 BEFORE, AFTER = (255, 120, 0), (0, 255, 90)
 """Colors of the outlines of the composed and of the aligned scene (sRGB)."""
@@ -25,11 +24,7 @@ def outline_picture(
     panels = []
     for scene, color in ((before, BEFORE), (after, AFTER)):
         assert scene.camera is not None
-        poses, meshes = world_poses(scene), []
-        for item in scene.objects:
-            vertices, triangles = visible_surface(item.spec, item.joint_state)
-            meshes.append(WorldMesh(poses[item.name].apply(vertices), triangles))
-        owner = draw_objects(meshes, scene.camera, photo.shape[1]).owner
+        owner = draw_scene(scene, scene.camera, photo.shape[1]).owner
         rows, columns = (min(a, b) for a, b in zip(owner.shape, photo.shape, strict=False))
         owner, panel = owner[:rows, :columns], np.array(photo[:rows, :columns])
         edge = np.zeros(owner.shape, bool)

@@ -13,14 +13,15 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from ..physics.model import SceneModel
-from ..physics.photo_view import EVIDENCE_CELLS, see_through
+from ..physics.photo_view import see_through
 from ..physics.scene_arrays import on_device
 from ..spec import SceneSpec
 from .colors import LabImage, color_models, log_likelihood_ratio
 from .normal_equations import MARGIN_PX
-from .rasterize import draw_objects, height_of, window_of
-from .unknowns import Unknowns
+from .rasterize import draw_scene, height_of, window_of
 
+EVIDENCE_CELLS = 48
+"""Cells of an object's evidence along each axis of its window."""
 WIDTH_PX = 640
 """Width of the image in which pixels are rated [px]."""
 MARGIN = 0.5
@@ -58,10 +59,7 @@ def photo_evidence(
     window = np.tile([0.0, 0.0, 1.0, 1.0], (len(scene.objects), 1))
     if camera is None:
         return evidence, window
-    unknowns = Unknowns.of(scene, camera)
-    now = unknowns.place(np.zeros((1, unknowns.size)))[0]
-    meshes = [unknowns.mesh(now, k) for k in range(len(scene.objects))]
-    owner = draw_objects(meshes, camera, WIDTH_PX).owner
+    owner = draw_scene(scene, camera, WIDTH_PX).owner
     height = height_of(camera, WIDTH_PX)
     bins = LabImage.of(photo, WIDTH_PX, height).bins
     unit = camera.width / WIDTH_PX

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import find_objects
 
-from ..spec import Camera
+from ..render import visible_surface
+from ..spec import Camera, SceneSpec, world_poses
 
 NEAR_M = 0.02
 """Triangles with a corner nearer to the camera than this are not drawn [m]."""
@@ -54,6 +55,15 @@ def pixels_of(
 def height_of(camera: Camera, width: int) -> int:
     """Return the height of an image of another width [px]."""
     return max(1, round(camera.height_px * width / camera.width))
+
+
+def draw_scene(scene: SceneSpec, camera: Camera, width: int) -> DrawnObjects:
+    """Draw the visible surfaces of a scene's objects; see `draw_objects`."""
+    poses, meshes = world_poses(scene), []
+    for item in scene.objects:
+        vertices, triangles = visible_surface(item.spec, item.joint_state)
+        meshes.append(WorldMesh(poses[item.name].apply(vertices), triangles))
+    return draw_objects(meshes, camera, width)
 
 
 def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> DrawnObjects:

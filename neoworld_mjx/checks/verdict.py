@@ -236,7 +236,7 @@ class Limit:
     best: float | None = None
     """Ideal value; by default 0, or twice the threshold if `least` is set."""
     hint: str = ""
-    """How to remedy a violation, if not as the fault says."""
+    """Remedy of a violation, if not that of the fault."""
 
     def is_borderline(self, value: float) -> bool:
         """Return True if a passing value lies close to the threshold, seen from the best value."""

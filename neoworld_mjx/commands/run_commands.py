@@ -81,7 +81,7 @@ class RefineCommand(ConfiguredCommand):
     folder: Positional[Path]
     """The run folder; with --from, a new folder to write."""
     source: Annotated[Path | None, arg(name="from")] = None
-    """Scene of another method: a glTF file, or a poses.json beside its meshes."""
+    """Scene of another method: a glTF file, or a poses.json next to its meshes."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None

@@ -26,10 +26,10 @@ from ..spec import (
 from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .beside import put_back
 from .inside import covers, entrance
 from .joint_friction import hold_joints
 from .leaning import lean
+from .put_back import put_back
 from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
 from .walls import clear_walls

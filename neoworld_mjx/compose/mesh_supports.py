@@ -1,6 +1,6 @@
 """Compose a scene of posed objects that states no supports, such as meshes of another method.
 
-What carries an object is the highest surface below its middle, within its footprint. Objects that
+The support of an object is the highest surface below its middle, within its footprint. Objects that
 carry others and have nothing below them are supports; others without a support stand on a floor.
 """
 
@@ -24,7 +24,7 @@ from ..spec import (
     single_object_scene,
     world_poses,
 )
-from ..spec.pose import Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
+from ..spec.pose import Pose, angle_between, conjugate, from_yaw, quat_mul, rotate, yaw_of
 from .compose import snap
 from .resting_pose import resting_tilt
 
@@ -53,7 +53,7 @@ class Supported:
 
 
 def with_supports(scene: SceneSpec) -> Supported:
-    """Return the scene with every object upright on what carries it.
+    """Return the scene with every object upright on its support.
 
     A tilt becomes that of the nearest resting pose (`resting_tilt`), about the object's middle;
     headings and places stay, and heights follow from the supports.
@@ -68,14 +68,14 @@ def with_supports(scene: SceneSpec) -> Supported:
         raise SpecError(f"scene {scene.name} states its supports already; refine it as it is")
     if all(item.static for item in scene.objects):
         raise SpecError(f"scene {scene.name} has no object that is free to move")
-    carriers = _carriers(scene)
-    supports = _supports(scene, carriers)
+    parents = _parents(scene)
+    supports = _supports(scene, parents)
     notes = [f"{name} is a support: it carries others" for name in sorted(supports)]
     poses = world_poses(scene)
     loose = [
         item
         for item in scene.objects
-        if not item.static and item.name not in supports and item.name not in carriers
+        if not item.static and item.name not in supports and item.name not in parents
     ]
     objects: list[SceneObject] = [
         item.model_copy(update={"environment": True} if item.name in supports else {})
@@ -87,14 +87,14 @@ def with_supports(scene: SceneSpec) -> Supported:
         objects.append(floor)
         names = ", ".join(item.name for item in loose)
         notes.append(f"{floor.name} is added below what nothing carries: {names}")
-        carriers |= {item.name: floor.name for item in loose}
+        parents |= {item.name: floor.name for item in loose}
     pending = [item for item in scene.objects if item.name not in {o.name for o in objects}]
     frames = {item.name: world_poses(single_object_scene(item))[item.name] for item in objects}
     while pending:
         known = {item.name for item in objects}
-        ready = [item for item in pending if carriers[item.name] in known] or pending[:1]
+        ready = [item for item in pending if parents[item.name] in known] or pending[:1]
         for item in ready:
-            parent = carriers[item.name] if carriers[item.name] in known else objects[0].name
+            parent = parents[item.name] if parents[item.name] in known else objects[0].name
             placed, note = _placed(item, poses[item.name], parent, frames[parent])
             objects.append(placed)
             at = frames[parent].pos + rotate(
@@ -120,7 +120,7 @@ def _placed(
         notes.append(f"{item.name} has no resting pose near its tilt, which is kept")
         resting = tilt
     else:
-        angle = np.degrees(_angle(np.array(resting), np.array(tilt)))
+        angle = np.degrees(angle_between(np.array(resting), np.array(tilt)))
         if angle > 0.1:
             notes.append(f"{item.name} is turned upright by {angle:.1f} deg")
     # The middle of the object stays above its place: pose errors of a mesh turn about it.
@@ -140,12 +140,8 @@ def _placed(
     return item.model_copy(update=update), notes
 
 
-def _angle(a: NDArray, b: NDArray) -> float:
-    return 2 * float(np.arccos(min(1.0, abs(float(a @ b)))))
-
-
-def _carriers(scene: SceneSpec) -> dict[str, str]:
-    """Return what carries each free object, as far as anything is below it."""
+def _parents(scene: SceneSpec) -> dict[str, str]:
+    """Return the support of each free object that has anything below it."""
     import trimesh
 
     poses, meshes = world_poses(scene), {}
@@ -157,7 +153,7 @@ def _carriers(scene: SceneSpec) -> dict[str, str]:
             for vertices, faces in [geom.shape.surface()]
         ]
         meshes[item.name] = trimesh.util.concatenate(parts)
-    carriers = {}
+    parents = {}
     for item in scene.objects:
         if item.static:
             continue
@@ -172,9 +168,9 @@ def _carriers(scene: SceneSpec) -> dict[str, str]:
                 height = float(np.quantile(heights, 0.9))
                 if best is None or height > best[0]:
                     best = height, other
-        if best is not None and carriers.get(best[1]) != item.name:
-            carriers[item.name] = best[1]
-    return carriers
+        if best is not None and parents.get(best[1]) != item.name:
+            parents[item.name] = best[1]
+    return parents
 
 
 def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
@@ -203,12 +199,12 @@ def _heights(mesh: "trimesh.Trimesh", origins: NDArray) -> NDArray:
     return np.asarray(points).reshape(-1, 3)[:, 2]
 
 
-def _supports(scene: SceneSpec, carriers: dict[str, str]) -> set[str]:
+def _supports(scene: SceneSpec, parents: dict[str, str]) -> set[str]:
     """Return the free objects that carry others, have nothing below them, and are wide."""
     result = set()
     for item in scene.objects:
-        carried = [scene.object(name) for name, other in carriers.items() if other == item.name]
-        if item.static or item.name in carriers or not carried:
+        carried = [scene.object(name) for name, other in parents.items() if other == item.name]
+        if item.static or item.name in parents or not carried:
             continue
         if _area(item) >= WIDE * max(_area(other) for other in carried):
             result.add(item.name)

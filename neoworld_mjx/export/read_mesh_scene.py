@@ -1,4 +1,4 @@
-"""Read scenes of posed meshes: glTF files, and files of poses beside meshes or models.
+"""Read scenes of posed meshes: glTF files, and files of poses next to meshes or models.
 
     SCENE.glb, SCENE.gltf    a node with a mesh is an object; meters, Y up (glTF 2.0)
     poses.json               {"frame": "world", "objects": {"mug": {"file": "mug.obj",

@@ -12,8 +12,6 @@ from .sampling import surface_samples
 BOX_SAMPLES = 256
 """Number of surface samples that bound the 2D box of an object without a parsed one."""
 
-EVIDENCE_CELLS = 48
-"""Cells of an object's evidence along each axis of its window."""
 BORDER_PX = 2.0
 """Distance from the image border within which a box counts as cut by it."""
 
@@ -42,8 +40,8 @@ class PhotoView(NamedTuple):
     hides: Bool[AnyArray, " object"]
     """True for objects that occlude others; transparent objects do not."""
     evidence: Float[AnyArray, "object cell cell"]
-    """What each pixel near an object says for its being visible there [1/px^2], by row and column
-    of its window; see `align.photo_evidence`. Zero where nothing is known."""
+    """Evidence of each pixel near an object that the object is visible there [1/px^2], by row and
+    column of its window; see `align.photo_evidence`. Without cells if no pixels are given."""
     window: Float[AnyArray, "object 4"]
     """Window of the evidence: left, top, right, bottom from the image centre [px]."""
 
@@ -81,7 +79,7 @@ def photo_view(spec: SceneSpec) -> PhotoView:
         judged=judged,
         whole=whole,
         hides=hides,
-        evidence=np.zeros((len(boxes), EVIDENCE_CELLS, EVIDENCE_CELLS)),
+        evidence=np.zeros((len(boxes), 0, 0)),
         window=np.tile([0.0, 0.0, 1.0, 1.0], (len(boxes), 1)),
     )
 

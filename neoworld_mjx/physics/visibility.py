@@ -267,8 +267,10 @@ def _support(
     photo: PhotoView, k: Array, x: Float[Array, "*ray"], y: Float[Array, "*ray"]
 ) -> Float[Array, "*ray"]:
     """Return the evidence for an object at pixels; beyond its window, that of the nearest cell."""
-    low, high = photo.window[k, :2], photo.window[k, 2:]
     cells = photo.evidence.shape[1]
+    if not cells:
+        return jnp.zeros_like(x)
+    low, high = photo.window[k, :2], photo.window[k, 2:]
     column, row = (
         jnp.clip(((v - low[a]) / (high[a] - low[a]) * cells).astype(jnp.int32), 0, cells - 1)
         for a, v in enumerate((x, y))

@@ -234,13 +234,15 @@ def update(
     previous = jnp.where(problem.stop_by_best, state.best, state.elite_mean)
     gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
     if isinstance(problem.optimizer, Strategy):
-        told = problem.optimizer.tell_with_key(_key(state), state.optimizer, drawn, scores.absolute)
+        updated = problem.optimizer.tell_with_key(
+            _key(state), state.optimizer, drawn, scores.absolute
+        )
     else:
-        told = problem.optimizer.tell(
+        updated = problem.optimizer.tell(
             state.optimizer, drawn, scores.reward, absolute=scores.absolute, credit=credit
         )
     return SearchState(
-        optimizer=told,
+        optimizer=updated,
         seed=state.seed,
         factor=jnp.where(never, jnp.minimum(2 * state.factor, problem.widest), state.factor),
         iteration=state.iteration + 1,

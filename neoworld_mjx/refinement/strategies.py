@@ -104,12 +104,12 @@ class Strategy(eqx.Module):
         loss = jnp.where(finite, -reward, jnp.where(jnp.isfinite(worst), worst + 1.0, 0.0))
         _, asked = es.ask(key, state.inner, self.params)
         later = jax.random.fold_in(key, 1)
-        told, _ = es.tell(later, unit, loss, asked, self.params)
+        updated, _ = es.tell(later, unit, loss, asked, self.params)
         if _by_population(es):
             first = es.init(later, unit, loss, self.params)
             pick = lambda new, old: jnp.where(state.started, new, old)
-            told = jax.tree.map(pick, told, first)
-        return StrategyState(state.mean, told, jnp.asarray(True))
+            updated = jax.tree.map(pick, updated, first)
+        return StrategyState(state.mean, updated, jnp.asarray(True))
 
     def _es(self) -> Any:
         return _built(self.name, self.population, len(self.free), self.learning_rate)

@@ -72,7 +72,7 @@ def test_an_attached_object_may_sink_into_its_wall():
 
 
 def mesh_scene():
-    """A can, which is a cylinder, beside a hull, which is a mesh."""
+    """A can, which is a cylinder, next to a hull, which is a mesh."""
     hull = single("hull", (Mesh(vertices=WALL, faces=FACES), (0, 0, 0)))
     return desk.on_desk(
         (desk.can("can", 0.04, 0.12, "blue"), (-0.12, 0.03), 0.2, {}),

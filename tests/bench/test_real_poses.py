@@ -148,7 +148,7 @@ def test_missing_and_extra_objects_count(sample):
 
 
 def test_scale_of_the_whole_scene_is_no_error(sample):
-    """What a photograph leaves open: everything 1.3 times as large, about the camera."""
+    """Everything 1.3 times as large, about the camera, which a photograph leaves open."""
     view, scene = view_of(sample), desk()
     objects = tuple(
         o.model_copy(

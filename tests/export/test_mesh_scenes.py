@@ -1,4 +1,4 @@
-"""Scenes of posed meshes: glTF, and poses.json beside meshes and models."""
+"""Scenes of posed meshes: glTF, and poses.json next to meshes and models."""
 
 import json
 from pathlib import Path

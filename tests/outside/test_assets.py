@@ -87,7 +87,7 @@ CUBE = '#usda 1.0\n(\ndefaultPrim = "secret"\n)\ndef Cube "secret"\n{\n}\n'
 
 @pytest.fixture
 def home(tmp_path):
-    """A folder with a secret beside it."""
+    """A folder with a secret next to it."""
     folder = tmp_path / "home"
     folder.mkdir()
     (tmp_path / "secret.usda").write_text(CUBE)

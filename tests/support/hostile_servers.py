@@ -19,7 +19,7 @@ KEY = "sk-generated-0123456789"
 
 
 class Answer(BaseModel):
-    """What is asked for."""
+    """Schema of the response."""
 
     name: str
 

@@ -1,4 +1,4 @@
-"""Scenes as posed meshes, as other methods write them: glTF, and poses beside OBJ files."""
+"""Scenes as posed meshes, as other methods write them: glTF, and poses next to OBJ files."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Methods that a user names: the search with other options, as a row beside the built-in methods.
+"""Methods that a user names: the search with other options, as a row next to the built-in methods.
 
 A results folder lists the options of every method in methods.json, and one name stands for one set
 of options there.

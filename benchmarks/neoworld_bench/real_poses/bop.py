@@ -134,7 +134,7 @@ def _models(path: Path) -> tuple[Path, float]:
             if any((root / name).glob("obj_*.ply")):
                 return root / name, unit
     raise SpecError(
-        f"{path}: no folder with obj_000001.ply and so on; expected beside the scenes is one of "
+        f"{path}: no folder with obj_000001.ply and so on; expected next to the scenes is one of "
         f"{', '.join(MODELS)}"
     )
 

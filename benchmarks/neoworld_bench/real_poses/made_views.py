@@ -26,7 +26,7 @@ STAGES = (
 """Stage of a run and its file; of several files of a stage the first counts."""
 ALIGNED = "compose/align.json"
 MATCHES = "matches.json"
-"""Optional file beside a reconstruction: names of its objects, and those of the ground truth."""
+"""Optional file next to a reconstruction: names of its objects, and those of the ground truth."""
 
 
 class ObjectMatches(Spec):
@@ -45,7 +45,7 @@ class MadeView:
     matches: dict[str, str]
     """Name of the true object by that of the scene's; empty where names or the image decide."""
     notes: tuple[str, ...] = ()
-    """What the reader added or left out, such as colliders that it made."""
+    """Additions and omissions of the reader, such as colliders that it made."""
 
 
 def run_views(runs: Sequence[Path], name: str) -> Iterator[MadeView]:

@@ -87,7 +87,7 @@ class RealViewRow(Row):
     method: str
     stage: str
     align: str
-    """How the scene was aligned."""
+    """Alignment of the scene with the truth."""
     scale: float
     """Scale factor of that alignment."""
     rotation_deg: float

@@ -13,7 +13,7 @@ from ..measures.depth_measure import Intrinsics
 
 
 class ScenePoints(NamedTuple):
-    """What the pixels of a camera show."""
+    """Depth and object at each pixel of a camera."""
 
     points: Float[np.ndarray, "h w 3"]
     """In the camera's frame: x right, y down, z ahead [m]; inf for the background."""

@@ -1,4 +1,4 @@
-"""Return of objects that a fit leaves beside their support onto it.
+"""Move objects that a fit leaves next to their support back onto it.
 
 A fit moves an object along the line of sight, and may move it past the edge of a table, from which
 it would fall to the floor or, without one, forever. What hangs over the edge of another object,
@@ -16,7 +16,7 @@ INSET = 0.5
 
 
 def put_back(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
-    """Move each object whose middle is beside the box of its environment support onto it.
+    """Move each object whose middle is outside the box of its environment support onto it.
 
     Args:
         scene: the composed scene.
