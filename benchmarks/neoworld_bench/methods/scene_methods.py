@@ -65,7 +65,6 @@ def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
 
 ABLATIONS: dict[str, dict[str, Any]] = {
     "without_s_sem": {"reward": {"w_sem": 0.0}},
-    "with_s_photo": {"reward": {"terms": {"s_photo": 1.0}}},
     "without_d_pen": {"reward": {"w_pen": 0.0}},
     "without_d_drift": {"reward": {"w_drift": 0.0}},
     "no_simulation": {
@@ -87,6 +86,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
     **dict.fromkeys(EVIDENCE, ours),
+    "with_s_photo": partial(changed, change={"reward": {"terms": {"s_photo": 1.0}}}),
 }
 """Methods that are a refinement with other options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
