@@ -38,6 +38,14 @@ def peak_mib() -> tuple[float, float | None]:
     return host, None if device is None else device / 2**20
 
 
+def peak_device_mib() -> list[float]:
+    """Return the peak memory of each of JAX's devices [MiB]; empty on a CPU."""
+    import jax
+
+    peaks = [(d.memory_stats() or {}).get("peak_bytes_in_use") for d in jax.local_devices()]
+    return [peak / 2**20 for peak in peaks if peak is not None]
+
+
 class Others:
     """Mean number of cores that other processes keep busy, from its creation on."""
 

@@ -42,6 +42,24 @@ def run_kernels(o: suites.Kernels) -> dict[str, Any]:
     return {"machine": described, "rows": plain(rows), "accuracy": pairs}
 
 
+def run_devices(o: suites.Devices) -> dict[str, Any]:
+    """Compare one device with several."""
+    import jax
+
+    from .engines.device_scaling import device_counts, scaling, scaling_tasks
+
+    counts = o.devices or device_counts(len(jax.local_devices()))
+    tasks = scaling_tasks(
+        counts,
+        () if o.no_rollouts else o.objects,
+        o.population,
+        None if o.no_sweep else (o.points, o.seeds, o.sweep_population, o.iterations),
+        repeats=o.repeats,
+        seed=o.seed,
+    )
+    return {"machine": machine(), "rows": plain(collect(scaling(tasks, o.budget)))}
+
+
 def run_agreement(o: suites.Agreement) -> dict[str, Any]:
     """Compare engines with MuJoCo."""
     from .engines.agreement import ModelRow, VerdictRow, agreed, agreement

@@ -135,6 +135,36 @@ class Kernels:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Devices:
+    """Time rollouts by mjx and a sweep on one device, two, and so on up to all of this host."""
+
+    devices: tuple[int, ...] = ()
+    """Numbers of devices; by default 1, 2, 4 and so on up to all. On a CPU they are simulated."""
+    objects: tuple[int, ...] = (6, 20)
+    """Numbers of objects on the table of the rollouts; none with --no-rollouts."""
+    population: int = 8192
+    """Candidates of the rollouts."""
+    points: int = 64
+    """Points of the sweep on the scene of the bundled photograph, by Algorithm 1."""
+    seeds: int = 8
+    """Seeds of each point."""
+    sweep_population: int = 128
+    """Candidates of an iteration of each run of the sweep."""
+    iterations: int = 4
+    """Iterations of each run."""
+    no_rollouts: bool = False
+    """Leave out the rollouts."""
+    no_sweep: bool = False
+    """Leave out the sweep."""
+    repeats: int = 3
+    """Repetitions of a rollout, of which the median counts; the sweep runs twice, to compile."""
+    budget: float = 600.0
+    """Time limit of each row's process [s]."""
+    seed: int = 0
+    """Seed of scenes and layouts."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Agreement:
     """Compare engines with MuJoCo on recompiled scenes: fields, bits, first steps, verdicts."""
 
@@ -382,6 +412,7 @@ SUITES = {
         ("scenes", SceneSet, True),
         ("physics", Physics, False),
         ("kernels", Kernels, False),
+        ("devices", Devices, False),
         ("agreement", Agreement, False),
         ("refine", Refine, True),
         ("real-poses", RealPoses, True),

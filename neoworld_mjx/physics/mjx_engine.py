@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
@@ -31,15 +31,18 @@ from .mjx_model import (
 )
 from .model import SceneModel, StaticScene
 from .recorder import DIVERGED, Recorder, in_chunks, read_states, record_times
+from .sharding import PART, WHOLE, by_part, mesh_of, put
 
 MJX_CHUNK = 8192
-"""Largest number of candidates simulated at once."""
+"""Largest number of candidates that a device simulates at once."""
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
 """Largest size of a chunk: share of an accelerator's memory, and bytes on a CPU."""
 
 HELD_AXES = Held(bodies=cast(Any, None), springs=cast(Any, 0))
 """Axes of `Held` for `vmap`: only the springs differ between candidates. A free fall has none."""
+HELD_PARTS = Held(bodies=cast(Any, WHOLE), springs=cast(Any, PART))
+"""The same for several devices."""
 
 COMPACT_FROM = 512
 """Least population that moves into smaller programs as its candidates stop. Each program compiles
@@ -54,25 +57,26 @@ class MjxEngine(BatchEngine):
     def __init__(self, devices: Sequence[Any] | None = None):
         """Split populations over `devices`; None uses all of JAX's default kind."""
         self.devices = tuple(jax.devices() if devices is None else devices)
+        self.mesh = mesh_of(self.devices)
         self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
             weakref.WeakKeyDictionary()
         )
 
     def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`."""
-        model, scene = self._on_devices(scene)
+        model, scene = self.on_devices(scene)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
         whole = schedule.early_stop is None
         # With early stopping, sizes are powers of two, so that populations share smaller programs.
-        size = self._chunk(model, pop if whole else 1 << (pop - 1).bit_length())
+        size = self.chunk(model, pop if whole else 1 << (pop - 1).bit_length())
 
         def run(chunk: Poses) -> Rollout:
             count = len(chunk.scale)
             if scene.static.mjm.nv == 0:
                 return Recorder(scene.static, chunk, schedule).rollout()
             # All chunks are padded to one shape, which is compiled once.
-            padded = self._spread(chunk[np.minimum(np.arange(size), count - 1)])
+            padded = self.split(chunk[np.minimum(np.arange(size), count - 1)])
             simulate = self._whole if whole else self._segments
             rollout = simulate(model, scene, padded, schedule)
             rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], rollout)
@@ -87,7 +91,9 @@ class MjxEngine(BatchEngine):
         fields, start, bad = prepare(scene, poses)
         records, every = schedule.records, schedule.every
         guided = schedule.guidance and (schedule.guidance, _held(scene, poses))
-        qpos, dropped = bare_scan(model, fields, start, records, every, *(guided or ()))
+        qpos, dropped = bare_scan(
+            model, fields, start, records, every, *(guided or (None, None)), self.mesh
+        )
         return _rollout(scene, poses, qpos, bad, dropped, records, every)
 
     def _segments(
@@ -95,7 +101,7 @@ class MjxEngine(BatchEngine):
     ) -> Rollout:
         """Simulate record by record; stopped candidates leave once a smaller program fits."""
         fields, start, bad = prepare(scene, poses)
-        data = _begin(model, fields, start)
+        data = _begin(model, fields, start, self.mesh)
         springs = _held(scene, poses) if schedule.guidance else None
         recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
@@ -105,7 +111,7 @@ class MjxEngine(BatchEngine):
             if not len(recorder.active):
                 break
             data, dropped = _advance(
-                model, fields, data, schedule.every, schedule.guidance, springs
+                model, fields, data, schedule.every, schedule.guidance, springs, self.mesh
             )
             active = np.searchsorted(rows, recorder.active)
             truncated[recorder.active] |= np.asarray(dropped)[active]
@@ -116,14 +122,15 @@ class MjxEngine(BatchEngine):
                 keep = active[running]
                 fill = np.full(fits[0] - len(keep), keep[0])
                 index = jnp.asarray(np.concatenate([keep, fill]))
-                fields, data = self._spread(_take((fields, data), index))
-                springs = None if springs is None else springs.take(index)
+                fields, data = self.split(_take((fields, data), index))
+                if springs is not None:
+                    springs = springs._replace(springs=self.split(springs.take(index).springs))
                 rows = np.concatenate([recorder.active, fill * 0 + np.iinfo(int).max])
         finished = recorder.status != int(RolloutStatus.FAILED)
         recorder.status[truncated & finished] = int(RolloutStatus.TRUNCATED)
         return recorder.rollout()
 
-    def _chunk(self, model: MjxModel, pop: int) -> int:
+    def chunk(self, model: MjxModel, pop: int) -> int:
         """Return the number of candidates that fit into the devices' memory at once."""
         shapes = jax.eval_shape(lambda m: make_data(m), model)
         # The states before and after a step, and as much again for intermediate values.
@@ -134,22 +141,24 @@ class MjxEngine(BatchEngine):
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
         budget = int(MEMORY_SHARE * stats.get("bytes_limit", CPU_MEMORY / MEMORY_SHARE)) * count
         fit = max(64, 1 << (max(budget // max(each, 1), 1).bit_length() - 1))
-        chunk = min(pop, MJX_CHUNK, fit)
+        chunk = min(pop, MJX_CHUNK * count, fit)
         return -(-chunk // count) * count
 
-    def _spread(self, tree: Any, axis: str | None = "pop") -> Any:
-        """Split the leading axis of all leaves over the devices, or copy them to each."""
-        if len(self.devices) == 1:
+    def split(self, tree: Any) -> Any:
+        """Split the leading axis of all arrays over the devices."""
+        if self.mesh is None:
             return jax.device_put(tree, self.devices[0])
-        mesh = Mesh(np.array(self.devices), ("pop",))
-        spec = PartitionSpec() if axis is None else PartitionSpec(axis)
-        return jax.device_put(tree, NamedSharding(mesh, spec))
+        return put(tree, self.mesh, PART)
 
-    def _on_devices(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
+    def on_devices(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
             arrays, rest = eqx.partition(scene, eqx.is_array)
-            model, arrays = self._spread((on_device(scene), arrays), None)
+            tree = (on_device(scene), arrays)
+            if self.mesh is None:
+                model, arrays = jax.device_put(tree, self.devices[0])
+            else:
+                model, arrays = put(tree, self.mesh, WHOLE)
             self._scenes[scene.static] = model, eqx.combine(arrays, rest)
         return self._scenes[scene.static]
 
@@ -178,7 +187,7 @@ def _held(scene: SceneModel, poses: Poses) -> Held:
     return held(scene, poses)
 
 
-@functools.partial(jax.jit, static_argnames=("records", "every", "guidance"))
+@functools.partial(jax.jit, static_argnames=("records", "every", "guidance", "mesh"))
 def bare_scan(
     model: MjxModel,
     fields: Fields,
@@ -187,14 +196,19 @@ def bare_scan(
     every: int,
     guidance: Guidance | None = None,
     springs: Held | None = None,
+    mesh: Mesh | None = None,
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
     """Scan `mjx_step`, vmapped over all candidates, with springs if guidance is given.
+
+    Several devices of a mesh share the candidates.
 
     Returns:
         The states, and a mask of candidates in which a pair of geoms that may touch was dropped.
     """
 
-    def one(own: Fields, start: Float[Array, " nq"], bodies: Held | None) -> tuple[Array, Array]:
+    def one(
+        model: MjxModel, own: Fields, start: Float[Array, " nq"], bodies: Held | None
+    ) -> tuple[Array, Array]:
         m = with_fields(model, own)
 
         def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
@@ -205,7 +219,16 @@ def bare_scan(
         qpos, dropped = jax.lax.scan(record, begin, None, length=records)[1]
         return qpos, jnp.any(dropped)
 
-    return jax.vmap(one, in_axes=(0, 0, springs and HELD_AXES))(fields, qpos, springs)
+    return _candidates(one, springs, mesh)(model, fields, qpos, springs)
+
+
+def _candidates(
+    one: Callable[..., Any], springs: Held | None, mesh: Mesh | None
+) -> Callable[..., Any]:
+    """Map a function of model, fields, state and springs over candidates and devices."""
+    held_axes, held_parts = (None, WHOLE) if springs is None else (HELD_AXES, HELD_PARTS)
+    mapped = jax.vmap(one, in_axes=(None, 0, 0, held_axes))
+    return by_part(mapped, mesh, WHOLE, PART, PART, held_parts)
 
 
 def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxData], MjxData] | None:
@@ -220,13 +243,17 @@ def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxDat
     return push
 
 
-@jax.jit
-def _begin(model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"]) -> MjxData:
-    make = lambda own, start: make_data(with_fields(model, own)).replace(qpos=start)
-    return jax.vmap(make)(fields, qpos)
+@functools.partial(jax.jit, static_argnames=("mesh",))
+def _begin(
+    model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], mesh: Mesh | None
+) -> MjxData:
+    make = lambda m, own, start, _: make_data(with_fields(m, own)).replace(qpos=start)
+    return _candidates(make, None, mesh)(model, fields, qpos, None)
 
 
-@functools.partial(jax.jit, static_argnames=("every", "guidance"), donate_argnames=("data",))
+@functools.partial(
+    jax.jit, static_argnames=("every", "guidance", "mesh"), donate_argnames=("data",)
+)
 def _advance(
     model: MjxModel,
     fields: Fields,
@@ -234,13 +261,14 @@ def _advance(
     every: int,
     guidance: Guidance | None,
     springs: Held | None,
+    mesh: Mesh | None,
 ) -> tuple[MjxData, Bool[Array, " pop"]]:
-    def one(own: Fields, d: MjxData, bodies: Held | None) -> tuple[MjxData, Array]:
+    def one(model: MjxModel, own: Fields, d: MjxData, bodies: Held | None) -> tuple[MjxData, Array]:
         m = with_fields(model, own)
         d = mjx_step(m, d, every, _pushing(guidance, bodies))
         return d, pairs_dropped(m, d)
 
-    return jax.vmap(one, in_axes=(0, 0, springs and HELD_AXES))(fields, data, springs)
+    return _candidates(one, springs, mesh)(model, fields, data, springs)
 
 
 @jax.jit

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
@@ -16,6 +16,7 @@ from ..physics.layout import Poses
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
+from ..physics.sharding import PART, WHOLE, by_part, mesh_of, put
 from ..traces import computes_on_cpu
 
 TILE = 8192
@@ -44,14 +45,12 @@ def split(tree: Any, length: int) -> Any:
 
     Nothing changes with one device, or if the length is no multiple of their number.
     """
-    every = devices()
-    if len(every) == 1 or length < 1 or length % len(every):
+    mesh = mesh_of(devices())
+    if mesh is None or length < 1 or length % mesh.size:
         return tree
-    mesh = Mesh(np.array(every), ("part",))
-    parts, copies = (NamedSharding(mesh, PartitionSpec(*axis)) for axis in (("part",), ()))
     arrays, rest = eqx.partition(tree, _is_array)
-    where = lambda x: parts if np.shape(x)[:1] == (length,) else copies
-    return eqx.combine(jax.tree.map(lambda x: jax.device_put(x, where(x)), arrays), rest)
+    where = lambda x: PART if np.shape(x)[:1] == (length,) else WHOLE
+    return eqx.combine(jax.tree.map(lambda x: put(x, mesh, where(x)), arrays), rest)
 
 
 def map_runs(
@@ -76,11 +75,12 @@ def map_runs(
     """
     if tile == 1 or len(rows) == 1:
         return [jax.device_get(fn(scene, *split(row, population))) for row in rows]
+    mapped = _mapped(fn, mesh_of(devices()))
     results = []
     for first in range(0, len(rows), tile):
         tile_rows = list(rows[first : first + tile])
         stacked_rows = stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
-        stacked_results = jax.device_get(_mapped(fn)(scene, split(stacked_rows, tile)))
+        stacked_results = jax.device_get(mapped(scene, split(stacked_rows, tile)))
         results += [
             jax.tree.map(lambda x, k=k: x[k], stacked_results) for k in range(len(tile_rows))
         ]
@@ -88,8 +88,17 @@ def map_runs(
 
 
 @functools.cache
-def _mapped(fn: Callable[..., Any]) -> Callable[..., Any]:
-    return eqx.filter_jit(lambda scene, rows: eqx.filter_vmap(lambda row: fn(scene, *row))(rows))
+def _mapped(fn: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
+    def mapped(scene: SceneArrays, rows: Any) -> Any:
+        parts, rest = eqx.partition((scene, rows), eqx.is_array)
+
+        def part(scene_arrays: Any, row_arrays: Any) -> Any:
+            scene, rows = eqx.combine((scene_arrays, row_arrays), rest)
+            return eqx.filter_vmap(lambda row: fn(scene, *row))(rows)
+
+        return by_part(part, mesh, WHOLE, PART)(*parts)
+
+    return eqx.filter_jit(mapped)
 
 
 def stack(rows: Sequence[Any]) -> Any:
@@ -115,6 +124,11 @@ def _is_array(x: Any) -> bool:
 def take(tree: Any, rows: np.ndarray | slice) -> Any:
     """Select candidates of a population on the host."""
     return jax.tree.map(lambda leaf: leaf[rows], tree)
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """Concatenate candidates along their leading axis on the host."""
+    return jax.tree.map(lambda *x: np.concatenate([np.asarray(leaf) for leaf in x]), *parts)
 
 
 def roll_out(
@@ -165,7 +179,7 @@ def settle_candidates(
     ends = settle(scene, together, engine, o.settle)
     return [
         jax.tree.map(
-            lambda whole, end, index=index: put(whole, end[index], np.s_[:, :object_count]),
+            lambda whole, end, index=index: replaced(whole, end[index], np.s_[:, :object_count]),
             placed,
             ends,
         )
@@ -201,7 +215,7 @@ def _concatenate(poses: Sequence[Poses], object_count: int, runs: int) -> tuple[
     return together, [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
 
-def put(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
+def replaced(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
     """Return a copy of an array with the entries at an index replaced."""
     copied = np.array(whole)
     copied[index] = part

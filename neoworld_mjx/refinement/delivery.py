@@ -5,42 +5,67 @@ scene is close to the candidate but not equal to it.
 """
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..physics.engine import Engine
 from ..physics.placed import poses_in_chunks
 from ..physics.scene_arrays import pad_objects
+from .batching import joined, take, tile_of
 from .choosing import Winner
 from .evaluation import Evaluation
+from .objective import Scores
 from .search_run import SearchResult
 
 
 def delivered(
-    result: SearchResult,
-    winner: Winner,
+    results: Sequence[SearchResult],
+    winners: Sequence[Winner],
     engine: Engine,
     s_sem: float | None = None,
-) -> dict[str, float]:
-    """Return `absolute`, `merit` and each reward term of the delivered scene, by name.
+) -> list[dict[str, float]]:
+    """Return `absolute`, `merit` and each reward term of every delivered scene, by name.
 
     Args:
-        result: the search.
-        winner: its winner.
-        engine: the physics engine, which rolls the scene out once.
-        s_sem: score of the winning candidate by a model; None computes the geometric one.
+        results: the searches of runs that were searched together.
+        winners: the winner of each.
+        engine: the physics engine, which rolls all scenes out at once.
+        s_sem: score of the winning candidates by a model; None computes the geometric one.
     """
-    o = result.run.options
-    if winner.index == (0, 0) and winner.passed and o.settle.enabled and s_sem is None:
-        scores = result.rounds[0].scores  # The initial layout was scored at its resting pose.
-    else:
-        evaluation = Evaluation(
-            result.scene, result.arrays, engine, o, 1, 1, {"score": 0.0}, time.perf_counter()
-        )
-        layout = pad_objects(winner.layout, result.arrays.count)
-        start = poses_in_chunks(result.arrays, layout)
-        rest = evaluation.resting(winner.scene, layout)
-        by_model = None if s_sem is None else np.array([s_sem], np.float32)
-        scores = evaluation.of_one(result, layout, start, rest, by_model)
-    values = {"absolute": scores.absolute, "merit": scores.merit, **scores.terms}
-    return {name: float(np.asarray(x)[0]) for name, x in values.items()}
+    scores: list[Scores | None] = [
+        # The initial layout was scored at its resting pose.
+        result.rounds[0].scores
+        if winner.index == (0, 0)
+        and winner.passed
+        and result.run.options.settle.enabled
+        and s_sem is None
+        else None
+        for result, winner in zip(results, winners, strict=True)
+    ]
+    missing = [k for k, known in enumerate(scores) if known is None]
+    if missing:
+        rest = [(results[k], winners[k]) for k in missing]
+        for k, of_run in zip(missing, _scores(rest, engine, s_sem), strict=True):
+            scores[k] = of_run
+    rows = [{"absolute": s.absolute, "merit": s.merit, **s.terms} for s in scores if s is not None]
+    return [{name: float(np.asarray(x)[0]) for name, x in row.items()} for row in rows]
+
+
+def _scores(
+    pairs: Sequence[tuple[SearchResult, Winner]], engine: Engine, s_sem: float | None
+) -> list[Scores]:
+    first = pairs[0][0]
+    o, runs = first.run.options, len(pairs)
+    tile = tile_of(runs, o.cem.population)
+    evaluation = Evaluation(
+        first.scene, first.arrays, engine, o, runs, tile, {"score": 0.0}, time.perf_counter()
+    )
+    layouts = [pad_objects(winner.layout, first.arrays.count) for _, winner in pairs]
+    placed = poses_in_chunks(first.arrays, joined(layouts))
+    starts = [take(placed, slice(k, k + 1)) for k in range(runs)]
+    rests = [
+        evaluation.resting(winner.scene, z) for (_, winner), z in zip(pairs, layouts, strict=True)
+    ]
+    by_model = None if s_sem is None else np.array([s_sem], np.float32)
+    return evaluation.of_each([result for result, _ in pairs], layouts, starts, rests, by_model)

@@ -22,7 +22,7 @@ from ..physics.placed import (
 from ..physics.scene_arrays import SceneArrays, pad_objects
 from ..spec import SceneSpec
 from ..traces import computes_on_cpu
-from .batching import map_runs, pad_rollout, roll_out, settle_candidates
+from .batching import joined, map_runs, pad_rollout, roll_out, settle_candidates
 from .finishing import resting_poses
 from .objective import Scores, evaluate
 from .rounds import Round
@@ -96,12 +96,12 @@ class Evaluation(NamedTuple):
         self.clock["score"] += time.perf_counter() - began
         return scored
 
-    def initial(self, r: SearchResult) -> Round:
-        """Return the initial layout at its exact resting pose, an iteration of one candidate."""
-        origin = r.problem.origin
-        rest = self.resting(r.initial.scene, origin)
-        scores = self.of_one(r, origin, rest, rest)
-        return self.unpadded_round(origin, rest, scores)
+    def initials(self, results: Sequence[SearchResult]) -> list[Round]:
+        """Return each run's initial layout at its exact resting pose: iterations of a candidate."""
+        layouts = [r.problem.origin for r in results]
+        rests = [self.resting(r.initial.scene, z) for r, z in zip(results, layouts, strict=True)]
+        scores = self.of_each(results, layouts, rests, rests)
+        return [self.unpadded_round(*row) for row in zip(layouts, rests, scores, strict=True)]
 
     def resting(self, scene: SceneSpec, layout: Layout) -> Poses:
         """Return the poses of a scene at rest, padded; the padded layout gives the scales."""
@@ -109,36 +109,45 @@ class Evaluation(NamedTuple):
         rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
         return jax.tree.map(np.float32, rest)
 
-    def of_one(
+    def of_each(
         self,
-        r: SearchResult,
-        layout: Layout,
-        start: Poses,
-        rest: Poses,
+        results: Sequence[SearchResult],
+        layouts: Sequence[Layout],
+        starts: Sequence[Poses],
+        rests: Sequence[Poses],
         s_sem: np.ndarray | None = None,
-    ) -> Scores:
-        """Roll out and score a single candidate from its resting pose.
+    ) -> list[Scores]:
+        """Roll out and score one candidate of each run from its resting pose.
 
-        It is repeated to the population size, to reuse compiled programs.
+        A candidate is repeated to the population size, to reuse compiled programs.
 
         Args:
-            r: the run.
-            layout: the padded layout, pop axis of length 1.
-            start: its placed poses, from which it has settled.
-            rest: its resting poses.
+            results: the runs.
+            layouts: their padded layouts, pop axis of length 1.
+            starts: their placed poses, from which they have settled.
+            rests: their resting poses.
             s_sem: score by a model [pop], which replaces the geometric one.
         """
+        population = self.options.cem.population
 
         def repeated(tree: Any) -> Any:
-            rows = np.zeros(self.options.cem.population, int)
+            rows = np.zeros(population, int)
             return jax.tree.map(lambda x: np.asarray(x)[rows], tree)
 
-        candidate = measured_in_chunks(self.arrays, start, rest)
-        (rollout,) = roll_out(self.scene, [rest], self.engine, self.options, 1)
-        rollouts = eqx.tree_at(lambda x: x.time, repeated(rollout), rollout.time)
+        rolled = roll_out(self.scene, rests, self.engine, self.options, len(results))
+        rollouts = [eqx.tree_at(lambda x: x.time, repeated(r), r.time) for r in rolled]
+        if computes_on_cpu():
+            measures = measured_in_chunks(self.arrays, joined(starts), joined(rests))
+            placed = [
+                repeated(jax.tree.map(lambda x, k=k: np.asarray(x)[k : k + 1], measures))
+                for k in range(len(results))
+            ]
+        else:
+            pairs = [(repeated(a), repeated(b)) for a, b in zip(starts, rests, strict=True)]
+            placed = map_runs(placed_at_rest, self.arrays, pairs, self.tile, population)
         s_sem = None if s_sem is None else repeated(s_sem)
-        (scores,) = self.score([r], [repeated(layout)], [repeated(candidate)], [rollouts], s_sem)
-        return jax.tree.map(lambda x: np.asarray(x)[:1], scores)
+        scores = self.score(results, [repeated(z) for z in layouts], placed, rollouts, s_sem)
+        return [jax.tree.map(lambda x: np.asarray(x)[:1], of_run) for of_run in scores]
 
     def before_physics(self, r: SearchResult, layouts: Layout, placed: Placed) -> Scores:
         """Score candidates as if nothing moved, with the geometric S_sem."""

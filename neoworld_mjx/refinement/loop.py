@@ -183,15 +183,16 @@ def _opened(
         factor = _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
         state = init(problem, run.seed, factor)
         result = SearchResult(run, problem, state, scene, arrays, initial, plain)
-        if o.settle.enabled:
-            result.rounds.append(evaluation.initial(result))
-            result.summaries.append(_summary(result.rounds[0].scores))
+        results.append(result)
+    if evaluation.options.settle.enabled:
+        for result, round_ in zip(results, evaluation.initials(results), strict=True):
+            result.rounds.append(round_)
+            result.summaries.append(_summary(round_.scores))
             result.marks.append(np.array([Mark.GEOMETRIC], np.int8))
             result.rollouts = 1
-            result.finished = initial.passed and plain
-            if initial.passed or bool(result.rounds[0].scores.valid[0]):
+            result.finished = result.initial.passed and plain
+            if result.initial.passed or bool(round_.scores.valid[0]):
                 _note_valid(result, evaluation.began)
-        results.append(result)
     return results
 
 

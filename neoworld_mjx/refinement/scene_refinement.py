@@ -133,7 +133,7 @@ def refine(
         if scorer is not None and winner.index[0] >= 0:
             t, k = winner.index
             by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
-        values = delivered(result, winner, engine, by_model)
+        (values,) = delivered([result], [winner], engine, by_model)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,

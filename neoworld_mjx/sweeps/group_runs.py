@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,25 +33,38 @@ def search_together(
     model: SceneModel,
     runs: Sequence[SearchRun],
     engine: Engine,
+    clock: dict[str, float] | None = None,
 ) -> list[Row]:
     """Search all runs in one computation, or in one for each set of held objects.
 
     On a CPU, a row does not depend on the other runs.
+
+    Args:
+        case: the scene.
+        compile_options: options that the scene was compiled with.
+        model: the compiled scene.
+        runs: runs that share static options.
+        engine: the physics engine.
+        clock: seconds spent, by step; updated in place.
     """
+    clock = {} if clock is None else clock
     alike: dict[str, list[int]] = {}
     for k, run in enumerate(runs):
         alike.setdefault(holding_part(run.options), []).append(k)
     rows: list[Row] = [{}] * len(runs)
     for members in alike.values():
-        clock: dict[str, float] = {}
         before = compiled().seconds
         own = [runs[k] for k in members]
         results = search(model, own, engine, keep=False, clock=clock)
         seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(own)
         shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
+        began = time.perf_counter()
         chosen = winners(case.scene, compile_options, model, results)
-        for k, result, winner in zip(members, results, chosen, strict=True):
-            values = delivered(result, winner, engine)
+        checked = time.perf_counter()
+        values_of_runs = delivered(results, chosen, engine)
+        clock["check"] = clock.get("check", 0.0) + checked - began
+        clock["deliver"] = clock.get("deliver", 0.0) + time.perf_counter() - checked
+        for k, result, winner, values in zip(members, results, chosen, values_of_runs, strict=True):
             row = row_of_search(case, model, result, winner, values)
             rows[k] = row | shared | {"history": iteration_rows(result.summaries)}
     return rows
