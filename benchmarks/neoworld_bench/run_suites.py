@@ -46,7 +46,7 @@ def run_devices(o: suites.Devices) -> dict[str, Any]:
     """Compare one device with several."""
     import jax
 
-    from .engines.device_scaling import device_counts, scaling, scaling_tasks
+    from .engines.device_scaling import device_counts, in_a_process, scaling, scaling_tasks
 
     counts = o.devices or device_counts(len(jax.local_devices()))
     tasks = scaling_tasks(
@@ -57,7 +57,8 @@ def run_devices(o: suites.Devices) -> dict[str, Any]:
         repeats=o.repeats,
         seed=o.seed,
     )
-    return {"machine": machine(), "rows": plain(collect(scaling(tasks, o.budget)))}
+    rows = scaling(tasks, lambda task: in_a_process(task, o.budget))
+    return {"machine": machine(), "rows": plain(collect(rows))}
 
 
 def run_agreement(o: suites.Agreement) -> dict[str, Any]:

@@ -148,16 +148,17 @@ class Devices:
     """Points of the sweep on the scene of the bundled photograph, by Algorithm 1."""
     seeds: int = 8
     """Seeds of each point."""
-    sweep_population: int = 128
+    sweep_population: int = 64
     """Candidates of an iteration of each run of the sweep."""
-    iterations: int = 4
+    iterations: int = 2
     """Iterations of each run."""
     no_rollouts: bool = False
     """Leave out the rollouts."""
     no_sweep: bool = False
     """Leave out the sweep."""
     repeats: int = 3
-    """Repetitions of a rollout, of which the median counts; the sweep runs twice, to compile."""
+    """Repetitions of a rollout, of which the median counts; the sweep runs once, and its time is
+    without compilation."""
     budget: float = 600.0
     """Time limit of each row's process [s]."""
     seed: int = 0

@@ -22,8 +22,9 @@ from neoworld_mjx.compilations import compiled
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import Rollout, record_steps
+from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.mjx_engine import MjxEngine, bare_scan, prepare
-from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.model import SceneModel, compile_scene
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.spec import read_scene
@@ -56,7 +57,8 @@ class ScalingTask(BaseModel):
     points: int = Field(default=0, ge=0)
     seeds: int = Field(default=0, ge=0)
     iterations: int = Field(default=0, ge=0)
-    repeats: int = Field(default=3, ge=1)
+    repeats: int = Field(default=3, ge=0)
+    """Calls after the first one; without them the first counts, less its compilation."""
     seed: int = 0
 
 
@@ -150,7 +152,7 @@ def scaling_tasks(
                 points=points,
                 seeds=seeds,
                 iterations=iterations,
-                repeats=1,
+                repeats=0,
                 seed=seed,
             )
             for count in devices
@@ -158,18 +160,20 @@ def scaling_tasks(
     return tasks
 
 
-def scaling(tasks: Sequence[ScalingTask], budget: float) -> Iterator[ScalingRow]:
+def scaling(
+    tasks: Sequence[ScalingTask], run: Callable[[ScalingTask], Scaled | str]
+) -> Iterator[ScalingRow]:
     """Measure tasks one by one, each in its process; yield rows as they complete.
 
     Tasks that differ in `devices` alone are compared with the first of them.
 
     Args:
         tasks: conditions of the rows.
-        budget: time limit of a row's process [s].
+        run: measures a task, or returns the reason why it was skipped; see `in_a_process`.
     """
     first: dict[str, Scaled] = {}
     for task in tasks:
-        result = _in_a_process(task, budget)
+        result = run(task)
         row = ScalingRow(
             work=task.work,
             devices=task.devices,
@@ -183,7 +187,8 @@ def scaling(tasks: Sequence[ScalingTask], budget: float) -> Iterator[ScalingRow]
         base = first.setdefault(task.model_copy(update={"devices": 1}).model_dump_json(), result)
         seconds = float(np.median(result.seconds))
         same = np.array(result.verdicts) == np.array(base.verdicts)
-        apart = np.abs(np.array(result.values) - np.array(base.values))
+        values, others = np.array(result.values), np.array(base.values)
+        near = np.isclose(values, others, rtol=0.0, atol=EQUAL, equal_nan=True)
         yield row.model_copy(
             update={
                 "objects": result.objects,
@@ -194,14 +199,14 @@ def scaling(tasks: Sequence[ScalingTask], budget: float) -> Iterator[ScalingRow]
                 "compile_s": result.compile_s,
                 "device_peak_mib": ", ".join(f"{mib:.0f}" for mib in result.device_peak_mib),
                 "equal_verdicts": float(np.mean(same)),
-                "equal_values": float(np.mean(apart <= EQUAL)),
+                "equal_values": float(np.mean(near)),
             }
         )
 
 
-def _in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
-    """Measure in a new process; return the reason if it is stopped or fails."""
-    environment = os.environ | _seeing(task.devices, os.environ, jax.default_backend())
+def in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
+    """Measure in a new process within a time limit [s]; return the reason if it has no result."""
+    environment = os.environ | visible_devices(task.devices, os.environ, jax.default_backend())
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "row.json"
         command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
@@ -217,7 +222,7 @@ def _in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
         return Scaled.model_validate(json.loads(out.read_text(encoding="utf-8")))
 
 
-def _seeing(devices: int, environment: Mapping[str, str], backend: str) -> dict[str, str]:
+def visible_devices(devices: int, environment: Mapping[str, str], backend: str) -> dict[str, str]:
     """Return environment variables with which a process has a number of devices."""
     if backend == "cpu":
         flags = environment.get("XLA_FLAGS", "")
@@ -244,7 +249,7 @@ def _rollouts(task: ScalingTask) -> Scaled:
     poses = jax.device_get(scene.place(noisy_layouts(scene, task.population, seed=task.seed)))
     seconds, compile_s, rollout = _timed(lambda: engine.rollout(scene, poses), task.repeats)
     records, every = record_steps(scene.static.mjm.opt.timestep, 1.0, 0.1)
-    alone = _scan_alone(engine, scene, poses, records, every, task.repeats)
+    alone = _scan_alone(engine, scene, poses, records, every)
     moved = motion(scene, rollout)
     return Scaled(
         seconds=seconds,
@@ -259,7 +264,7 @@ def _rollouts(task: ScalingTask) -> Scaled:
 
 
 def _scan_alone(
-    engine: MjxEngine, scene: Any, poses: Any, records: int, every: int, repeats: int
+    engine: MjxEngine, scene: SceneModel, poses: Poses, records: int, every: int
 ) -> float:
     """Return the time of the program that simulates one chunk, times the number of chunks [s]."""
     model, scene = engine.on_devices(scene)
@@ -267,8 +272,8 @@ def _scan_alone(
     split = engine.split(jax.tree.map(lambda x: np.asarray(x[:size], np.float32), poses))
     fields, start, _ = prepare(scene, split)
     scan = lambda: bare_scan(model, fields, start, records, every, mesh=engine.mesh)
-    seconds, _, _ = _timed(scan, repeats)
-    return float(np.median(seconds)) * -(-len(poses.scale) // size)
+    seconds, _, _ = _timed(scan, 0)  # The rollouts have compiled it.
+    return seconds[0] * -(-len(poses.scale) // size)
 
 
 def _sweep(task: ScalingTask) -> Scaled:
@@ -297,7 +302,7 @@ def _sweep(task: ScalingTask) -> Scaled:
 
     seconds, compile_s, rows = _timed(once, task.repeats)
     parts = {name: clock[name] for name in ("propose", "rollout", "score", "check", "deliver")}
-    parts["other"] = seconds[-1] - sum(parts.values())
+    parts["other"] = seconds[-1] + compile_s - sum(parts.values())
     return Scaled(
         seconds=seconds,
         compile_s=compile_s,
@@ -312,9 +317,10 @@ def _sweep(task: ScalingTask) -> Scaled:
 
 def _timed(call: Callable[[], Any], repeats: int) -> tuple[list[float], float, Any]:
     """Return the times of repeated calls after a first one, its compilation time, and a result."""
-    before = compiled().seconds
+    before, began = compiled().seconds, time.perf_counter()
     result: Rollout | Any = jax.block_until_ready(call())
-    compile_s, seconds = compiled().seconds - before, []
+    compile_s = compiled().seconds - before
+    seconds = [] if repeats else [time.perf_counter() - began - compile_s]
     for _ in range(repeats):
         began = time.perf_counter()
         result = jax.block_until_ready(call())
