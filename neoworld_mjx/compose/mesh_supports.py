@@ -92,9 +92,9 @@ def with_supports(scene: SceneSpec) -> Supported:
     frames = {item.name: world_poses(single_object_scene(item))[item.name] for item in objects}
     while pending:
         known = {item.name for item in objects}
-        ready = [item for item in pending if parents[item.name] in known] or pending[:1]
+        ready = [item for item in pending if parents[item.name] in known]
         for item in ready:
-            parent = parents[item.name] if parents[item.name] in known else objects[0].name
+            parent = parents[item.name]
             placed, note = _placed(item, poses[item.name], parent, frames[parent])
             objects.append(placed)
             at = frames[parent].pos + rotate(
@@ -168,9 +168,18 @@ def _parents(scene: SceneSpec) -> dict[str, str]:
                 height = float(np.quantile(heights, 0.9))
                 if best is None or height > best[0]:
                     best = height, other
-        if best is not None and parents.get(best[1]) != item.name:
+        # Objects that hook into each other cannot all carry each other.
+        if best is not None and item.name not in _chain(best[1], parents):
             parents[item.name] = best[1]
     return parents
+
+
+def _chain(name: str, parents: dict[str, str]) -> list[str]:
+    """Return an object and all that carry it."""
+    names = [name]
+    while names[-1] in parents:
+        names.append(parents[names[-1]])
+    return names
 
 
 def _footprint(mesh: "trimesh.Trimesh") -> NDArray:

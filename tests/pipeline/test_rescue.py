@@ -71,6 +71,26 @@ def test_objects_without_a_support_get_a_floor():
     assert any("floor is added below what nothing carries: block" in n for n in supported.notes)
 
 
+def test_objects_that_carry_each_other_in_a_circle_get_a_floor():
+    """Each has a plate above the foot of the next one."""
+    corner = [np.array([np.cos(a), np.sin(a), 0]) * 0.12 for a in 2 * np.pi * np.arange(3) / 3]
+    up, objects = np.array([0, 0, 0.2]), {}
+    for k, name in enumerate("abc"):
+        top, foot = corner[k] + up, corner[(k + 1) % 3]
+        plates = [trimesh.creation.box(extents=(0.16, 0.16, 0.01)) for _ in range(2)]
+        for plate, place in zip(plates, (top, foot), strict=True):
+            plate.apply_translation(place)
+        post = trimesh.creation.cylinder(0.005, segment=[top, foot])
+        mesh = trimesh.util.concatenate([*plates, post])
+        center = mesh.bounds.mean(axis=0)
+        mesh.apply_translation(-center)
+        objects[name] = mesh, upright(center, 0)
+    supported = with_supports(scene_of_meshes(objects).spec)
+    parents = {item.name: item.parent for item in supported.scene.objects}
+    assert parents == {"floor": None, "c": "floor", "a": "c", "b": "a"}
+    assert "floor is added below what nothing carries: c" in supported.notes
+
+
 def test_neighbor_that_leans_in_is_no_support():
     """A low box that the footprint of a tall one touches carries it no more than the table."""
     table, box = trimesh.creation.box(extents=(1, 1, 0.04)), trimesh.creation.box
