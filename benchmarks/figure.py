@@ -95,9 +95,6 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
         known: figure whose title, texts and columns are kept; None for a new one.
         code: folders and files that the values of a new figure depend on.
     """
-    # Imported here: tests of pages need no simulator.
-    from neoworld_mjx.sweeps.result import commit
-
     machine = result.get("machine", {})
     tables = [v for v in result.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
     values = {key: value for key, value in result.items() if isinstance(value, int | float)}
@@ -108,13 +105,14 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
         "suite": result["suite"],
         "command": result["command"],
         "date": result["date"],
-        "commit": commit() or "",
+        "commit": result.get("commit", ""),
         "rows": [[_cell(row.get(key)) for key in keys] for row in rows],
         "code": {path: fingerprint(ROOT / path) for path in (known.code if known else code)},
     }
     if machine:
         devices = ", ".join(machine["devices"])
-        measured["device"] = f"{machine['processor']}, {machine['cores']} cores; {devices}"
+        cores = f"{machine['cores']} cores, load {machine['load'][0]:.1f}"
+        measured["device"] = f"{machine['processor']}, {cores}; {devices}"
         measured["software"] = ", ".join(f"{k} {v}" for k, v in machine["versions"].items())
     if known is not None:
         return Figure.model_validate(known.model_dump() | measured)

@@ -109,9 +109,10 @@ class SuiteCommand:
     suite_name: ClassVar[str]
 
     def run(self) -> CommandResult:
-        """Run the suite, and add its name, the command and the date to the result."""
+        """Run the suite, and add its name, the command, the date and the commit to the result."""
         from neoworld_mjx.cache import keep_compilations
         from neoworld_mjx.refinement.optimizer import optimizer_factory
+        from neoworld_mjx.sweeps.result import commit
 
         check_numbers(self)
         keep_compilations()
@@ -130,6 +131,7 @@ class SuiteCommand:
             "suite": self.suite_name,
             "command": " ".join([program, self.suite_name, *self._changed_options()]),
             "date": datetime.date.today().isoformat(),
+            "commit": commit() or "",
             **result,
         }
 

@@ -43,7 +43,7 @@ def unfinished(options: Any, config: Config | None = None) -> Iterator[Path | No
     plain = None if config is None else config.model_dump(mode="json")
     code = commit() or __version__
     identity = json.dumps([values, plain, code, platform.node()], sort_keys=True)
-    name = type(options).__name__.lower()
+    name = type(options).__name__.removeprefix("Bench").lower()
     digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
     folder = cache_folder() / "bench" / f"{name}-{digest}"
     try:

@@ -117,7 +117,7 @@ def test_output_of_a_suite_is_a_valid_figure(capfd):
         cli.main(words)
     answer = json.loads(capfd.readouterr().out)
     figure = recorded(answer, None, ["neoworld_mjx/physics"])
-    assert figure.changed == []
+    assert figure.changed == [] and figure.commit == answer["commit"]
     assert figure.command == "neoworld bench run agreement --scene stack --layouts 2 --json"
     assert "cores" in figure.device and "mujoco" in figure.software
     assert "| stack |" in page.markdown(figure)
