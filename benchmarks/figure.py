@@ -94,13 +94,18 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
         result: the JSON that a suite prints.
         known: figure whose title, texts and columns are kept; None for a new one.
         code: folders and files that the values of a new figure depend on.
+
+    Raises:
+        ValueError: the table of the known figure was written by hand.
     """
+    if known is not None and not known.keys:
+        raise ValueError(f"{known.title}: its table was written by hand; give it keys")
     machine = result.get("machine", {})
     tables = [v for v in result.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
     values = {key: value for key, value in result.items() if isinstance(value, int | float)}
     rows = result.get("rows") or next(iter(tables), [values])
     names = [key for key, value in rows[0].items() if not isinstance(value, list | dict)]
-    keys = known.keys if known is not None and known.keys else names
+    keys = names if known is None else known.keys
     measured = {
         "suite": result["suite"],
         "command": result["command"],

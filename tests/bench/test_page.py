@@ -121,5 +121,10 @@ def test_output_of_a_suite_is_a_valid_figure(capfd):
     assert figure.command == "neoworld bench run agreement --scene stack --layouts 2 --json"
     assert "cores" in figure.device and "mujoco" in figure.software
     assert "| stack |" in page.markdown(figure)
-    again = recorded(answer, figure.model_copy(update={"title": "Agreement", "keys": []}), [])
-    assert (again.title, again.columns, again.code) == ("Agreement", figure.columns, figure.code)
+    known = figure.model_copy(
+        update={"title": "Agreement", "keys": ["scene"], "columns": ["scene"], "rows": []}
+    )
+    again = recorded(answer, known, [])
+    assert (again.title, again.rows, again.code) == ("Agreement", [["stack"]], figure.code)
+    with pytest.raises(ValueError, match="Agreement: its table was written by hand"):
+        recorded(answer, known.model_copy(update={"keys": []}), [])
