@@ -26,10 +26,8 @@ from neoworld_mjx.spec import SceneSpec, read_scene
 from neoworld_mjx.sweeps.result import commit
 
 SHOWS = {
-    "examples.jpg": "The three bundled photographs, their refined scenes, and the scenes with joints "
-    "open",
-    "coffee.jpg": "`coffee`: the photograph, the outlines of the reconstructed objects over it, and "
-    "the refined scene",
+    "examples.jpg": "The three bundled photographs, their refined scenes, and with joints open",
+    "coffee.jpg": "`coffee`: the photograph, the outlines of the objects over it, the refined scene",
     "report.jpg": "Its report: rows of objects, and the scene in three dimensions",
 }
 HEIGHT, GAP = 300, 8
