@@ -27,7 +27,7 @@ from neoworld_mjx.sweeps.result import commit
 
 SHOWS = {
     "examples.jpg": "The three bundled photographs, their refined scenes, and with joints open",
-    "coffee.jpg": "`coffee`: the photograph, the outlines of the objects over it, the refined scene",
+    "coffee.jpg": "`coffee`: photograph, outlines of the objects over it, and refined scene",
     "report.jpg": "Its report: rows of objects, and the scene in three dimensions",
 }
 HEIGHT, GAP = 300, 8
