@@ -9,7 +9,7 @@ import hashlib
 import json
 import platform
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,7 @@ class KeptRows:
                 raise RunError(f"cannot write {self._file}: {error.strerror}") from None
         return rows
 
-    def all(self, jobs: dict[str, Callable[[], Iterable[Row]]]) -> list[Any]:
+    def all(self, jobs: Mapping[str, Callable[[], Iterable[Row]]]) -> list[Any]:
         """Return the rows of all jobs, in order."""
         return [row for name, make in jobs.items() for row in self.rows(name, make)]
 
