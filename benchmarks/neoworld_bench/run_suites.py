@@ -26,12 +26,9 @@ def run_physics(o: suites.Physics) -> dict[str, Any]:
         require_matplotlib()
     described = machine()
     limits = {"duration": o.duration, "budget": o.budget, "seed": o.seed}
-    jobs = {
-        f"{count} objects": partial(physics, (count,), o.population, o.engine, **limits)
-        for count in o.objects
-    }
     with unfinished(o) as folder:
-        rows = KeptRows(folder).all(jobs)
+        kept = KeptRows(folder)
+        rows = list(physics(o.objects, o.population, o.engine, **limits, kept=kept))
     curves = growth(rows)
     if o.chart is not None:
         write_chart(o.chart, curves)
