@@ -1,50 +1,25 @@
-"""Write docs/benchmarks.md and the pages of docs/benchmarks/ from `benchmarks/figures`.
+"""Write the pages and tables of figures from `benchmarks/figures`.
 
-    uv run python -m benchmarks.page
+    uv run python -m benchmarks.page                             # all pages and tables
+    uv run python -m benchmarks.page --record NAME RESULT.json   # a figure before, from a suite
 
-A figure is a YAML file with the fields of `Figure`, or the JSON printed by `neoworld bench run
-SUITE --json` or `python -m benchmarks SUITE --json`. `page.yaml` lists the pages, the figures of
-each, and the tables of the front page.
+`page.yaml` lists the pages of docs/benchmarks/ with their figures, the tables of the front page,
+and the text between `<!-- NAME -->` and `<!-- end -->` in other pages. It refers to values as
+{FIGURE/ROW/COLUMN}, so that no number is written twice.
 """
 
 import json
 import re
 from pathlib import Path
-from typing import Any
 
+import tyro
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
-ROOT = Path(__file__).parents[1]
-FIGURES = ROOT / "benchmarks" / "figures"
-DOCS = ROOT / "docs"
+from .figure import FIGURES, ROOT, Figure, read_figure, recorded
+
 MARK = "<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures. -->"
-
-
-class Figure(BaseModel):
-    """A table of measured values with its conditions."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    title: str
-    suite: str | None = None
-    command: str
-    device: str
-    software: str = ""
-    n: str
-    """Sizes and repetitions."""
-    date: str
-    """Date on which the figures were recorded."""
-    commit: str = ""
-    """Commit that was measured, or the last one before the measurement."""
-    text: str = ""
-    """Markdown before the table."""
-    columns: list[str] = Field(default_factory=list)
-    rows: list[list[str]] = Field(default_factory=list)
-    notes: str = ""
-    """Markdown after the table."""
-    superseded: str = ""
-    """Change since the measurement, if it has not been repeated; empty otherwise."""
+REFERENCE = re.compile(r"\{([a-z0-9_]+)/([^{}/]+)/([^{}/]+)\}")
 
 
 class Page(BaseModel):
@@ -61,7 +36,7 @@ class Page(BaseModel):
 
 
 class Contents(BaseModel):
-    """Contents of `figures/page.yaml`: the front page and its subpages."""
+    """Contents of `figures/page.yaml`: the front page, its subpages, and tables of other pages."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -69,15 +44,62 @@ class Contents(BaseModel):
     key: list[str]
     """Figures whose tables are on the front page."""
     pages: list[Page]
+    tables: dict[str, dict[str, str]]
+    """Markdown with references, by file and by name of the mark in it."""
+
+
+def read_contents() -> Contents:
+    """Read `figures/page.yaml`."""
+    text = (FIGURES / "page.yaml").read_text(encoding="utf-8")
+    return Contents.model_validate(yaml.safe_load(text))
 
 
 def pages() -> dict[Path, str]:
-    """Return the text of every page by its path in docs/."""
-    text = (FIGURES / "page.yaml").read_text(encoding="utf-8")
-    contents = Contents.model_validate(yaml.safe_load(text))
-    return {Path("benchmarks.md"): _front_page(contents)} | {
-        Path("benchmarks") / f"{page.name}.md": _page(page) for page in contents.pages
-    }
+    """Return the text of every page that holds figures, by its path in the repository.
+
+    Raises:
+        KeyError: a reference names no value.
+        ValueError: a page lacks the marks of a table.
+    """
+    contents = read_contents()
+    written = {Path("docs/benchmarks.md"): _front_page(contents)}
+    for page in contents.pages:
+        written[Path("docs/benchmarks") / f"{page.name}.md"] = _page(page)
+    for path, tables in contents.tables.items():
+        text = (ROOT / path).read_text(encoding="utf-8")
+        for name, template in tables.items():
+            text = _between_marks(text, name, filled(template.strip()), path)
+        written[Path(path)] = text
+    return written
+
+
+def filled(template: str) -> str:
+    """Return a table whose references are values, with a star and a note where they are old."""
+    old: dict[str, str] = {}
+    lines = []
+    for line in template.splitlines():
+        names = [match[1] for match in REFERENCE.finditer(line)]
+        figures = {name: figure for name in names if (figure := read_figure(name)).changed}
+        old |= {name: _age(figure) for name, figure in figures.items()}
+        text = REFERENCE.sub(lambda m: read_figure(m[1]).cell(m[2], m[3]), line)
+        if figures:
+            # Behind the first cell of a row, or else the line.
+            cell, bar, rest = text.removeprefix("| ").partition(" |")
+            text = f"{'| ' if bar else ''}{cell}\\*{bar}{rest}"
+        lines.append(text)
+    notes = [f"{name}: {age}" for name, age in old.items()]
+    if old:
+        lines += ["", f"\\* Of an older version. {'; '.join(notes)}."]
+    return "\n".join(lines)
+
+
+def _between_marks(text: str, name: str, inner: str, path: str) -> str:
+    begin, end = f"<!-- {name} -->\n", "<!-- end -->"
+    before, found, rest = text.partition(begin)
+    _, closed, after = rest.partition(end)
+    if not found or not closed:
+        raise ValueError(f"{path} lacks the marks {begin.strip()} and {end}")
+    return f"{before}{begin}{inner}\n{end}{after}"
 
 
 def _front_page(contents: Contents) -> str:
@@ -89,7 +111,7 @@ def _front_page(contents: Contents) -> str:
             f"## {figure.title}",
             f"{figure.device}. n: {figure.n}. "
             f"[Conditions and notes](benchmarks/{home}.md#{anchor(figure.title)}).",
-            *_superseded(figure),
+            *_older(figure),
             _table(figure),
         ]
     parts.append("## All figures")
@@ -112,37 +134,6 @@ def anchor(title: str) -> str:
     return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
-def read_figure(name: str) -> Figure:
-    """Read a YAML or JSON figure of `benchmarks/figures`."""
-    if (FIGURES / f"{name}.json").exists():
-        return from_result(json.loads((FIGURES / f"{name}.json").read_text(encoding="utf-8")))
-    text = (FIGURES / f"{name}.yaml").read_text(encoding="utf-8")
-    return Figure.model_validate(yaml.safe_load(text))
-
-
-def from_result(result: dict[str, Any]) -> Figure:
-    """Convert the JSON that a suite prints into a figure.
-
-    The table holds `rows`, otherwise the first list of records, otherwise the numeric values.
-    """
-    machine = result["machine"]
-    tables = [v for v in result.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
-    values = {key: value for key, value in result.items() if isinstance(value, int | float)}
-    rows = result.get("rows") or next(iter(tables), [values])
-    columns = [key for key, value in rows[0].items() if not isinstance(value, list | dict)]
-    return Figure(
-        title=f"{result['suite']}, as printed",
-        suite=result["suite"],
-        command=result["command"],
-        device=f"{machine['processor']}, {machine['cores']} cores; {', '.join(machine['devices'])}",
-        software=", ".join(f"{k} {v}" for k, v in machine["versions"].items()),
-        n=f"rows: {len(rows)}",
-        date=result["date"],
-        columns=columns,
-        rows=[[_cell(row.get(key)) for key in columns] for row in rows],
-    )
-
-
 def markdown(figure: Figure) -> str:
     """Return a figure as a section of the page."""
     date = figure.date + (f", commit {figure.commit} or before" if figure.commit else "")
@@ -152,7 +143,7 @@ def markdown(figure: Figure) -> str:
         f"**n:** {figure.n}",
         f"**Recorded:** {date}",
     ]
-    parts = [f"## {figure.title}", "  \n".join(conditions), *_superseded(figure)]
+    parts = [f"## {figure.title}", "  \n".join(conditions), *_older(figure)]
     if figure.text:
         parts.append(figure.text.strip())
     if figure.columns:
@@ -162,8 +153,15 @@ def markdown(figure: Figure) -> str:
     return "\n\n".join(parts)
 
 
-def _superseded(figure: Figure) -> list[str]:
-    return [f"**Superseded:** {figure.superseded}"] if figure.superseded else []
+def _older(figure: Figure) -> list[str]:
+    if not figure.changed:
+        return []
+    folders = ", ".join(f"`{path}`" for path in figure.changed)
+    return [f"**Of an older version** ({_age(figure)}): since then the code of {folders} changed."]
+
+
+def _age(figure: Figure) -> str:
+    return f"commit {figure.commit}" if figure.commit else figure.date
 
 
 def _table(figure: Figure) -> str:
@@ -171,13 +169,42 @@ def _table(figure: Figure) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else str(value)
+def write_figure(name: str, result: Path, code: tuple[str, ...]) -> None:
+    """Write a figure from a suite's JSON; title, texts and columns of an existing one are kept."""
+    file = FIGURES / f"{name}.yaml"
+    known = read_figure(name) if file.exists() else None
+    figure = recorded(json.loads(result.read_text(encoding="utf-8")), known, list(code))
+    values = figure.model_dump(exclude_defaults=True)
+    dump = {"sort_keys": False, "allow_unicode": True, "width": 160, "default_flow_style": None}
+    file.write_text(yaml.dump(values, Dumper=_Dumper, **dump), encoding="utf-8")
+    read_figure.cache_clear()
+
+
+class _Dumper(yaml.SafeDumper):
+    """Dumper that leaves the lines of a text as they are."""
+
+
+_Dumper.add_representer(
+    str,
+    lambda dumper, text: dumper.represent_scalar(
+        "tag:yaml.org,2002:str", text, style="|" if "\n" in text else None
+    ),
+)
+
+
+def main(*, record: tuple[str, Path] | None = None, code: tuple[str, ...] = ()) -> None:
+    """Write all pages and tables.
+
+    Args:
+        record: name of a figure in benchmarks/figures, and the JSON that a suite printed for it.
+        code: folders and files that the values of a new figure depend on.
+    """
+    if record is not None:
+        write_figure(*record, code)
+    for path, text in pages().items():
+        (ROOT / path).parent.mkdir(exist_ok=True)
+        (ROOT / path).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    for path, text in pages().items():
-        (DOCS / path).parent.mkdir(exist_ok=True)
-        (DOCS / path).write_text(text, encoding="utf-8")
+    tyro.cli(main)

@@ -170,19 +170,6 @@ class Composing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Costs:
-    """Estimate tokens and dollars of the bundled examples from their requests and responses."""
-
-    model: tuple[str, ...] = (
-        "claude-haiku-5-5",
-        "claude-sonnet-5-5",
-        "claude-opus-5-5",
-        "gpt-6-sol",
-    )
-    """Models of the price table."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Frames:
     """Open a scene's page in a headless browser, and count frames while the view rotates."""
 
@@ -197,7 +184,6 @@ class Frames:
 SUITES = {
     "composing": Suite(Composing, "benchmarks.composing:run_suite"),
     "frames": Suite(Frames, "benchmarks.frames:run_suite"),
-    "costs": Suite(Costs, "benchmarks.costs:run_suite"),
     "decisions": Suite(Decisions, "benchmarks.decisions:run_suite"),
     "faults": Suite(Faults, "benchmarks.faults:run_suite"),
     "inputs": Suite(Inputs, "benchmarks.inputs:run_suite"),

@@ -1,20 +1,38 @@
-"""Render the gallery of the README: photograph, refined scene, and the scene with open joints.
+"""Draw the pictures of README and docs/gallery.md from runs of the bundled examples.
 
-for name in coffee drawers microwave; do uv run neoworld reconstruct $name --out $name; done
-uv run python examples/draw_gallery.py coffee drawers microwave docs/pictures/examples.jpg
+    uv run neoworld bench run examples --out runs --json
+    uv run python examples/draw_gallery.py runs/replay docs/pictures > pictures.json
+    uv run python -m benchmarks.page --record pictures pictures.json
+
+writes examples.jpg (photograph, refined scene, the same with joints open), coffee.jpg (photograph,
+outlines of the reconstruction, refined scene) and report.jpg, a part of the report in a browser,
+which needs chromium (`apt-get install chromium`).
 """
 
+import datetime
+import io
+import json
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
+from neoworld_mjx.sweeps.result import commit
 
+SHOWS = {
+    "examples.jpg": "The three bundled photographs, their refined scenes, and with joints open",
+    "coffee.jpg": "`coffee`: photograph, outlines of the objects over it, and refined scene",
+    "report.jpg": "Its report: rows of objects, and the scene in three dimensions",
+}
 HEIGHT, GAP = 300, 8
+REPORT = (820, 1400)
+"""Size of the shown part of the report [px]."""
 
 
 def opened(scene: SceneSpec) -> SceneSpec:
@@ -26,35 +44,82 @@ def opened(scene: SceneSpec) -> SceneSpec:
     return scene.model_copy(update={"objects": objects})
 
 
-def fitted(picture: Image.Image) -> Image.Image:
-    """Return a picture scaled to the height of a row."""
-    return picture.resize((round(picture.width * HEIGHT / picture.height), HEIGHT), Image.LANCZOS)
+def picture(file: Path) -> Image.Image:
+    """Return the picture of a file."""
+    with Image.open(file) as read:
+        return read.convert("RGB")
+
+
+def rendered(scene: SceneSpec) -> Image.Image:
+    """Return a picture of a scene through the camera of its photograph."""
+    return Image.fromarray(render_scene(scene, width=640).color)
 
 
 def row(run: Path) -> list[Image.Image]:
-    """Return the pictures of a run."""
+    """Return the photograph of a run, its scene, and the same with open joints."""
     scene = read_scene(run)
     moves = any(opened_state(each.spec) for each in scene.objects)
     scenes = (scene, opened(scene)) if moves else (scene,)
-    views = [render_scene(each, width=640).color for each in scenes]
-    with Image.open(run / "photo.png") as photo:
-        return [fitted(photo.convert("RGB")), *(fitted(Image.fromarray(v)) for v in views)]
+    return [picture(run / "photo.png"), *map(rendered, scenes)]
 
 
-def main(*arguments: str) -> None:
-    """Render one row for each run folder."""
-    *runs, out = map(Path, arguments)
-    rows = [row(run) for run in runs]
-    width = max(sum(p.width for p in each) + GAP * (len(each) - 1) for each in rows)
-    height = len(rows) * HEIGHT + GAP * (len(rows) - 1)
-    canvas = Image.fromarray(np.full((height, width, 3), 255, np.uint8))
-    for k, pictures in enumerate(rows):
-        x = (width - sum(p.width for p in pictures) - GAP * (len(pictures) - 1)) // 2
-        for picture in pictures:
-            canvas.paste(picture, (x, k * (HEIGHT + GAP)))
-            x += picture.width + GAP
-    canvas.save(out, quality=85)
+def first_look(run: Path) -> list[Image.Image]:
+    """Return the photograph of a run, the outlines of its objects over it, and its scene."""
+    outlines = picture(run / "pictures" / "outlines.png")
+    photo = picture(run / "photo.png")
+    # The outlines of the composed and of the aligned scene are beside each other.
+    aligned = outlines.crop((outlines.width - photo.width, 0, outlines.width, outlines.height))
+    return [photo, aligned, rendered(read_scene(run))]
+
+
+def sheet(rows: list[list[Image.Image]]) -> Image.Image:
+    """Return rows of pictures of one height, each row in the middle."""
+    rows = [[p.resize((round(p.width * HEIGHT / p.height), HEIGHT)) for p in row] for row in rows]
+    widths = [sum(p.width for p in row) + GAP * (len(row) - 1) for row in rows]
+    size = (max(widths), len(rows) * HEIGHT + GAP * (len(rows) - 1))
+    canvas = Image.fromarray(np.full((size[1], size[0], 3), 255, np.uint8))
+    for k, (pictures, width) in enumerate(zip(rows, widths, strict=True)):
+        x = (size[0] - width) // 2
+        for each in pictures:
+            canvas.paste(each, (x, k * (HEIGHT + GAP)))
+            x += each.width + GAP
+    return canvas
+
+
+def report(file: Path) -> Image.Image:
+    """Return the objects of a report and its scene in three dimensions, as a browser shows them."""
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        page = browser.new_page(viewport={"width": REPORT[0], "height": REPORT[1]})
+        page.goto(file.resolve().as_uri())
+        page.wait_for_selector("canvas")
+        heading = page.get_by_role("heading", name="Objects", exact=True)
+        heading.evaluate("heading => window.scrollTo(0, heading.getBoundingClientRect().top - 24)")
+        page.wait_for_timeout(2000)
+        data = page.screenshot()
+        browser.close()
+    with Image.open(io.BytesIO(data)) as read:
+        return read.convert("RGB")
+
+
+def main(runs: Path, out: Path) -> None:
+    """Write the pictures, and print what they show as the result of a suite."""
+    folders = [runs / name for name in bundled_examples()]
+    sheet([row(folder) for folder in folders]).save(out / "examples.jpg", quality=85)
+    sheet([first_look(runs / "coffee")]).save(out / "coffee.jpg", quality=85)
+    report(runs / "coffee" / "report.html").save(out / "report.jpg", quality=85)
+    result = {
+        "suite": None,
+        "command": "uv run python examples/draw_gallery.py runs/replay docs/pictures",
+        "date": datetime.date.today().isoformat(),
+        "commit": commit() or "",
+        "rows": [{"picture": name, "shows": text} for name, text in SHOWS.items()],
+    }
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

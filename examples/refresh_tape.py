@@ -2,7 +2,8 @@
 
 A tape finds an answer by the whole request, so a change of the guide loses it. This script asks
 the first steps again through the mailbox and answers each request with the old answer of the same
-name, for a person to look over with `git diff`:
+name, for a person to look over with `git diff` (a changed version of the prompts goes into
+`neoworld_mjx/data/examples.yaml`, `tests/test_examples.py` says which):
 
     uv run python examples/refresh_tape.py examples/coffee.png \
         neoworld_mjx/data/tapes/coffee.tape.json
@@ -45,7 +46,7 @@ def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
 def main(photo: Path, path: Path, configs: list[str]) -> None:
     """Refresh one tape in place, its header kept, for the defaults and further configurations."""
     old = Tape.load(path)
-    fresh = Tape(photo=old.photo, made=old.made)
+    fresh = Tape(photo=old.photo, made=old.made, date=old.date)
     for number, given_config in enumerate([None, *configs]):
         config = _config(given_config)
         blender = config.program.language == "blender"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .sweeps.run import ablate as ablate
     from .sweeps.run import sweep as sweep
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 share_gpu_memory()  # Must precede the initialization of JAX.
 

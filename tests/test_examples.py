@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
+from neoworld_bench.photographs.example_runs import run_example
 
+from benchmarks.figure import read_figure
 from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.mllm.provider import bundled_tapes
@@ -15,6 +17,7 @@ from neoworld_mjx.program import build
 from neoworld_mjx.program.attempt import joined
 from neoworld_mjx.program.blender.blender_availability import unavailable
 from neoworld_mjx.spec import ObjectSpec, SceneTree
+from tests.support.example_figures import TOLERANCES, check_figures
 
 MOST_BYTES = 470_000
 PAPER = Path(__file__).parents[1] / "configs" / "paper.yaml"
@@ -36,6 +39,24 @@ def test_an_example_is_what_the_table_says(name, tmp_path):
     assert len(joints) == example.joints
     # Nothing that was seen to move is without its joint.
     assert sum(len(node.articulation) for node in tree.nodes) == example.joints
+
+
+@pytest.mark.slow  # coffee, too, in tests/test_pipeline.py, which reconstructs it anyway.
+@pytest.mark.parametrize("name", ["microwave", "drawers"])
+def test_a_reconstruction_gives_the_figures_of_the_pages(name, tmp_path):
+    example = bundled_examples()[name]
+    row = run_example(name, example, load_config(), "replay", tmp_path)
+    measured = row.model_dump()
+    figure = read_figure("examples")
+    columns = dict(zip(figure.columns, figure.keys, strict=True))
+    check_figures(name, {c: measured[columns[c]] for c in (*TOLERANCES, "valid")})
+    known = (example.responses.by, example.responses.date, example.responses.prompts)
+    assert (row.answered_by, row.date, row.prompts) == known
+    assert tuple(figure.cell(name, c) for c in ("responses", "of", "prompts")) == known
+    costs = read_figure("costs")
+    for column in ("tokens in", "tokens out"):
+        stated = int(costs.cell(name, column).replace(" ", ""))
+        assert measured[column.replace(" ", "_")] == pytest.approx(stated, rel=0.01)
 
 
 def test_the_papers_three_programs_replay_and_are_one(tmp_path):
@@ -86,6 +107,15 @@ def test_every_tape_states_the_origin_of_its_responses():
     assert {tape.made for tape in tapes} == {
         "The responses were written by hand from the photographs; no paid model was run."
     }
+
+
+@pytest.mark.parametrize("name", sorted(bundled_examples()))
+def test_the_table_states_the_origin_of_a_tape(name):
+    tape = Tape.load(bundled_tapes() / f"{name}.tape.json")
+    stated = bundled_examples()[name].responses
+    assert {entry.model for entry in tape.answers.values()} <= {"by hand", "by hand, Blender"}
+    assert stated.by == "by hand, from the photograph"
+    assert (tape.date, tape.prompts) == (stated.date, stated.prompts)
 
 
 def test_an_example_is_named_or_given_by_its_file(tmp_path):

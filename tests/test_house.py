@@ -124,7 +124,7 @@ def test_links_between_pages_lead_somewhere():
 def test_the_readme_gives_the_command_that_ci_runs():
     command = "uv run --extra dev pytest -n 2 --dist loadfile"
     assert command in (ROOT / "README.md").read_text(encoding="utf-8")
-    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(command)
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(f'{command} "$@"')
 
 
 def test_annotations_are_checked_at_every_call():

@@ -14,6 +14,7 @@ from neoworld_mjx import refinement
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
+from tests.support.example_figures import check_figures
 from tests.support.notebooks import run_small
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +36,24 @@ def test_the_command_prints_the_metrics_of_the_scene(example_run):
     assert Path(answer["scene"]).is_file()
     assert answer["mllm"]["provider"] == "replay"
     assert answer["mllm"]["cost_usd"] == 0
+
+
+def test_the_command_gives_the_figures_of_the_pages(example_run):
+    _, answer = example_run
+    measured = {
+        "calls": answer["mllm"]["calls"],
+        "objects": answer["movable"],
+        "valid": answer["passed"],
+        "drift, mm": 1e3 * answer["max_drift_m"],
+        "tilt, degrees": answer["max_tilt_deg"],
+        "overlap, mm": 1e3 * answer["max_depth_m"],
+        "box IoU": answer["box_iou"]["refined"],
+    }
+    check_figures("coffee", measured)
+    with pytest.raises(AssertionError, match="measure again"):
+        check_figures("coffee", measured | {"tilt, degrees": answer["max_tilt_deg"] + 0.5})
+    with pytest.raises(AssertionError, match="valid"):
+        check_figures("coffee", {"valid": not answer["passed"]})
 
 
 def test_the_exported_scene_is_stable_in_mujoco(example_run):

@@ -109,20 +109,29 @@ class SuiteCommand:
     suite_name: ClassVar[str]
 
     def run(self) -> CommandResult:
-        """Run the suite, and add its name, the command and the date to the result."""
+        """Run the suite, and add its name, the command, the date and the commit to the result."""
         from neoworld_mjx.cache import keep_compilations
+        from neoworld_mjx.refinement.optimizer import optimizer_factory
+        from neoworld_mjx.sweeps.result import commit
 
         check_numbers(self)
         keep_compilations()
         function = self.suite.load()
         configured = isinstance(self, ConfiguredCommand)
-        result = function(self, self.load_config()) if configured else function(self)
+        if configured:
+            config = self.load_config()
+            # Before anything runs: the optimizer may need a package that is not installed.
+            optimizer_factory(config.refine.optimizer)
+            result = function(self, config)
+        else:
+            result = function(self)
         in_package = self.suite.function.startswith("neoworld_bench.")
         program = "neoworld bench run" if in_package else "python -m benchmarks"
         return {
             "suite": self.suite_name,
             "command": " ".join([program, self.suite_name, *self._changed_options()]),
             "date": datetime.date.today().isoformat(),
+            "commit": commit() or "",
             **result,
         }
 

@@ -1,5 +1,10 @@
-"""Functions that run the suites of `neoworld bench run`: options in, a JSON object out."""
+"""Functions that run the suites of `neoworld bench run`: options in, a JSON object out.
 
+Rows are kept as they come, and an interrupted run continues: see `unfinished_runs`.
+"""
+
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from neoworld_mjx.config import Config
@@ -9,18 +14,21 @@ from neoworld_mjx.mllm import Panel, open_panel
 from . import suites
 from .machine import machine
 from .rows import collect, log, plain
+from .unfinished_runs import KeptRows, unfinished
 
 
 def run_physics(o: suites.Physics) -> dict[str, Any]:
     """Time engines."""
-    from .engines.growth import growth, growth_json, write_chart
+    from .engines.growth import growth, growth_json, require_matplotlib, write_chart
     from .engines.throughput import physics
 
+    if o.chart is not None:
+        require_matplotlib()
     described = machine()
-    times = physics(
-        o.objects, o.population, o.engine, duration=o.duration, budget=o.budget, seed=o.seed
-    )
-    rows = collect(times)
+    limits = {"duration": o.duration, "budget": o.budget, "seed": o.seed}
+    with unfinished(o) as folder:
+        kept = KeptRows(folder)
+        rows = list(physics(o.objects, o.population, o.engine, **limits, kept=kept))
     curves = growth(rows)
     if o.chart is not None:
         write_chart(o.chart, curves)
@@ -33,13 +41,20 @@ def run_kernels(o: suites.Kernels) -> dict[str, Any]:
     from .engines.penetration import accuracy, random_pairs
 
     described = machine()
-    rows = collect(
-        kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget)
-    )
-    if o.table is not None:
-        update_dispatch_table(o.table, rows)
-    pairs = plain(collect(accuracy(random_pairs(o.pairs, seed=o.seed)))) if o.pairs else []
-    return {"machine": described, "rows": plain(rows), "accuracy": pairs}
+    limits = {"samples": o.samples, "seed": o.seed, "budget": o.budget}
+    jobs = {
+        f"{count} objects": partial(kernels, (count,), o.population, **limits)
+        for count in o.objects
+    }
+    with unfinished(o) as folder:
+        kept = KeptRows(folder)
+        rows = kept.all(jobs)
+        if o.table is not None:
+            update_dispatch_table(o.table, rows)
+        pairs = []
+        if o.pairs:
+            pairs = kept.rows("pairs", lambda: accuracy(random_pairs(o.pairs, seed=o.seed)))
+    return {"machine": described, "rows": plain(rows), "accuracy": plain(pairs)}
 
 
 def run_devices(o: suites.Devices) -> dict[str, Any]:
@@ -63,9 +78,14 @@ def run_devices(o: suites.Devices) -> dict[str, Any]:
 
 def run_agreement(o: suites.Agreement) -> dict[str, Any]:
     """Compare engines with MuJoCo."""
-    from .engines.agreement import ModelRow, VerdictRow, agreed, agreement
+    from .engines.agreement import ModelRow, VerdictRow, agreed, agreement, chosen_scenes
 
-    rows = collect(agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
+    jobs = {
+        name: partial(agreement, (name,), o.engine, layouts=o.layouts, seed=o.seed)
+        for name in chosen_scenes(o.scene)
+    }
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
     return {
         **agreed(rows),
         "machine": machine(),
@@ -74,22 +94,48 @@ def run_agreement(o: suites.Agreement) -> dict[str, Any]:
     }
 
 
+def run_examples(o: suites.Examples, config: Config) -> dict[str, Any]:
+    """Reconstruct the bundled examples."""
+    from .photographs.example_runs import difference_lines, differences, example_jobs
+
+    jobs = example_jobs(o.example, config, o.provider, o.out)
+    with unfinished(o, config) as folder:
+        rows = KeptRows(folder).all(jobs)
+    for line in difference_lines(rows):
+        log.info(line)
+    return {"machine": machine(), "differences": differences(rows), "rows": plain(rows)}
+
+
 def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
     """Time the search on the scenes of photographs."""
-    from .photographs.real_scenes import real_refinements
+    from .photographs.real_scenes import chosen_photographs, real_refinements
 
-    rows = real_refinements(o.scene, seed=o.seed, options=config.refine, engine=o.engine)
-    return {"machine": machine(), "scenes": plain(collect(rows))}
+    search = {"seed": o.seed, "options": config.refine, "engine": o.engine}
+    jobs = {
+        name: partial(real_refinements, (name,), **search) for name in chosen_photographs(o.scene)
+    }
+    with unfinished(o, config) as folder:
+        rows = KeptRows(folder).all(jobs)
+    return {"machine": machine(), "scenes": plain(rows)}
 
 
 def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
     """Measure each step's errors, or how often S_sem prefers the ground truth."""
     from .fidelity.semantic_ranking import semantic_rows
-    from .fidelity.step_errors import QUICK, lines, photo_rows, photo_summary, searching_little
+    from .fidelity.step_errors import (
+        QUICK,
+        chosen_numbers,
+        lines,
+        photo_rows,
+        photo_summary,
+        searching_little,
+    )
 
-    scenes = o.scenes or (QUICK if o.quick else ())
+    scenes = chosen_numbers(o.scenes or (QUICK if o.quick else ()))
     if o.semantic:
-        rows = collect(semantic_rows(scenes, draws=o.draws))
+        jobs = {str(n): partial(semantic_rows, (n,), draws=o.draws) for n in scenes}
+        with unfinished(o, config) as folder:
+            rows = KeptRows(folder).all(jobs)
         lower = [row.lower for row in rows]
         return {
             "lower_mean": sum(lower) / len(lower),
@@ -97,16 +143,16 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
             "machine": machine(),
             "rows": plain(rows),
         }
-    rows = collect(
-        photo_rows(
-            scenes,
-            search=not o.no_search,
-            seed=o.seed,
-            compose_options=config.compose,
-            refine_options=searching_little(config.refine) if o.quick else config.refine,
-            engine=o.engine,
-        )
+    steps = partial(
+        photo_rows,
+        search=not o.no_search,
+        seed=o.seed,
+        compose_options=config.compose,
+        refine_options=searching_little(config.refine) if o.quick else config.refine,
+        engine=o.engine,
     )
+    with unfinished(o, config) as folder:
+        rows = KeptRows(folder).all({str(n): partial(steps, (n,)) for n in scenes})
     summary = photo_summary(rows)
     for line in lines(summary):
         log.info(line)
@@ -122,15 +168,16 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     from .tables.scene_summary import summarise
 
     methods, named = read_methods(o.method, o.label, config)
-    rows = run_methods_on_scenes(
-        chosen_scenes(o.scenes),
-        methods,
-        RunSettings(o.seed, config.refine, config.compose, o.noise, named),
-        starts=o.starts,
-        workers=o.workers,
-        out=o.out,
-        submission=o.submission,
-    )
+    with unfinished(o, config) as folder:
+        rows = run_methods_on_scenes(
+            chosen_scenes(o.scenes),
+            methods,
+            RunSettings(o.seed, config.refine, config.compose, o.noise, named),
+            starts=o.starts,
+            workers=o.workers,
+            out=o.out or folder,
+            submission=o.submission,
+        )
     return {**summarise(rows), "machine": machine()}
 
 
@@ -146,19 +193,21 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
         estimates = list(estimate_rows(o.data, o.poses))
         result |= {"pose_figures": estimate_figures(estimates), "poses": plain(estimates)}
     if o.poses is None or o.runs or o.submission is not None:
-        views, objects = score_real_views(
-            o.data,
-            runs=o.runs,
-            submission=o.submission,
-            kind=o.format,
-            views=o.view,
-            align=o.align,
-            intrinsics=o.intrinsics,
-            depth_scale=o.depth_scale,
-            volumes=not o.no_volumes,
-            options=config.refine,
-            out=o.out,
-        )
+        with unfinished(o, config) as folder:
+            views, objects = score_real_views(
+                o.data,
+                runs=o.runs,
+                submission=o.submission,
+                kind=o.format,
+                views=o.view,
+                align=o.align,
+                intrinsics=o.intrinsics,
+                depth_scale=o.depth_scale,
+                volumes=not o.no_volumes,
+                options=config.refine,
+                out=o.out,
+                kept=KeptRows(folder),
+            )
         result |= {"figures": real_figures(views, objects), "views": plain(views)}
         result |= {"rows": plain(objects)}
     return {**result, "machine": machine()}
@@ -171,8 +220,8 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
 
     if o.made is None:
         raise ConfigError("joints needs --made DIR, the objects, and --partnet PATH or --truth DIR")
-    rows = collect(
-        score_objects(
+    with unfinished(o, config) as folder:
+        scored = score_objects(
             o.made,
             partnet=o.partnet,
             truth=o.truth,
@@ -180,8 +229,9 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
             front=o.front,
             options=config.program,
             out=o.out,
+            kept=KeptRows(folder),
         )
-    )
+        rows = list(scored)
     paper = {"joints": PAPER, "note": NOTE}
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
@@ -193,7 +243,9 @@ def run_tasks(o: suites.Tasks) -> dict[str, Any]:
 
     if not 0 <= o.directions <= 64:
         raise ConfigError(f"--directions takes 0 to 64, got {o.directions}")
-    rows = collect(check_tasks(find_tasks(o.task), o.directions))
+    jobs = {task.name: partial(check_tasks, [task], o.directions) for task in find_tasks(o.task)}
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
     return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
 
 
@@ -204,14 +256,15 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
     from .tasks.success_runs import run_successes
     from .tasks.success_summary import success_summary
 
-    rows = run_successes(
-        find_tasks(o.task),
-        o.method,
-        RunSettings(o.seed, config.refine, config.compose, o.noise),
-        starts=o.starts,
-        workers=o.workers,
-        out=o.out,
-    )
+    with unfinished(o, config) as folder:
+        rows = run_successes(
+            find_tasks(o.task),
+            o.method,
+            RunSettings(o.seed, config.refine, config.compose, o.noise),
+            starts=o.starts,
+            workers=o.workers,
+            out=o.out or folder,
+        )
     return {**success_summary(rows), "machine": machine()}
 
 
@@ -225,32 +278,30 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
             f"--offset takes 0 to 1 m and --rounds 0 to 20, got {o.offset:g} and {o.rounds}"
         )
     tasks = find_tasks(o.task)
-    with _panel(o, config) as models:
-        rows = collect(
-            plan_rows(
-                models,
-                tasks,
-                rounds=o.rounds,
-                offset_m=o.offset,
-                feedback=o.feedback,
-                seed=o.seed,
-            )
+    with unfinished(o, config) as folder, _panel(o, config, folder) as models:
+        plan = partial(
+            plan_rows,
+            models,
+            rounds=o.rounds,
+            offset_m=o.offset,
+            feedback=o.feedback,
+            seed=o.seed,
         )
+        rows = KeptRows(folder).all({task.name: partial(plan, [task]) for task in tasks})
     return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}
 
 
 def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
     """Compare rendered images with photographs."""
+    from .judge.made_scenes import made_scenes
     from .judge.picture_rows import picture_figures, picture_rows
     from .measures.picture_similarity import PictureModels
 
     models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    rows = []
-    for row in picture_rows(
-        o.folders, models, side=o.size, objects=not o.no_objects, data=o.data, out=o.out
-    ):
-        rows.append(row)
-        log.info(row.line())
+    compare = partial(picture_rows, models=models, side=o.size, objects=not o.no_objects, out=o.out)
+    scenes = made_scenes(o.folders, o.data)
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all({made.numbered: partial(compare, [made]) for made in scenes})
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
@@ -260,7 +311,8 @@ def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
     from .judge.scene_judge import rating_figures, rating_rows
 
     scenes = made_scenes(o.folders, o.data)
-    with _panel(o, config) as models:
+    # Responses are kept on a tape, from which an interrupted run takes them.
+    with unfinished(o, config) as folder, _panel(o, config, folder) as models:
         rows = collect(rating_rows(models, scenes, repeats=o.repeats, out=o.out))
     return {**rating_figures(rows), "rows": plain(rows)}
 
@@ -271,11 +323,13 @@ def run_joint_videos(o: suites.JointVideos, config: Config) -> dict[str, Any]:
     from .judge.joint_hits import joint_hit_figures, joint_hit_rows
 
     pairs = object_pairs(o.made, o.truth, config.program, front=o.front)
-    with _panel(o, config) as models:
+    with unfinished(o, config) as folder, _panel(o, config, folder) as models:
         rows = collect(joint_hit_rows(models, pairs, repeats=o.repeats, out=o.out))
     return {**joint_hit_figures(rows, pairs), "rows": plain(rows)}
 
 
-def _panel(o: suites.ModelRequests, config: Config) -> Panel:
+def _panel(o: suites.ModelRequests, config: Config, folder: Path | None) -> Panel:
+    """Open the models; responses are recorded in the folder of an unfinished run by default."""
     tapes = () if o.tape is None else (o.tape,)
-    return open_panel(config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=o.record)
+    record = o.record or (folder and folder / "responses.tape.json")
+    return open_panel(config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=record)

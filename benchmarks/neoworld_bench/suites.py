@@ -180,6 +180,21 @@ class Agreement:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Examples:
+    """Reconstruct the bundled examples from their tapes; with another provider also from its
+    responses, which are recorded, and report the differences of the results.
+    """
+
+    example: tuple[str, ...] = ()
+    """Names that `neoworld examples` lists; all by default."""
+    provider: str = "replay"
+    """Source of the responses: replay (the bundled tapes alone), anthropic, openai or mailbox."""
+    out: Path | None = None
+    """Folder of the runs, and of the tapes NAME.tape.json that the responses of another provider
+    are recorded on; needed with another provider."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Refine:
     """Time the search on the composed scenes of five photographs."""
 
@@ -415,6 +430,7 @@ SUITES = {
         ("kernels", Kernels, False),
         ("devices", Devices, False),
         ("agreement", Agreement, False),
+        ("examples", Examples, True),
         ("refine", Refine, True),
         ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
@@ -430,7 +446,7 @@ SUITES = {
 """Suites that `neoworld bench run NAME` runs."""
 
 DEVELOPER_SUITES = (
-    *("battery", "composing", "costs", "decisions", "faults", "frames", "inputs", "programs"),
+    *("battery", "composing", "decisions", "faults", "frames", "inputs", "programs"),
     *("readers", "round-trips", "scoring", "templates", "verify"),
 )
 """Suites that `python -m benchmarks NAME` runs from a clone of the repository."""

@@ -81,7 +81,7 @@ def bench_lines(result: CommandResult) -> list[str]:
     return [*rows, DETAILS]
 
 
-_HEAD = ("suite", "command", "date", "machine", "models", "paper")
+_HEAD = ("suite", "command", "date", "commit", "machine", "models", "paper")
 
 
 def _facts(result: Mapping[str, Any], prefix: str = "") -> Iterable[str]:

@@ -1,6 +1,7 @@
 """Tapes: recorded responses in one JSON file, keyed by the content of their requests.
 
     {"format": 1, "photo": sha256 of the photo's file, "made": origin of the responses,
+     "date": when they were given,
      "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
 
 Keys cover the decoded pixels of the pictures: a tape remains valid with another PNG encoder, but
@@ -9,6 +10,7 @@ sorted, so recording the same responses gives the same bytes.
 """
 
 import difflib
+import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -55,7 +57,16 @@ class Tape(BaseModel):
     """sha256 of the photo's file."""
     made: str = ""
     """Origin of the responses, for people."""
+    date: str = ""
+    """Date on which they were given; empty if unknown."""
     answers: dict[str, Entry] = {}
+
+    @property
+    def prompts(self) -> str:
+        """Version of the prompts: digest of the system texts and schemas that were answered."""
+        entries = self.answers.values()
+        parts = {entry.parts.get(part, "") for entry in entries for part in ("system", "schema")}
+        return hashlib.sha256(" ".join(sorted(parts)).encode()).hexdigest()[:8]
 
     @classmethod
     def load(cls, path: Path) -> "Tape":
@@ -73,6 +84,8 @@ class Tape(BaseModel):
             ModelError: the file cannot be written.
         """
         data = self.model_dump()
+        if not self.date:
+            del data["date"]
         order = sorted(self.answers, key=lambda key: (self.answers[key].name, key))
         data["answers"] = {key: data["answers"][key] for key in order}
         text = json.dumps(data, indent=1, ensure_ascii=False) + "\n"

@@ -13,6 +13,19 @@ _FOLDERS = (_DATA / "photos", Path(str(resources.files("neoworld_mjx"))).parent 
 """Folders of the photographs in an installed package and in a clone."""
 
 
+class Responses(BaseModel):
+    """Origin of the responses on an example's tape."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    by: str
+    """Who or what gave them."""
+    date: str
+    """Date of the last response whose content is new; later ones only bind them to prompts."""
+    prompts: str
+    """Version of the prompts that they answer, as `Tape.prompts`."""
+
+
 class BundledExample(BaseModel):
     """One example."""
 
@@ -25,6 +38,7 @@ class BundledExample(BaseModel):
     """Number of objects, without supports of the environment."""
     joints: int
     """Number of joints that move."""
+    responses: Responses
     licence: str
     credit: str
 

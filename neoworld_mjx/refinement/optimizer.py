@@ -116,8 +116,10 @@ def open_optimizer(
 
 def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]:
     """Return the factory of an optimizer; names and errors are those of `open_optimizer`."""
-    kind, colon, strategy = name.partition(":")
-    if colon and kind == EVOSAX:
+    kind, _, strategy = (
+        f"{EVOSAX}:CMA_ES".partition(":") if name == "cma_es" else name.partition(":")
+    )
+    if strategy and kind == EVOSAX:
         strategy_class(strategy)
         return partial(open_strategy, strategy, parameters={})
     return OPTIMIZERS.get(name) or imported("refine.optimizer", name, OPTIMIZERS)

@@ -1,7 +1,8 @@
-"""The wheel contains the three packages with their data files, and nothing else."""
+"""The wheel contains the packages with their data files and nothing else; the sdist is small."""
 
 import shutil
 import subprocess
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -21,18 +22,44 @@ def tracked_files():
     return {path.removeprefix("kernels/").removeprefix("benchmarks/") for path in files}
 
 
-@pytest.mark.slow
-def test_wheel_contains_the_three_packages_with_data_files(tmp_path):
+MOST_MIB = 3.0
+"""Size of either file [MiB]."""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Folder of the sdist, and of the wheel that was built from it."""
     if shutil.which("uv") is None or not (ROOT / ".git").exists():
         pytest.skip("needs uv and a clone")
-    command = ["uv", "build", "--wheel", "-q", "-o", str(tmp_path), str(ROOT)]
-    built = subprocess.run(command, capture_output=True, text=True)
-    if built.returncode:
-        pytest.skip(f"uv cannot build here: {built.stderr.strip()[-200:]}")
-    (wheel,) = tmp_path.glob("*.whl")
-    names = {n for n in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in n}
+    folder = tmp_path_factory.mktemp("dist")
+    command = ["uv", "build", "-q", "-o", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"uv cannot build here: {done.stderr.strip()[-200:]}")
+    return folder
+
+
+@pytest.mark.slow
+def test_wheel_contains_the_three_packages_with_data_files(built):
+    (wheel,) = built.glob("*.whl")
+    contained = zipfile.ZipFile(wheel).namelist()
+    names = {n for n in contained if ".dist-info/" not in n}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert tracked_files() | set(included.values()) <= names
     assert {name.split("/")[0] for name in names} == {path.split("/")[-1] for path in PACKAGES}
     assert {Path(name).suffix for name in names} >= {".py", ".yaml", ".md", ".json"}
+    licences = {name.split("/licenses/")[1] for name in contained if "/licenses/" in name}
+    assert licences == {"LICENSE", "NOTICE"}
+    assert wheel.stat().st_size < MOST_MIB * 2**20
+
+
+@pytest.mark.slow
+def test_sdist_is_small_and_contains_code_tests_and_credits(built):
+    (sdist,) = built.glob("*.tar.gz")
+    assert sdist.stat().st_size < MOST_MIB * 2**20
+    with tarfile.open(sdist) as packed:
+        names = {name.split("/", 1)[1] for name in packed.getnames() if "/" in name}
+    assert names >= {"LICENSE", "NOTICE", "README.md", "examples/coffee.png", "tests/conftest.py"}
+    folders = {name.split("/")[0] for name in names}
+    assert not folders & {"docs", "notebooks", ".github", ".ci", "dist"}

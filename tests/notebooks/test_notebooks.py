@@ -1,13 +1,15 @@
-"""The notebooks run, and each is the same as the script beside it."""
+"""The notebooks run, each is the same as the script beside it, and all cells have their outputs."""
 
+import ast
 from pathlib import Path
 
 import jupytext
 import pytest
 from nbclient import NotebookClient
+from nbformat import NotebookNode
 
-# In small form they run in test_sweep, test_environments and test_pipeline.
-SLOW = {"quickstart", "sweep_with_plots", "policy_rollouts_in_mjx"}
+# All but the last run in small form in test_sweep, test_environments and test_pipeline.
+SLOW = {"quickstart", "sweep_with_plots", "policy_rollouts_in_mjx", "write_your_own_reward"}
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
 
@@ -23,7 +25,56 @@ def test_a_notebook_runs_and_is_its_script(path):
     notebook, script = jupytext.read(path), jupytext.read(path.with_suffix(".py"))
     cells = [[(cell.cell_type, cell.source) for cell in nb.cells] for nb in (notebook, script)]
     assert cells[0] == cells[1], "bring them together with jupytext --sync"
+    committed = code_cells(notebook)
+    had_outputs = [bool(cell.outputs) for cell in committed]
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": path.parent}}).execute()
+    assert [bool(cell.outputs) for cell in code_cells(notebook)] == had_outputs
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def shows(source):
+    """Return whether a cell prints at its top level, or ends in a value that is not silenced."""
+    body = ast.parse(source).body
+    calls = [node.value for node in body if isinstance(node, ast.Expr)]
+    prints = any(isinstance(c, ast.Call) and ast.unparse(c.func) == "print" for c in calls)
+    value = body and isinstance(body[-1], ast.Expr) and not source.rstrip().endswith(";")
+    return prints or bool(value)
+
+
+def missing(notebook):
+    """Return what the cells of a notebook lack, by number."""
+    lacks = []
+    for number, cell in enumerate(code_cells(notebook), start=1):
+        if cell.execution_count != number:
+            lacks.append(f"cell {number} was not run in order")
+        elif shows(cell.source) and not cell.outputs:
+            lacks.append(f"cell {number} has no output")
+        lacks += [f"cell {number} failed" for o in cell.outputs if o.output_type == "error"]
+    return lacks
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_every_cell_was_run_and_has_its_output(path):
+    notebook = jupytext.read(path)
+    assert missing(notebook) == []
+    assert any(cell.outputs for cell in code_cells(notebook))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"outputs": []}, "cell 3 has no output"),
+        ({"execution_count": None}, "cell 3 was not run in order"),
+        ({"outputs": [NotebookNode(output_type="error")]}, "cell 3 failed"),
+    ],
+)
+def test_a_cell_without_its_output_is_found(change, message):
+    notebook = jupytext.read(next(path for path in NOTEBOOKS if path.stem == "open_a_drawer"))
+    code_cells(notebook)[2].update(change)
+    assert missing(notebook) == [message]
 
 
 def test_there_are_notebooks():

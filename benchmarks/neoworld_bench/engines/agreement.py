@@ -96,9 +96,7 @@ def agreement(
     Raises:
         EngineError: a scene is unknown.
     """
-    for name in scenes or AGREEMENT:
-        if name not in AGREEMENT:
-            raise EngineError(f"scene: {choices(name, list(AGREEMENT))}")
+    for name in chosen_scenes(scenes):
         make, noise = AGREEMENT[name]
         # With a clearance: rounding would decide whether objects at zero distance touch.
         scene = compile_scene(snap_exactly(make()))
@@ -109,6 +107,14 @@ def agreement(
         for engine in engines:
             for rule in (None, EarlyStop()):
                 yield _verdicts(name, scene, poses, reference, engine, rule)
+
+
+def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names, all if there are none; raise an EngineError if a scene is unknown."""
+    for name in names:
+        if name not in AGREEMENT:
+            raise EngineError(f"scene: {choices(name, list(AGREEMENT))}")
+    return tuple(names or AGREEMENT)
 
 
 def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:

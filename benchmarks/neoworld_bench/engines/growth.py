@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,9 +101,8 @@ def write_chart(file: Path, curves: Sequence[Growth], *, core: bool = False) -> 
         if curves:
             figure.legend(loc="outside right upper")
 
-    svg = plot_svg((6.4, 4.0), draw)
-    if svg is None:
-        raise ConfigError("charts need matplotlib: uv sync --inexact --extra plot")
+    require_matplotlib()
+    svg = plot_svg((6.4, 4.0), draw) or ""
     try:
         write_atomic(file, svg.encode())
     except OSError as error:
@@ -130,3 +130,9 @@ def _exponent(costs: dict[int, float]) -> float:
     if len(costs) < 2:
         return math.nan
     return float(np.polyfit(np.log(list(costs)), np.log(list(costs.values())), 1)[0])
+
+
+def require_matplotlib() -> None:
+    """Raise a ConfigError if matplotlib is not installed."""
+    if find_spec("matplotlib") is None:
+        raise ConfigError("charts need matplotlib: uv sync --inexact --extra plot")

@@ -4,6 +4,7 @@ Every row runs in a separate process, which gives its peak memory and can be sto
 limit. A row whose verdicts disagree with the naive loop has no rates.
 """
 
+import functools
 import json
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from neoworld_mjx.physics.simulate import open_engine
 
 from ..machine import Others, peak_mib
 from ..rows import Row
+from ..unfinished_runs import KeptRows
 from .bare_scan import bare_scan
 from .table_scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
@@ -127,6 +129,7 @@ def physics(
     budget: float = 60.0,
     seed: int = 0,
     apart: bool = True,
+    kept: KeptRows | None = None,
 ) -> Iterator[PhysicsRow]:
     """Measure engines; yield rows as they complete.
 
@@ -139,13 +142,19 @@ def physics(
         budget: time limit of a row, and of the naive loop for a scene [s].
         seed: of scenes and layouts.
         apart: True to measure in separate processes; otherwise in this one, without a time limit.
+        kept: rows of an interrupted run.
     """
-    for count in objects:
+    kept = kept or KeptRows(None)
+
+    @functools.cache
+    def naive(count: int) -> Loop:
         scene = compile_scene(crowded(count, seed=seed))
         pop = min(max(populations), NAIVE_CANDIDATES)
         layouts = noisy_layouts(scene, pop, seed=seed)
         poses = scene.place_exactly(layouts)
-        naive = naive_loop(scene, layouts, poses, duration=duration, budget=budget)
+        return naive_loop(scene, layouts, poses, duration=duration, budget=budget)
+
+    for count in objects:
         for engine in engines:
             for population in populations:
                 for stop in early_stop:
@@ -160,7 +169,11 @@ def physics(
                             "budget_s": budget,
                         }
                     )
-                    yield _row(task, naive, apart=apart)
+
+                    def measured(task: Task = task) -> list[PhysicsRow]:
+                        return [_row(task, naive(task.objects), apart=apart)]
+
+                    yield from kept.rows(task.model_dump_json(), measured)
 
 
 def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:

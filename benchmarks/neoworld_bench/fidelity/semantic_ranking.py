@@ -13,8 +13,8 @@ from neoworld_mjx.physics.scene_arrays import SceneArrays, on_device, pad_scene
 from neoworld_mjx.refinement.rewards import semantics
 
 from ..rows import Row
-from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene
-from .step_errors import check_numbers
+from .rendered_scenes import photo_scene
+from .step_errors import chosen_numbers
 
 NEAR_M, FAR_M = 0.01, 0.05
 """Shortest and longest displacement."""
@@ -42,8 +42,7 @@ def semantic_rows(scenes: Sequence[int] = (), *, draws: int = 200) -> Iterator[S
     Raises:
         EngineError: there is no such scene.
     """
-    check_numbers(scenes)
-    for number in scenes or (*TUNED_ON, *HELD_OUT):
+    for number in chosen_numbers(scenes):
         model = compile_scene(photo_scene(number))
         scene = on_device(pad_scene(model))
         layouts, objects = _displaced(scene, draws, number)

@@ -99,10 +99,9 @@ def photo_rows(
     Raises:
         EngineError: there is no such scene, or the engine cannot run here.
     """
-    check_numbers(scenes)
     o, c = refine_options or RefineOptions(), compose_options or ComposeOptions()
     runner = open_engine(engine) if search else None  # pyright: ignore[reportArgumentType]
-    for number in scenes or (*TUNED_ON, *HELD_OUT):
+    for number in chosen_numbers(scenes):
         scene = photo_scene(number)
         truth = exact_response(scene)
         shapes = {item.name: item.spec for item in scene.objects}
@@ -161,16 +160,17 @@ def searching_little(options: RefineOptions) -> RefineOptions:
     return options.model_copy(update={"cem": options.cem.model_copy(update=cem)})
 
 
-def check_numbers(scenes: Sequence[int]) -> None:
-    """Check that scenes of these numbers exist.
+def chosen_numbers(scenes: Sequence[int]) -> tuple[int, ...]:
+    """Return the numbers of scenes, all forty if there are none.
 
     Raises:
-        EngineError: one does not.
+        EngineError: there is no such scene.
     """
     last = HELD_OUT[-1]
     for number in scenes:
         if not 0 <= number <= last:
             raise EngineError(f"scenes: there is no scene {number}; scenes are 0 to {last}")
+    return tuple(scenes or (*TUNED_ON, *HELD_OUT))
 
 
 def _common_shift(boxes: dict[str, Box3D], right: dict[str, Box3D]) -> Float[np.ndarray, " 3"]:

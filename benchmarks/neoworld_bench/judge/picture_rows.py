@@ -18,7 +18,7 @@ from ..measures.picture_similarity import (
 from ..measures.point_clouds import Cloud, coloured_points
 from ..paper_figures import PAPER_OBJECTS, of_scenes
 from ..rows import Row
-from .made_scenes import MadeScene, Rgb, made_scenes
+from .made_scenes import MadeScene, Rgb
 
 NOTE = (
     "NeoWorld-Pro as the paper reports it, of its own 30 scenes: clip 0.9128, dino 0.7855; of its "
@@ -47,20 +47,13 @@ class PictureRow(Row):
     why: dict[str, str]
     """Reason of each measure that is None."""
 
-    def line(self) -> str:
-        """Return the row in one line, without what is None."""
-        values = [(name, getattr(self, name)) for name in PICTURE_MEASURES]
-        known = [f"{name} {value:.3f}" for name, value in values if value is not None]
-        return f"{self.folder}{'/' + self.name if self.name else ''}: {', '.join(known)}"
-
 
 def picture_rows(
-    folders: Sequence[Path],
+    scenes: Sequence[MadeScene],
     models: PictureModels,
     *,
     side: int = 512,
     objects: bool = True,
-    data: Path | None = None,
     out: Path | None = None,
 ) -> Iterator[PictureRow]:
     """Yield the row of each scene and those of its objects.
@@ -69,21 +62,19 @@ def picture_rows(
     tree have none.
 
     Args:
-        folders: run folders, or data sets.
+        scenes: the scenes, as `made_scenes` reads them.
         models: those that there are.
         side: longer side of a scene's pictures [px].
         objects: whether to measure objects.
-        data: the data set of scenes that have no photograph of their own.
         out: folder to write what is compared into, the photograph left.
 
     Raises:
         ConfigError: a number is out of range, or a model cannot be used.
-        SpecError: a folder holds no scene with a photograph.
         RunError: a picture cannot be written.
     """
     if not 64 <= side <= 4096:
         raise ConfigError(f"--size takes 64 to 4096 pixels, got {side}")
-    for made in made_scenes(folders, data):
+    for made in scenes:
         yield _row(made, "", made.whole(side), models, None, out)
         items = {item.name: item for item in made.scene.objects}
         for name in made.boxes if objects else ():

@@ -303,7 +303,7 @@ def is_budgeted(method: str) -> bool:
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
     """Raise a SpecError for a name that is no method, and a ConfigError for no optimizer."""
     for method in methods:
-        if ":" in method and method not in named:
+        if is_budgeted(method) and method not in named:
             optimizer_factory(method)
         elif method not in (*METHODS, *named):
             raise SpecError(f"method: {choices(method, METHODS)}")

@@ -1,6 +1,7 @@
 """Scores of reconstructed objects, and their totals."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..measures.parse_measure import Mean
 from ..measures.surface_measure import SAMPLES
 from ..row_files import RowFile, stored_rows
 from ..rows import Row
+from ..unfinished_runs import KeptRows
 from .made_objects import object_files
 from .partnet import TrueObject, partnet_folders, partnet_object
 
@@ -101,6 +103,7 @@ def score_objects(
     front: Front = "-x",
     options: ProgramOptions | None = None,
     out: Path | None = None,
+    kept: KeptRows | None = None,
     samples: int = SAMPLES,
 ) -> Iterator[ObjectScoreRow]:
     """Yield a row for each ground-truth object that was reconstructed, or for all named ones.
@@ -113,6 +116,7 @@ def score_objects(
         front: direction in which objects of PartNet-Mobility face.
         options: of made programs.
         out: folder of `joints.parquet`, in which rows replace those of the same objects.
+        kept: rows of an interrupted run.
         samples: of each surface.
 
     Raises:
@@ -131,12 +135,16 @@ def score_objects(
             f"{made} has no object of {partnet or truth}: it has {', '.join(list(files)[:8])}, "
             f"which has {', '.join(list(known)[:8])}"
         )
-    kept = RowFile(None if out is None else out / SCORES, ObjectScoreRow, lambda row: row.object)
-    for name in names:
+    stored = RowFile(None if out is None else out / SCORES, ObjectScoreRow, lambda row: row.object)
+
+    def scored(name: str) -> list[ObjectScoreRow]:
         true = read_true(known[name], front, samples)
-        row = _scored(name, files.get(name), true, options or ProgramOptions(), samples)
-        kept.put([row], in_place_of=name)
-        yield row
+        return [_scored(name, files.get(name), true, options or ProgramOptions(), samples)]
+
+    for name in names:
+        rows = (kept or KeptRows(None)).rows(name, partial(scored, name))
+        stored.put(rows, in_place_of=name)
+        yield from rows
 
 
 def _scored(

@@ -67,16 +67,14 @@ def real_refinements(
     Raises:
         EngineError: there is no such scene, or the engine cannot run here.
     """
-    for name in scenes:
-        if name not in REAL:
-            raise EngineError(f"scene: {choices(name, list(REAL))}")
+    scenes = chosen_photographs(scenes)
     o = options or RefineOptions()
     # `refine` itself knows where `auto` is the CPU's cores.
     runner = engine if engine == "auto" else open_engine(engine)
     compilations()
     # Another scene first: what every scene of its bucket shares is compiled here.
     refine(crowded(3), o, seed=seed, engine=runner)
-    for name in scenes or REAL:
+    for name in scenes:
         scene = read_scene(FOLDER / f"{name}.json")
         before, began = compilations(), time.perf_counter()
         refine(scene, o, seed=seed, engine=runner)
@@ -101,6 +99,14 @@ def real_refinements(
             box_iou_before=_mean_iou(scene),
             box_iou_after=_mean_iou(refined.scene),
         )
+
+
+def chosen_photographs(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names, all if there are none; raise an EngineError if a scene is unknown."""
+    for name in names:
+        if name not in REAL:
+            raise EngineError(f"scene: {choices(name, list(REAL))}")
+    return tuple(names or REAL)
 
 
 def _mean_iou(scene: SceneSpec) -> float | None:

@@ -1,6 +1,7 @@
 """Views of real photographs by the format of their data, and the scores of all reconstructions."""
 
 from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from ..measures.parse_measure import Mean
 from ..measures.pose_measure import RECALL, recall
 from ..row_files import RowFile, stored_rows
 from ..rows import log
+from ..unfinished_runs import KeptRows
 from .aria_twin import aria_views, is_aria_twin
 from .bop import bop_views, is_bop
 from .depth_folder import depth_views, is_depth_folder
@@ -94,6 +96,7 @@ def score_real_views(
     volumes: bool = True,
     options: RefineOptions | None = None,
     out: Path | None = None,
+    kept: KeptRows | None = None,
 ) -> tuple[list[RealViewRow], list[RealObjectRow]]:
     """Score the reconstructions of the views of a data set.
 
@@ -109,6 +112,7 @@ def score_real_views(
         volumes: False to leave out Chamfer distance, F-score and voxel IoU.
         options: of the final check.
         out: folder of the row files; rows replace those of the same view and method.
+        kept: rows of an interrupted run.
 
     Raises:
         ConfigError: there is nothing to score.
@@ -134,9 +138,10 @@ def score_real_views(
         for each in made:
             by_method.setdefault(each.method, []).append(each)
         for method, stages in by_method.items():
-            o = options or RefineOptions()
-            scored = [real_rows(view, each, align, o, volumes=volumes) for each in stages]
-            own, inner = [row for row, _ in scored], [row for _, rows in scored for row in rows]
+            score = partial(_scored, view, stages, align, options or RefineOptions(), volumes)
+            rows = (kept or KeptRows(None)).rows(f"{view.name} {method}", score)
+            own = [row for row in rows if isinstance(row, RealViewRow)]
+            inner = [row for row in rows if isinstance(row, RealObjectRow)]
             files[0].put(own, in_place_of=(view.name, method))
             files[1].put(inner, in_place_of=(view.name, method))
             view_rows += own
@@ -151,6 +156,15 @@ def score_real_views(
             "folders of reconstructions are named after the views (docs/real-poses.md)"
         )
     return view_rows, object_rows
+
+
+def _scored(
+    view: TrueView, stages: Sequence[MadeView], align: AlignBy, o: RefineOptions, volumes: bool
+) -> Iterator[RealViewRow | RealObjectRow]:
+    for each in stages:
+        row, rows = real_rows(view, each, align, o, volumes=volumes)
+        yield row
+        yield from rows
 
 
 def _reconstructions(name: str, runs: Sequence[Path], submission: Path | None) -> list[MadeView]:

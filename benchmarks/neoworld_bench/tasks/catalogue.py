@@ -34,7 +34,7 @@ MODULES = {
 
 @functools.cache
 def all_tasks() -> tuple[ManipulationTask, ...]:
-    """Return the 84 tasks, as many as the paper has; their scenes are built on first use."""
+    """Return the 84 tasks; their scenes are built on first use."""
     return tuple(
         _task(name, kind, row)
         for kind, rows in read_yaml(FILE, "tasks").items()

@@ -3,9 +3,13 @@
 from typing import Any
 
 import numpy as np
+from neoworld_bench.photographs.token_estimates import (
+    input_tokens,
+    picture_tokens,
+    text_tokens,
+)
 from pydantic import BaseModel
 
-from benchmarks.costs import _input_tokens, _picture_tokens, _text_tokens
 from neoworld_mjx.mllm import Picture, Request
 
 
@@ -16,14 +20,14 @@ class Reply(BaseModel):
 
 
 def test_image_tokens_follow_the_servers_resizing():
-    assert _picture_tokens(750, 100) == 100
-    assert _picture_tokens(3136, 1568) == _picture_tokens(1568, 784) == 1640
+    assert picture_tokens(750, 100) == 100
+    assert picture_tokens(3136, 1568) == picture_tokens(1568, 784) == 1640
 
 
 def test_request_tokens_are_those_of_texts_schema_and_images():
     plain: Any = Request(role="critic", name="a", system="s" * 400, prompt="p" * 400, schema=Reply)
-    schema = _input_tokens(plain) - 200
-    assert 0 < schema < 60 and _text_tokens("x" * 9) == 3
+    schema = input_tokens(plain) - 200
+    assert 0 < schema < 60 and text_tokens("x" * 9) == 3
     picture = Picture.of("", np.zeros((100, 750, 3), np.uint8))
     seen: Any = Request(
         role="critic",
@@ -33,4 +37,4 @@ def test_request_tokens_are_those_of_texts_schema_and_images():
         schema=Reply,
         pictures=[picture],
     )
-    assert _input_tokens(seen) == _input_tokens(plain) + 100
+    assert input_tokens(seen) == input_tokens(plain) + 100
