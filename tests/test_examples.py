@@ -7,6 +7,7 @@ import pytest
 
 from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.measure import measured, scene_checks
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.pipeline import reconstruct
@@ -14,7 +15,7 @@ from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
 from neoworld_mjx.program.attempt import joined
 from neoworld_mjx.program.blender.blender_availability import unavailable
-from neoworld_mjx.spec import ObjectSpec, SceneTree
+from neoworld_mjx.spec import ObjectSpec, SceneTree, read_scene
 
 MOST_BYTES = 470_000
 PAPER = Path(__file__).parents[1] / "configs" / "paper.yaml"
@@ -36,6 +37,23 @@ def test_an_example_is_what_the_table_says(name, tmp_path):
     assert len(joints) == example.joints
     # Nothing that was seen to move is without its joint.
     assert sum(len(node.articulation) for node in tree.nodes) == example.joints
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(bundled_examples()))
+def test_an_example_is_far_from_every_bound_of_the_final_check(name, tmp_path):
+    config = load_config(None, {"provider": "replay"})
+    reconstruct(bundled_examples()[name].photo, tmp_path / "run", config)
+    near = near_a_bound(tmp_path / "run" / "scene.json", config)
+    assert not near, near
+
+
+def near_a_bound(scene, config):
+    """Return the measures of a scene within 0.2 mm (depth), 2 mm, or 1.5 degrees of a bound."""
+    checks = scene_checks(measured(read_scene(scene), config.refine), config.refine)
+    margins = {"depth_m": 0.2e-3, "drift_m": 2e-3, "slide_m": 2e-3, "_deg": 1.5}
+    margin = {c.name: next(m for end, m in margins.items() if c.name.endswith(end)) for c in checks}
+    return [c.phrase() for c in checks if c.value > c.threshold - margin[c.name]]
 
 
 def test_the_papers_three_programs_replay_and_are_one(tmp_path):
