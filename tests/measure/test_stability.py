@@ -124,7 +124,7 @@ def test_sideways_overlap_with_a_wall_does_not_lift_an_object_over_it(aside, abo
 
 
 def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(monkeypatch):
-    """A block rises 3 cm and falls 2 cm, turns by 10 degrees and back; a drawer opens and closes."""
+    """A block rises 3 cm, falls 2 cm, and turns by 10 degrees and back, as a drawer opens."""
     scene = scenes.on_table((box("a"), (0, 0), 0.0, {}), (scenes.cabinet(), (0, 0.3), 0.0, {}))
     steps = 5
 

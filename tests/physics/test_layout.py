@@ -1,4 +1,4 @@
-"""Placing a layout, with poses computed by hand: scale, yaw, tilt and translation, in this order."""
+"""Poses of a layout, computed by hand: order of scale, tilt, yaw and translation."""
 
 import jax.numpy as jnp
 import numpy as np
