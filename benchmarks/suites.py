@@ -181,11 +181,31 @@ class Frames:
     """Number of visits, each in a new browser."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Mutation:
+    """Change one token of a module at a time, and see whether its direct tests notice.
+
+    Needs the extra `mutation`. Prints each mutant as it is tried, then the score.
+    """
+
+    module: UseAppendAction[tuple[str, ...]] = ()
+    """Module of benchmarks/mutation.yaml, by its path; may be repeated; all by default."""
+    sample: int = 400
+    """Number of mutants, drawn from all; 0 tries all, some ten thousand."""
+    seed: int = 0
+    """Seed of the sample."""
+    workers: int = 1
+    """Processes, each with a copy of the repository and one core."""
+    log: Path | None = None
+    """File to which each mutant is appended; a repeated command skips those that are in it."""
+
+
 SUITES = {
     "composing": Suite(Composing, "benchmarks.composing:run_suite"),
     "frames": Suite(Frames, "benchmarks.frames:run_suite"),
     "decisions": Suite(Decisions, "benchmarks.decisions:run_suite"),
     "faults": Suite(Faults, "benchmarks.faults:run_suite"),
+    "mutation": Suite(Mutation, "benchmarks.mutation:run_suite"),
     "inputs": Suite(Inputs, "benchmarks.inputs:run_suite"),
     "readers": Suite(Readers, "benchmarks.readers:run_suite"),
     "round-trips": Suite(RoundTrips, "benchmarks.round_trips:run_suite"),

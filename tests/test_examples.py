@@ -9,6 +9,7 @@ from neoworld_bench.photographs.example_runs import run_example
 from benchmarks.figure import read_figure
 from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.measure import measured, scene_checks
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.pipeline import reconstruct
@@ -16,7 +17,7 @@ from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
 from neoworld_mjx.program.attempt import joined
 from neoworld_mjx.program.blender.blender_availability import unavailable
-from neoworld_mjx.spec import ObjectSpec, SceneTree
+from neoworld_mjx.spec import ObjectSpec, SceneTree, read_scene
 from tests.support.example_figures import TOLERANCES, check_figures
 
 MOST_BYTES = 470_000
@@ -46,17 +47,34 @@ def test_an_example_is_what_the_table_says(name, tmp_path):
 def test_a_reconstruction_gives_the_figures_of_the_pages(name, tmp_path):
     example = bundled_examples()[name]
     row = run_example(name, example, load_config(), "replay", tmp_path)
-    measured = row.model_dump()
+    values = row.model_dump()
     figure = read_figure("examples")
     columns = dict(zip(figure.columns, figure.keys, strict=True))
-    check_figures(name, {c: measured[columns[c]] for c in (*TOLERANCES, "valid")})
+    check_figures(name, {c: values[columns[c]] for c in (*TOLERANCES, "valid")})
     known = (example.responses.by, example.responses.date, example.responses.prompts)
     assert (row.answered_by, row.date, row.prompts) == known
     assert tuple(figure.cell(name, c) for c in ("responses", "of", "prompts")) == known
     costs = read_figure("costs")
     for column in ("tokens in", "tokens out"):
         stated = int(costs.cell(name, column).replace(" ", ""))
-        assert measured[column.replace(" ", "_")] == pytest.approx(stated, rel=0.01)
+        assert values[column.replace(" ", "_")] == pytest.approx(stated, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(bundled_examples()))
+def test_an_example_is_far_from_every_bound_of_the_final_check(name, tmp_path):
+    config = load_config(None, {"provider": "replay"})
+    reconstruct(bundled_examples()[name].photo, tmp_path / "run", config)
+    near = near_a_bound(tmp_path / "run" / "scene.json", config)
+    assert not near, near
+
+
+def near_a_bound(scene, config):
+    """Return the measures of a scene within 0.2 mm (depth), 2 mm, or 1.5 degrees of a bound."""
+    checks = scene_checks(measured(read_scene(scene), config.refine), config.refine)
+    margins = {"depth_m": 0.2e-3, "drift_m": 2e-3, "slide_m": 2e-3, "_deg": 1.5}
+    margin = {c.name: next(m for end, m in margins.items() if c.name.endswith(end)) for c in checks}
+    return [c.phrase() for c in checks if c.value > c.threshold - margin[c.name]]
 
 
 def test_the_papers_three_programs_replay_and_are_one(tmp_path):

@@ -26,9 +26,11 @@ def test_the_command_prints_the_metrics_of_the_scene(example_run):
     assert answer["objects"] == OBJECTS
     assert answer["movable"] == 3
     assert answer["s_pen"] == 0
-    assert answer["max_depth_m"] <= 1e-3
+    # As far from the bounds of 1 mm, 1 cm and 5 degrees as the other examples; see test_examples.
+    assert max(answer["max_depth_m"], answer["settled_depth_m"]) <= 0.8e-3
     assert answer["s_stab"] is True
-    assert answer["max_drift_m"] < 0.01
+    assert answer["max_drift_m"] < 0.008
+    assert answer["max_tilt_deg"] < 3.5
     assert abs(answer["mean_log_scale"]) < 0.1
     assert answer["fallbacks"] == []
     assert {note["step"] for note in answer["notes"]} <= {"parse", "compose", "refine"}

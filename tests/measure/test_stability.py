@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.measure import scene_measure, unstable_objects
+from neoworld_mjx.measure import scene_measure, stability, unstable_objects
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
 from tests.support import scenes
@@ -121,3 +121,48 @@ def test_sideways_overlap_with_a_wall_does_not_lift_an_object_over_it(aside, abo
     )
     scene = base.model_copy(update={"objects": (*base.objects, inside)})
     assert snap_exactly(scene).object("inside").z == pytest.approx(0.006 + 1e-4, abs=2e-5)
+
+
+def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(monkeypatch):
+    """A block rises 3 cm, falls 2 cm, and turns by 10 degrees and back, as a drawer opens."""
+    scene = scenes.on_table((box("a"), (0, 0), 0.0, {}), (scenes.cabinet(), (0, 0.3), 0.0, {}))
+    steps = 5
+
+    def simulate(model, data, count):
+        assert count == round(0.01 / 0.002) == steps
+        qpos = np.tile(data.qpos, (steps, 1))
+        a = model.jnt_qposadr[model.body("a").jntadr[0]]
+        qpos[1, a + 2] += 0.03
+        qpos[2, a + 2] -= 0.02
+        angle = np.radians(10.0) / 2
+        qpos[3, a + 3 : a + 7] = [np.cos(angle), 0, np.sin(angle), 0]
+        (slide,) = np.flatnonzero(model.jnt_type == 2)
+        qpos[1, model.jnt_qposadr[slide]] -= 0.04
+        hinges = np.flatnonzero(model.jnt_type == 3)
+        qpos[2, model.jnt_qposadr[hinges[0]]] -= np.radians(7.0)
+        return qpos, True
+
+    monkeypatch.setattr(stability, "_simulate", simulate)
+    found = scene_measure(scene, duration=0.01)
+    assert found.max_drift_m == found.drift_m["a"] == pytest.approx(0.03)
+    assert found.max_tilt_deg == found.tilt_deg["a"] == pytest.approx(10.0)
+    assert found.drop_m["a"] == pytest.approx(0.02)
+    assert found.drift_m["cabinet"] == found.tilt_deg["cabinet"] == found.drop_m["cabinet"] == 0.0
+    assert max(found.joint_slide_m.values()) == pytest.approx(0.04)
+    assert max(found.joint_turn_deg.values()) == pytest.approx(7.0)
+    assert found.s_stab is False and not found.diverged
+    # Either bound decides, and the value at a bound is over it.
+    calm = {"duration": 0.01, "max_drift": 0.031, "max_tilt": 10.1}
+    assert scene_measure(scene, **calm).s_stab is True
+    assert scene_measure(scene, **calm | {"max_drift": 0.029}).s_stab is False
+    assert scene_measure(scene, **calm | {"max_tilt": 9.9}).s_stab is False
+
+
+def test_a_simulation_that_is_not_finite_is_unstable(monkeypatch):
+    scene = scenes.on_table((box("a"), (0, 0), 0.0, {}))
+    still = lambda model, data, steps: (np.tile(data.qpos, (steps, 1)), False)
+    monkeypatch.setattr(stability, "_simulate", still)
+    found = scene_measure(scene, duration=0.01)
+    assert found.diverged and found.s_stab is False
+    assert found.max_drift_m == found.max_tilt_deg == np.inf
+    assert found.settled_depths_m == {} and found.settled_depth_m == 0.0

@@ -239,6 +239,21 @@ def test_a_search_converges_after_iterations_without_gain(scene, stop_by):
     assert stopped == (expected if stop_by == "elites" else [False] * 5 + [True])
 
 
+@pytest.mark.parametrize("stop_by", ["best", "elites"])
+@pytest.mark.parametrize("patience", [1, 3])
+def test_a_search_stops_after_exactly_its_patience(scene, patience, stop_by):
+    """Counted from the last gain: a gain of exactly `stop_gain` is one, a smaller one is none."""
+    problem, state = opened(scene, stop_by=stop_by, stop_gain=0.5, patience=patience)
+    layouts = propose(scene, problem, state, POP)
+    stopped = []
+    for level in (1.0, 1.25, 1.75, *[2.0] * patience):
+        state = update(scene, problem, state, layouts, scored(np.full(POP, level), valid=True))
+        stopped.append(converged(problem, state))
+    # Gains: the first, 0.25, 0.5, 0.25, 0, 0, ...
+    assert stopped == [False, patience == 1, False, *[False] * (patience - 1), True]
+    assert int(state.stalled) == patience
+
+
 def test_the_best_candidate_is_the_valid_one_of_highest_merit(scene):
     problem, state = opened(scene)
     layouts = propose(scene, problem, state, POP)

@@ -1,3 +1,4 @@
+import functools
 import sys
 from inspect import unwrap
 
@@ -13,7 +14,8 @@ from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import placed_at_rest
+from neoworld_mjx.physics.placed import Placed, pair_depths, placed_at_rest
+from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.refinement.objective import (
     contribution,
@@ -26,7 +28,9 @@ from tests.support import scenes
 from tests.support.scenes import random_layout
 
 
+@functools.cache
 def two_boxes(gap):
+    """A scene that tests share, so that a program is compiled once for all of them."""
     a = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
     b = scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
     return compile_scene(scenes.on_table((a, (0, 0), 0.0, {}), (b, (0.1 + gap, 0), 0.0, {})))
@@ -83,6 +87,145 @@ def scored(scene, layouts, rollout, **reward):
     poses = scene.place(layouts)
     candidates = placed_at_rest(scene, poses, poses)
     return evaluate(scene, layouts, candidates, rollout, objective)
+
+
+@pytest.mark.parametrize("normalisation", ["fixed", "iteration"])
+@pytest.mark.parametrize(
+    ("weight", "absolute", "by_iteration"),
+    [
+        ("w_sem", [0.25, 0.75], [0.25, 0.75]),
+        ("w_prior", [0.0, -0.5], [0.0, -0.5]),
+        ("w_pen", [0.0, -2 / 8], [0.0, -1.0]),
+        ("w_drift", [0.0, -3 / 4], [0.0, -1.0]),
+    ],
+)
+def test_each_term_has_its_sign_in_the_reward(weight, absolute, by_iteration, normalisation):
+    """One weight is 1 and the others are 0: a better agreement raises the reward, costs lower it.
+
+    The second candidate has S_sem 0.75, one of two objects turned by 2 sigma, an overlap of 2 mm
+    (scale 6 mm, cap 4 mm), and a drift of 3 bounds (scale 1, cap 6).
+    """
+    scene = two_boxes(0.0)
+    b = scene.names.index("b")
+    weights = dict.fromkeys(("w_sem", "w_prior", "w_pen", "w_drift"), 0.0) | {weight: 1.0}
+    caps = {"pen_scale_m": 0.006, "d_pen_cap_m": 0.004, "d_drift_cap": 6.0, "drift_free": 0.0}
+    options = RefineOptions.model_validate(
+        {
+            "reward": {**weights, **caps, "normalisation": normalisation},
+            "cem": {"sigma_yaw_deg": 10.0},
+        }
+    )
+    yaw = np.zeros((2, 3), np.float32)
+    yaw[1, b] = np.radians(20.0)
+    layouts = Layout(jnp.zeros((2, 3, 2)), jnp.asarray(yaw), jnp.zeros((2, 3)))
+    poses = scene.place(layouts)
+    depth = np.zeros((2, 3, 3), np.float32)
+    depth[1, 0, b] = 0.002
+    placed = Placed(poses, depth, as_parsed(scene.photo, 2), np.zeros((2, 3), np.float32))
+    pos = np.array(unmoved(scene, poses).pos)
+    pos[1, 0, b, 1] += 0.03
+    rollout = eqx.tree_at(lambda r: r.pos, unmoved(scene, poses), jnp.asarray(pos))
+    agreement = np.array([0.25, 0.75], np.float32)
+    scores = evaluate(scene, layouts, placed, rollout, open_objective(options), agreement)
+    assert scores.absolute == pytest.approx(np.array(absolute), abs=1e-5)
+    fixed = {"w_pen": [0.0, -0.5], "w_drift": [0.0, -0.5]}.get(weight, absolute)
+    expected = fixed if normalisation == "fixed" else by_iteration
+    assert scores.reward == pytest.approx(np.array(expected), abs=1e-5)
+    # The bounds limit overlap and drift, so neither is part of the fidelity.
+    physical = weight in ("w_pen", "w_drift")
+    merit = [0.0, 0.0] if physical else absolute
+    assert scores.merit == pytest.approx(np.array(merit), abs=1e-5)
+    assert scores.terms["d_drift"] == pytest.approx(np.array([0.0, 3.0]), abs=1e-4)
+    assert scores.valid.tolist() == [True, False]
+
+
+def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
+    scene = two_boxes(0.0)
+    a, b = scene.names.index("a"), scene.names.index("b")
+    diagonal = float(np.hypot(0.1, 0.1))
+    sigma = (0.1, 0.2, 0.05)
+    xy = np.zeros((1, 3, 2), np.float32)
+    xy[0, b] = (0.3 * diagonal, 0.4 * diagonal)  # 3 and 4 sigma
+    yaw, log_scale = np.zeros((2, 1, 3), np.float32)
+    yaw[0, b], log_scale[0, a] = 0.2, -0.1  # 1 and -2 sigma
+    yaw[0, scene.names.index("table")] = 1.0  # not optimised
+    layouts = Layout(jnp.asarray(xy), jnp.asarray(yaw), jnp.asarray(log_scale))
+    found = rewards.Prior(sigma)(scene, layouts, None)
+    each = {"a": 4 / 4, "b": (9 + 16 + 1) / 4, "table": 0.0}
+    assert found.by_object[0] == pytest.approx(np.array([each[n] for n in scene.names]), rel=1e-5)
+    assert float(found.value[0]) == float(found.charged[0]) == pytest.approx((1 + 6.5) / 2)
+    there = rewards.Prior(sigma, layouts)(scene, layouts, None)
+    assert not np.any(np.asarray(there.by_object))
+
+
+def test_d_pen_is_the_sum_over_pairs_of_the_deeper_direction():
+    scene = two_boxes(0.0)
+    layouts = Layout.zero(1, 3)
+    depth = np.array([[[0.0, 0.001, 0.0], [0.003, 0.0, 0.0], [0.0, 0.002, 0.0]]], np.float32)
+    poses = scene.place(layouts)
+    visible = as_parsed(scene.photo, 1)
+    for at in (depth, depth.swapaxes(1, 2)):
+        measured = rewards.measured_rollout(
+            unmoved(scene, poses), at, visible, np.zeros((1, 3), np.float32)
+        )
+        found = rewards.penetration(scene, layouts, measured)
+        assert float(found.value[0]) == float(found.charged[0]) == pytest.approx(0.005)
+        assert found.by_object[0] == pytest.approx(np.array([0.003, 0.005, 0.002]))
+
+
+@pytest.mark.parametrize("first", ["small", "big"])
+def test_an_overlap_of_one_direction_counts_whichever_object_comes_first(first):
+    """A cube of 2 cm is 4 mm deep in the side of a block, of which no sample lies in the cube."""
+    big = scenes.single("big", (Box(size=(0.2, 0.2, 0.2)), (0, 0, 0)))
+    small = scenes.single("small", (Box(size=(0.02, 0.02, 0.02)), (0, 0, 0)))
+    items = [(big, (0, 0), 0.0, {}), (small, (0.106, 0.003), 0.0, {"z": 0.133})]
+    spec = scenes.on_table(*(items if first == "big" else items[::-1]))
+    scene = compile_scene(spec, samples=32)
+    zero = Layout.zero(1, 3)
+    poses = scene.place(zero)
+    depth = pair_depths(scene, poses)
+    a, b = scene.names.index("small"), scene.names.index("big")
+    assert float(depth[0, b, a]) == 0.0
+    assert float(depth[0, a, b]) == pytest.approx(0.004, abs=1e-6)
+    visible, settled = as_parsed(scene.photo, 1), np.zeros((1, 3), np.float32)
+    measured = rewards.measured_rollout(unmoved(scene, poses), depth, visible, settled)
+    assert float(rewards.penetration(scene, zero, measured).value[0]) == float(depth[0, a, b])
+
+
+def test_drift_of_joints_is_their_peak_over_the_bound_of_their_kind():
+    """Of three records the second is the peak: 2 cm of a slide (bound 1 cm), 15 of 5 degrees."""
+    cabinet = (scenes.cabinet(), (0, 0), 0.0, {"fixed_base": True})
+    scene = compile_scene(scenes.on_table(cabinet), samples=16)
+    still = unmoved(scene, scene.place(Layout.zero(2, 2)))
+    slides = np.asarray(scene.joint_slides)
+    shift = np.zeros((2, 3, len(slides)), np.float32)
+    shift[0, 1, np.flatnonzero(slides)[0]] = 0.02
+    shift[1, 1, np.flatnonzero(~slides)[0]] = np.radians(15.0)
+    rollout = eqx.tree_at(lambda r: r.joint_shift, still, jnp.asarray(shift))
+    found = rewards.joint_drift(scene, rollout, 0.01, np.radians(5.0))
+    k = scene.names.index("cabinet")
+    assert found[:, k] == pytest.approx(np.array([2.0, 3.0]), rel=1e-5)
+    assert found[:, scene.names.index("table")].tolist() == [0.0, 0.0]
+    drift = rewards.d_drift(scene, Layout.zero(2, 2), rollout)
+    assert drift == pytest.approx(np.array([2.0, 3.0]), rel=1e-5)
+
+
+def test_drift_within_the_dead_zone_is_free_and_settling_counts_as_drift():
+    scene = two_boxes(0.0)
+    a, b = scene.names.index("a"), scene.names.index("b")
+    poses = scene.place(Layout.zero(1, 3))
+    pos = np.array(unmoved(scene, poses).pos)
+    pos[0, 0, a, 2] -= 0.004  # 0.4 bounds
+    pos[0, 0, b, 0] += 0.002  # 0.2 bounds
+    still = eqx.tree_at(lambda r: r.pos, unmoved(scene, poses), jnp.asarray(pos))
+    settled = np.zeros((1, 3), np.float32)
+    settled[0, b] = 0.9
+    visible = as_parsed(scene.photo, 1)
+    rollout = rewards.measured_rollout(still, np.zeros((1, 3, 3), np.float32), visible, settled)
+    found = rewards.Drift(0.01, np.radians(5.0), 0.5)(scene, Layout.zero(1, 3), rollout)
+    assert float(found.value[0]) == pytest.approx(0.4 + 0.9, abs=1e-4)
+    assert float(found.charged[0]) == pytest.approx(0.4, abs=1e-4)
+    assert found.by_object[0, [a, b]] == pytest.approx(np.array([0.0, 0.4]), abs=1e-4)
 
 
 def test_iteration_normalisation_maps_valid_rollouts_to_zero_to_one():

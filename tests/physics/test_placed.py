@@ -1,0 +1,153 @@
+"""Measures of placed candidates, with numbers computed by hand: masks, chunks, displacement."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from neoworld_mjx.physics import placed
+from neoworld_mjx.physics.layout import Layout, Poses
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.placed import (
+    TILTED,
+    TOPPLED,
+    measured_in_chunks,
+    pair_depths,
+    pair_gaps,
+    poses_in_chunks,
+    settled_by,
+)
+from neoworld_mjx.physics.visibility import as_parsed
+from neoworld_mjx.spec import Box, Sphere
+from tests.support import scenes
+
+SMALL_TURN = np.radians(9.0)
+
+
+@pytest.fixture(scope="module")
+def shelf():
+    """A shelf (a support) 1 cm deep in the table (a support), and a block 5 mm deep in it."""
+    box = scenes.single("shelf", (Box(size=(0.2, 0.2, 0.1)), (0, 0, 0)))
+    block = scenes.single("block", (Box(size=(0.06, 0.06, 0.06)), (0, 0, 0)))
+    support = {"environment": True, "z": 0.03}
+    spec = scenes.on_table(
+        (box, (0, 0), 0.0, support),
+        (block, (0, 0.125), 0.0, {"z": 0.05}),
+        (block.model_copy(update={"name": "far"}), (0, -0.3), 0.0, {"z": 0.05}),
+    )
+    return compile_scene(spec, samples=64)
+
+
+def test_the_overlap_of_supports_is_no_penetration_but_that_of_an_object_with_one_is(shelf):
+    poses = shelf.place_exactly(Layout.zero(1, 4))
+    depth = np.asarray(pair_depths(shelf, poses))[0]
+    table, wall, block, far = (shelf.names.index(n) for n in ("table", "shelf", "block", "far"))
+    assert depth[table, wall] == depth[wall, table] == 0.0
+    assert not depth.diagonal().any()
+    assert max(depth[block, wall], depth[wall, block]) == pytest.approx(0.005, abs=1e-5)
+    assert depth[far].max() == depth[:, far].max() == 0.0
+    # Without the mask they overlap by 1 cm: the mask, not the distance, makes it 0.
+    unmasked = dataclasses.replace(shelf, pair_mask=jnp.ones((4, 4), bool))
+    raw = np.asarray(pair_depths(unmasked, poses))[0]
+    assert max(raw[table, wall], raw[wall, table]) == pytest.approx(0.01, abs=1e-5)
+    gap = np.asarray(pair_gaps(shelf, poses))[0]
+    assert gap[table, wall] == gap[wall, table] == np.inf and np.isinf(gap.diagonal()).all()
+    assert gap[block, wall] == gap[wall, block] == pytest.approx(-0.005, abs=1e-5)
+    assert gap[far, table] == gap[table, far] == pytest.approx(0.01, abs=1e-5)
+
+
+def test_chunks_are_the_whole_population_in_order(shelf, monkeypatch):
+    """Five candidates in chunks of two: the last chunk is padded, and its padding dropped."""
+    monkeypatch.setattr(placed, "CPU_CHUNK", 2)
+    zero = Layout.zero(5, 4)
+    xy = np.zeros((5, 4, 2), np.float32)
+    xy[:, 3, 0] = 0.01 * np.arange(5)
+    layouts = Layout(xy, zero.yaw, zero.log_scale)
+    poses = poses_in_chunks(shelf, layouts)
+    assert poses.pos[:, 3, 0] - poses.pos[0, 3, 0] == pytest.approx(xy[:, 3, 0], abs=1e-6)
+    lower = jax.tree.map(np.array, poses)
+    lower.pos[3, 3, 2] -= 0.02
+    sizes = []
+
+    def measure(scene, chunk):
+        sizes.append(len(chunk.pos))
+        x = np.asarray(chunk.pos[..., 0], np.float32)
+        return x[:, :, None] + np.zeros(4, np.float32), as_parsed(scene.photo, len(x))
+
+    monkeypatch.setattr(placed, "measured_poses", measure)
+    found = measured_in_chunks(shelf, poses, lower)
+    assert sizes == [2, 2, 2]
+    assert found.depth[:, 3, 0] == pytest.approx(lower.pos[:, 3, 0])
+    assert len(found.visible.boxes) == 5 and found.poses is lower
+    # 2 cm of the bound of a tenth of the size (its diagonal) and 1 cm.
+    bound = 0.1 * np.sqrt(3) * 0.06 + 0.01
+    settled = np.zeros((5, 4))
+    settled[3, 3] = 0.02 / bound
+    assert found.settled == pytest.approx(settled, abs=1e-5)
+
+
+def turned(scene, name, *, about_x=0.0, shift=(0.0, 0.0, 0.0), tilt=0.0, scale=1.0):
+    """Displacement of an object that turns about x around its center by an angle [rad] and moves.
+
+    `tilt` is its angle before, about x, too.
+    """
+    k = scene.names.index(name)
+    corners = np.asarray(scene.corners)[k]
+    center = scale * (corners.min(axis=0) + corners.max(axis=0)) / 2
+    count = len(scene.names)
+    poses = []
+    for angle, moved in ((tilt, (0.0, 0.0, 0.0)), (tilt + about_x, shift)):
+        pos, quat = np.zeros((1, count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (1, count, 1))
+        c, s = np.cos(angle), np.sin(angle)
+        quat[0, k] = [np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0]
+        x, y, z = center
+        pos[0, k] = np.array(moved) - [x, c * y - s * z, s * y + c * z]
+        size = np.full((1, count), scale)
+        poses.append(Poses(pos, quat, size, np.zeros((1, count))))
+    return settled_by(scene, *poses, np)[0, k]
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    """A plate, a cube, a ball and a small plate."""
+    sizes = {"plate": (0.2, 0.2, 0.1), "cube": (0.1, 0.1, 0.09), "small": (0.04, 0.02, 0.01)}
+    items = [
+        (scenes.single(name, (Box(size=size), (0, 0, 0))), (0, 0.2 * k - 0.3), 0.0, {})
+        for k, (name, size) in enumerate(sizes.items())
+    ]
+    ball = scenes.single("ball", (Sphere(radius=0.05), (0, 0, 0)))
+    return compile_scene(scenes.on_table(*items, (ball, (0, 0.3), 0.0, {})), samples=16)
+
+
+def test_tilt_is_compared_with_the_bound_of_what_the_object_is(bodies):
+    assert np.degrees([TILTED, TOPPLED]) == pytest.approx([20.0, 45.0])
+    assert turned(bodies, "plate", about_x=SMALL_TURN) == pytest.approx(9 / 20)
+    assert turned(bodies, "plate", about_x=-SMALL_TURN) == pytest.approx(9 / 20)
+    # Placed tilted by 3 degrees, or compact enough to roll: the bound is wider.
+    tilted = turned(bodies, "plate", about_x=SMALL_TURN, tilt=np.radians(3.0))
+    assert tilted == pytest.approx(9 / 45)
+    assert turned(bodies, "cube", about_x=SMALL_TURN) == pytest.approx(9 / 45)
+    # Placed tilted by less than 2 degrees, it counts as upright.
+    upright = turned(bodies, "plate", about_x=SMALL_TURN, tilt=np.radians(1.0))
+    assert upright == pytest.approx(9 / 20)
+    for free in ("ball", "small"):
+        assert turned(bodies, free, about_x=2.0) == pytest.approx(0.0, abs=1e-12)
+    # A small plate of twice the size is not small.
+    assert turned(bodies, "small", about_x=SMALL_TURN, scale=2.0) == pytest.approx(9 / 20)
+
+
+def test_a_shift_is_compared_with_the_size_of_the_object(bodies):
+    size = 0.3  # diagonal of 20 x 20 x 10 cm
+    sideways = turned(bodies, "plate", shift=(0.03, 0.04, 0.0))
+    assert sideways == pytest.approx(0.05 / (0.25 * size))
+    for sign in (1, -1):
+        vertical = turned(bodies, "plate", shift=(0.0, 0.0, sign * 0.01))
+        assert vertical == pytest.approx(0.01 / (0.1 * size + 0.01))
+    larger = turned(bodies, "plate", shift=(0.03, 0.04, 0.0), scale=2.0)
+    assert larger == pytest.approx(0.05 / (0.25 * 2 * size))
+    # The largest one counts.
+    both = turned(bodies, "plate", shift=(0.03, 0.0, -0.03), about_x=SMALL_TURN)
+    assert both == pytest.approx(max(9 / 20, 0.03 / 0.075, 0.03 / 0.04))
+    assert turned(bodies, "table", shift=(1.0, 1.0, 1.0), about_x=1.0) == 0.0
