@@ -35,8 +35,8 @@ BAND = 6
 """Width of the band inside a contour whose colors count, in margins."""
 
 
-def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "row column 3"]:
-    """Convert display colors (sRGB, uint8) to CIE Lab, D65."""
+def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "*n 3"]:
+    """Convert display colors (sRGB, 0 to 255) to CIE Lab, D65."""
     xyz = linear(rgb.astype(float) / 255.0) @ _TO_XYZ.T
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
     return np.stack(

@@ -204,6 +204,7 @@ def _place(
         parent=node.parent,
         parent_link=link,
         relation=node.relation,
+        leans_on=node.leans_on,
         environment=node.environment,
         fixed_base=fixed,
         xy=tuple(local_pose.pos[:2].tolist()),

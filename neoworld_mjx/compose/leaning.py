@@ -15,6 +15,8 @@ from .sliding import SceneColliders, colliders, shift_object, supported_geoms
 
 FARTHEST = 0.5
 """Largest displacement, over the object's height; farther objects are not what it leans on."""
+FARTHEST_NAMED = 1.0
+"""The same for an object whose `leans_on` is stated."""
 LEAST_M = 0.001
 """Smallest displacement; smaller ones are left to the search."""
 TOUCHING_M = 2e-4
@@ -31,6 +33,8 @@ AHEAD = 0.3
 
 def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     """Move each leaning object until it touches the object ahead of it without overlap.
+
+    That is the one which `leans_on` names, otherwise the nearest.
 
     Objects are processed from the farthest along their direction: a book may lean on a book that
     leans on a wall.
@@ -86,8 +90,15 @@ def _gap(
     model, data, owner = collision_scene
     moving = supported_geoms(scene, owner, name)
     geoms = np.flatnonzero(owner == scene.index(name))
-    others = np.flatnonzero((owner >= 0) & ~moving)
     obj = scene.object(name)
+    candidates = (owner >= 0) & ~moving
+    farthest = FARTHEST
+    if obj.leans_on in {item.name for item in scene.objects}:
+        candidates &= owner == scene.index(obj.leans_on)
+        farthest = FARTHEST_NAMED
+    others = np.flatnonzero(candidates)
+    if not len(others):
+        return None
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
     foot = data.body(name).xpos[2] + bottom[2] + FOOT * height
@@ -99,13 +110,13 @@ def _gap(
             break
         moved, overlapped = moved - back, other
         data.geom_xpos[moving, :2] -= back * direction
-    if moved < -FARTHEST * height:
+    if moved < -farthest * height:
         data.geom_xpos[:] = before
         return None
     if moved:
         return moved, scene.objects[owner[overlapped]].name
     for _ in range(STEPS):
-        reach = FARTHEST * height - moved
+        reach = farthest * height - moved
         step, other = _nearest_ahead(model, data, geoms, others, direction, reach, foot)
         if other is None:
             break

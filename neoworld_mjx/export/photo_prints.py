@@ -8,7 +8,10 @@ from PIL import Image
 from scipy import ndimage
 
 from ..errors import SpecError
-from ..render import render
+from ..physics.mjcf import visual_name
+from ..render import RenderedImage, View, render
+from ..render.appearance import displayed, linear
+from ..render.flat_faces import flat_faces
 from ..render.prints import base64_png
 from ..spec import (
     Camera,
@@ -26,6 +29,7 @@ from .link_frames import unused
 Alignment = tuple[NDArray, NDArray]
 """Stretch [2] and shift [2] px: pixel x of the rendered image is at stretch * x + shift in the
 photograph, both in pixels of the camera."""
+IDENTICAL: Alignment = (np.ones(2), np.zeros(2))
 PRINTED = "_photo"
 """Suffix of the names of printed materials."""
 LONGEST_PX = 512
@@ -34,52 +38,102 @@ LEAST_PX = 6
 """Smallest side of a window that is printed [px]."""
 MOST_STRETCH = 1.6
 """Largest ratio of an object's box in the photograph to its box in the rendered image."""
+MOST_PX = 640
+"""Longer side at which the scene and the photograph are compared [px]."""
+FLAT_SHARE = 0.5
+"""Fraction of a material's visible pixels that flat faces cover at least, if only they count."""
+PHOTO_SCALE = 2
+"""Pixels of the photograph for one of the rendered scene, where prints are made by default."""
+MARGIN = 0.006
+"""Width of the border around other objects that a print leaves out, over the picture's width."""
 DEPTH_PX = 256
 """Longer side of the depth image of a print [px]."""
 
 
-def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
+def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpec:
     """Return a scene with the photograph printed on the surfaces that its camera saw.
+
+    A print on a flat face fits wherever the face is, even where the shape is simplified; a print on
+    a round surface shows what is behind it at its edges.
 
     Args:
         scene: the scene, with the camera of the photograph.
         photo: the photograph, uint8 [h, w, 3].
+        flat: True prints on large flat faces only, and only on objects whose place agrees with
+            their 2D box; their materials then have the mean color of the print.
 
     Raises:
         SpecError: the scene has no camera.
     """
     if scene.camera is None:
         raise SpecError("the scene has no camera, which is needed to print the photograph")
-    view = render(scene, scene.camera, supersample=1, floor=False)
+    camera, reduced = _reduced(scene.camera)
+    if flat:
+        size = (PHOTO_SCALE * camera.width, PHOTO_SCALE * camera.height_px)
+        photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
+    view = render(scene, camera, supersample=1, floor=False)
     poses, ones = world_poses(scene), np.ones(2)
     masks = {name: view.segmentation == k for k, name in enumerate(view.names)}
-    alignments = {i.name: _alignment(masks[i.name], i, scene.camera) for i in scene.objects}
-    scale = np.array(photo.shape[1::-1]) / (scene.camera.width, scene.camera.height_px)
+    faces = flat_faces(view, View.of(camera)) if flat else np.ones(view.depth.shape, bool)
+    alignments = {i.name: _alignment(masks[i.name], i, camera, reduced) for i in scene.objects}
+    scale = np.array(photo.shape[1::-1]) / (camera.width, camera.height_px)
     objects = []
     for item in scene.objects:
         mask = masks[item.name]
-        if not mask.any():
+        alignment = alignments[item.name]
+        printable = _flat_materials(item, view, faces) if flat else None
+        if not mask.any() or (flat and (alignment is None or not printable)):
             objects.append(item)
             continue
-        stretch, shift = alignments[item.name]
-        source = mask.copy()
-        for name, (s, t) in alignments.items():
+        stretch, shift = alignment or IDENTICAL
+        covered = np.zeros(mask.shape, bool)
+        for name, other in alignments.items():
             if name != item.name:
                 # Exclude the pixels where the aligned photograph shows another object.
-                source &= ~_warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
+                s, t = other or IDENTICAL
+                covered |= _warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
+        if flat and covered.any():
+            width = max(1, round(MARGIN * camera.width))
+            covered = ndimage.binary_dilation(covered, iterations=width)
+        source = mask & np.logical_not(covered)
         aligned = _warped(photo, (stretch, shift), scale, smooth=True)
         filled = _filled(aligned, source if source.any() else mask)
         moved = link_poses(item.spec, item.joint_state)
         places = {part.name: poses[item.name].then(moved[part.name]) for part in item.spec.parts}
         depth = np.where(mask, view.depth, np.inf)
-        spec = _printed_object(item.spec, scene.camera, filled, depth, places)
+        if flat:
+            depth = np.where(faces, depth, np.inf)
+        spec = _printed_object(item.spec, camera, filled, depth, places, printable)
         objects.append(item.model_copy(update={"spec": spec}))
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
+def _reduced(camera: Camera) -> tuple[Camera, float]:
+    """Return a camera with a smaller image, and its size relative to the first."""
+    scale = min(1.0, MOST_PX / max(camera.width, camera.height_px))
+    size = {"width": round(scale * camera.width), "height_px": round(scale * camera.height_px)}
+    return camera.model_copy(update=size), scale
+
+
 def _printed_object(
-    spec: ObjectSpec, camera: Camera, filled: NDArray, depth: NDArray, places: dict[str, Pose]
+    spec: ObjectSpec,
+    camera: Camera,
+    filled: NDArray,
+    depth: NDArray,
+    places: dict[str, Pose],
+    printable: dict[tuple[str, str], NDArray] | None,
 ) -> ObjectSpec:
+    """Return an object with prints.
+
+    Args:
+        spec: the object.
+        camera: the camera.
+        filled: the photograph, aligned with the object and filled around it.
+        depth: depths at which the camera saw the object [m], inf elsewhere.
+        places: poses of the parts in the world.
+        printable: pixels of each (part, material) that is printed and takes its mean color there;
+            None prints on all, which keep their colors.
+    """
     materials, parts = list(spec.materials), []
     for part in spec.parts:
         names: dict[str, str] = {}
@@ -87,13 +141,19 @@ def _printed_object(
             material = spec.material(geom.material)
             if geom.role == "collision" or material.name in names or material.see_through:
                 continue
+            if printable is not None and (part.name, material.name) not in printable:
+                continue
             window = _window(camera, spec, part, material.name, places[part.name])
             photo = window and _print(camera, filled, depth, window, places[part.name])
             if photo is not None:
                 taken = {material.name for material in materials}
                 name = unused(f"{material.name}_{part.name}"[:40] + PRINTED, taken)
                 names[material.name] = name
-                materials.append(material.model_copy(update={"name": name, "photo": photo}))
+                changes: dict[str, object] = {"name": name, "photo": photo}
+                if printable is not None:
+                    own = printable[part.name, material.name]
+                    changes["rgba"] = (*_mean_color(filled, own), material.rgba[3])
+                materials.append(material.model_copy(update=changes))
         geoms = tuple(
             geom.model_copy(update={"material": names[geom.material]})
             if geom.role != "collision" and geom.material in names
@@ -106,28 +166,64 @@ def _printed_object(
     return spec.model_copy(update={"materials": kept, "parts": tuple(parts)})
 
 
-def _alignment(mask: NDArray, item: SceneObject, camera: Camera) -> Alignment:
+def _flat_materials(
+    item: SceneObject, view: RenderedImage, faces: NDArray
+) -> dict[tuple[str, str], NDArray]:
+    """Return the pixels of each (part, material) that the camera sees mostly on flat faces."""
+    index = {name: g for g, name in enumerate(view.geom_names)}
+    ids: dict[tuple[str, str], list[int]] = {}
+    for part in item.spec.parts:
+        for geom in part.geoms:
+            g = index.get(visual_name(item.name, geom))
+            if g is not None and geom.role != "collision":
+                ids.setdefault((part.name, geom.material), []).append(g)
+    pixels = {key: np.isin(view.geoms, geoms) for key, geoms in ids.items()}
+    return {
+        key: own & faces
+        for key, own in pixels.items()
+        if (own & faces).sum() > max(FLAT_SHARE * own.sum(), LEAST_PX**2)
+    }
+
+
+def _mean_color(photo: NDArray, mask: NDArray) -> tuple[float, float, float]:
+    """Return the mean display color [3] of a mask's pixels, averaged in linear light."""
+    size = mask.shape[::-1]
+    small = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.BOX))
+    red, green, blue = np.round(displayed(linear(small[mask] / 255.0).mean(axis=0)), 4).tolist()
+    return red, green, blue
+
+
+def _alignment(
+    mask: NDArray, item: SceneObject, camera: Camera, reduced: float
+) -> Alignment | None:
     """Return the alignment of an object's rendered pixels with the photograph.
 
     It maps the object's box in the rendered image to its box in the photograph, by the sides that
-    lie within the image. It is the identity for objects without a box, or with one of a very
-    different size.
+    lie within the image. It is the identity for objects without a box or cut off by the image along
+    both axes, and None if the sizes of the boxes are very different.
+
+    Args:
+        mask: pixels of the object in the rendered image.
+        item: the object.
+        camera: camera of the rendered image.
+        reduced: size of the rendered image relative to that of the object's box.
     """
     box = item.box2d
-    identity = (np.ones(2), np.zeros(2))
     if box is None or item.environment or not mask.any():
-        return identity
+        return IDENTICAL
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     size = np.array([camera.width, camera.height_px], float)
     ends = np.array([[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]], float)
-    photo_ends = np.array([[box.x0, box.y0], [box.x1, box.y1]])
+    photo_ends = reduced * np.array([[box.x0, box.y0], [box.x1, box.y1]])
     inside = np.array([(ends[0] >= 1) & (photo_ends[0] >= 1),
                        (ends[1] <= size - 1) & (photo_ends[1] <= size - 1)])  # fmt: skip
     whole = inside.all(axis=0)
     ratios = (photo_ends[1] - photo_ends[0]) / (ends[1] - ends[0])
     known = ratios[whole]
-    if not len(known) or np.any(known < 1 / MOST_STRETCH) or np.any(known > MOST_STRETCH):
-        return identity
+    if not len(known):
+        return IDENTICAL
+    if np.any(known < 1 / MOST_STRETCH) or np.any(known > MOST_STRETCH):
+        return None
     stretch = np.where(whole, ratios, known.mean())
     side = np.where(inside[0], 0, 1)
     axis = np.arange(2)

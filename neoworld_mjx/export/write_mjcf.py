@@ -8,6 +8,7 @@ The files can be included or attached alongside a robot: they have no settings t
 The physics is that of the search and of the final check (`physics.mjcf`).
 """
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
 from typing import Any, Literal
@@ -16,7 +17,7 @@ import mujoco
 import numpy as np
 
 from ..physics.lowering import lower_geoms
-from ..physics.mjcf import COLLISION_GROUP, to_mjspec
+from ..physics.mjcf import COLLISION_GROUP, VISUAL_GROUP, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 from .handles import frames
 from .link_frames import link_origins
@@ -28,6 +29,8 @@ HIDDEN_GROUP = 3
 FLOOR_M = 5.0
 """Half the edge of the visible floor [m]; the collider is infinite."""
 SITE_RADIUS_M = 0.005
+BACKDROP_SIZE = 2.0
+"""Half the edge of the exported backdrop, relative to its distance."""
 
 
 def mjcf_text(
@@ -74,6 +77,19 @@ def mjcf_text(
             size=[FLOOR_M, FLOOR_M, 0.1],
             pos=[0, 0, floor],
             rgba=[0.6, 0.6, 0.6, 1.0],
+        )
+    if isinstance(scene, SceneSpec) and scene.backdrop is not None:
+        far, eye = scene.backdrop.x, 0.0 if scene.camera is None else scene.camera.height
+        model.worldbody.add_geom(
+            name="backdrop",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[BACKDROP_SIZE * far, BACKDROP_SIZE * far, 0.1],
+            pos=[far, 0, eye],
+            quat=[math.sqrt(0.5), 0, -math.sqrt(0.5), 0],
+            rgba=[*scene.backdrop.rgb, 1.0],
+            group=VISUAL_GROUP,
+            contype=0,
+            conaffinity=0,
         )
     for name, spec, _ in objects:
         _add_frames(model, name, spec)

@@ -129,6 +129,10 @@ class ParsedObject(ResponsePart):
         description="on: rests on it; in: rests inside it; attached: fastened to it; leaning: "
         "stands on it and leans against something.",
     )
+    leans_on: str | None = Field(
+        default=None,
+        description="Only for `leaning`: name of the listed object that it leans against.",
+    )
     parent_link: str | None = Field(
         default=None,
         description="The movable part of the parent that supports it, such as an open drawer.",

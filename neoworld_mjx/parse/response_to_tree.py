@@ -91,6 +91,7 @@ def _node(
         description=plain_text(obj.description, MAX_DESCRIPTION),
         parent=obj.parent,
         relation=obj.relation,
+        leans_on=obj.leans_on,
         parent_link=obj.parent_link,
         environment=obj.environment,
         fixed_base=obj.fixed_base,

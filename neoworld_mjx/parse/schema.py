@@ -136,7 +136,14 @@ def _problems(response: ParsedScene) -> list[str]:
             problems.append(
                 f"{where}: box needs left < right and top < bottom, got {corners(obj.box)}"
             )
-        others = [("parent", obj.parent), *(("occluded_by", other) for other in obj.occluded_by)]
+        others = [("parent", obj.parent), ("leans_on", obj.leans_on)]
+        others += [("occluded_by", other) for other in obj.occluded_by]
+        if obj.leans_on is not None and obj.relation != "leaning":
+            problems.append(f"{where}: leans_on is for the relation leaning only")
+        if obj.leans_on in (obj.name, obj.parent) and obj.leans_on is not None:
+            problems.append(
+                f"{where}: leans_on names what it leans against, not itself or what it stands on"
+            )
         for field, other in others:
             if other is not None and other not in names:
                 problems.append(

@@ -37,6 +37,7 @@ def compose_scene(context: StepContext) -> None:
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json and pictures/outlines.png.
     """
+    from ..align.looks import as_photographed
     from ..compose.compose import compose, in_contact
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
     from ..fit.refit import refit_tree
@@ -57,7 +58,7 @@ def compose_scene(context: StepContext) -> None:
         # Start from the unfitted tree: the first fit has already used the same boxes.
         tree = with_corrected_sizes(run, read_tree(run, RESPONSE_TREE))
     inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
-    if config.compose.align.enabled:
+    if config.compose.align.enabled or config.compose.looks:
         inputs["photo"] = run.path / "photo.png"
     patch = read_layout_patch(run.path)
     if patch.objects:
@@ -87,6 +88,8 @@ def compose_scene(context: StepContext) -> None:
                 scene, moved = in_contact(scene, config.compose)
                 notes = (*notes, *moved)
             scene, stale = apply_layout(scene, patch, config.compose.gap_m)
+            if config.compose.looks:
+                scene = as_photographed(scene, load_photo(run.path / "photo.png").rgb)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             scales = json.dumps(composed.scales, indent=1) + "\n"
             (out / "compose" / "scales.json").write_text(scales, encoding="utf-8")

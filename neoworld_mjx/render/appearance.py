@@ -29,6 +29,8 @@ class Appearance:
     """Patterns by geom id."""
     prints: dict[int, ReadPrint]
     """Prints of the photograph by geom id, in the frame of the geom's body."""
+    photographed: NDArray
+    """True if the color is that of the photograph, bool [geom]."""
     to_object: NDArray
     """Rotation from the world to the body of each geom, [geom, 3, 3]."""
     offset: NDArray
@@ -76,7 +78,10 @@ def appearance_of(
     offset = -np.einsum("nij,nj->ni", to_object, data.xpos[owner])
     has_pattern = np.isin(np.arange(n), [*patterns, *prints])
     colour = linear(geom_rgba(model)[:, :3])
-    return Appearance(colour, gloss, metal, has_pattern, patterns, prints, to_object, offset)
+    from_photo = np.isin(np.arange(n), [*prints])
+    return Appearance(
+        colour, gloss, metal, has_pattern, patterns, prints, from_photo, to_object, offset
+    )
 
 
 def geom_rgba(model: mujoco.MjModel) -> NDArray:
@@ -148,7 +153,7 @@ _DISPLAY = np.round(255 * displayed(np.linspace(0.0, 1.0, _STEPS))).astype(np.ui
 def display(light: NDArray) -> NDArray:
     """Convert linear light to display color, uint8, with a soft knee near 1."""
     x = np.maximum(light, 0.0)
-    knee = 0.7
+    knee = 0.85
     over = x - knee
     rolled = knee + (1.0 - knee) * over / (over + (1.0 - knee))
     x = np.where(x > knee, rolled, x)

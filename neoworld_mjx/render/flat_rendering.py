@@ -74,7 +74,7 @@ def render_plain(
     for first in (hits.geom, front):
         border |= _borders(root[first].reshape(view.height, view.width)).ravel()
     picture[border] *= _OUTLINE
-    return display(picture).reshape(view.height, view.width, 3)
+    return display(picture * view.gain).reshape(view.height, view.width, 3)
 
 
 def _borders(owner: NDArray) -> NDArray:

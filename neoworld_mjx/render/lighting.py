@@ -19,11 +19,16 @@ TILE = 4
 FLOOR = -2
 """Value that represents the floor among geom ids."""
 
-KEY_COLOUR = np.array([1.0, 0.95, 0.86]) * 1.1
-SKY_COLOUR = np.array([0.86, 0.92, 1.0]) * 0.45
-BOUNCE_COLOUR = np.array([1.0, 0.96, 0.92]) * 0.24
+# The lights add up to about 1 on what is level and on what faces the camera, so that surfaces show
+# the color of their material; what faces away from both is at half.
+KEY_COLOUR = np.array([1.03, 1.0, 0.94]) * 0.82
+SKY_COLOUR = np.array([0.95, 0.99, 1.06]) * 0.5
+BOUNCE_COLOUR = np.array([1.02, 1.0, 0.97]) * 0.58
 ZENITH, HORIZON = linear(np.array([0.72, 0.76, 0.81])), linear(np.array([0.90, 0.91, 0.92]))
-GROUND = linear(np.array([0.62, 0.60, 0.58]))
+GROUND = linear(np.array([0.74, 0.73, 0.72]))
+AMBIENT = 0.65
+"""Mean light that reflections show. The color of a material includes it; what is
+brighter is a highlight."""
 FLOOR_COLOUR = linear(np.array([0.74, 0.735, 0.73]))
 
 
@@ -42,7 +47,7 @@ class Lights:
 
 
 def lights(view: View, centre: NDArray, reach: float) -> Lights:
-    """Return a key light above left of the camera, and a sky.
+    """Return a key light above, left of and behind the camera, and a sky.
 
     Args:
         view: the camera.
@@ -54,7 +59,7 @@ def lights(view: View, centre: NDArray, reach: float) -> Lights:
         forward = -view.axes[:, 1] * [1.0, 1.0, 0.0]
     forward = forward / np.linalg.norm(forward)
     left = np.array([-forward[1], forward[0], 0.0])
-    towards = 0.95 * left - 0.25 * forward + [0.0, 0.0, 1.35]
+    towards = 0.6 * left - 0.8 * forward + [0.0, 0.0, 1.0]
     towards = towards / np.linalg.norm(towards)
     u = np.cross(towards, [0.0, 0.0, 1.0])
     u = u / np.linalg.norm(u)
@@ -217,8 +222,9 @@ def shade(
     mirror = 2.0 * cosine[:, None] * normal - towards_eye
     mirrored = surroundings(mirror, key_direction) * (0.25 + 0.75 * np.maximum(sky, key))[:, None]
     share = np.where(gloss > 0, gloss + (1.0 - gloss) * grazing * 0.5, 0.0)[:, None]
-    tint = np.where(metal[:, None], colour * 1.25, 1.0)
-    body = np.where(metal, 0.45, 1.0)[:, None] * colour * light
+    body = colour * light
     if opacity is not None and behind is not None:
         body = opacity[:, None] * body + (1.0 - opacity)[:, None] * behind
-    return body * (1.0 - share) + mirrored * share * tint
+    highlight = np.maximum(mirrored - AMBIENT, 0.0)
+    highlight = np.where(metal[:, None], colour * mirrored / AMBIENT - body, highlight)
+    return body + share * highlight

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..physics.mjcf import START, to_mjspec
 from ..spec import Camera, SceneSpec
-from .appearance import Appearance, albedo, appearance_of, display
+from ..spec.scene import Backdrop
+from .appearance import Appearance, albedo, appearance_of, display, linear
 from .lighting import FLOOR, FLOOR_COLOUR, Lights, lights, shade, surroundings, visibility
 from .ray_caster import Hits, RayCaster
 from .see_through import Layers
@@ -37,6 +38,10 @@ class RenderedImage:
     """Index of the object, int32 [h, w]; -1 for the background."""
     names: tuple[str, ...]
     """Names of the objects by index."""
+    geoms: NDArray
+    """Index of the geom, int32 [h, w]; -1 for the background."""
+    geom_names: tuple[str, ...]
+    """Names of the geoms by index."""
 
 
 def render(
@@ -58,7 +63,8 @@ def render(
         width: width in pixels; None uses the camera's, or follows from `height`.
         height: height in pixels; None follows from `width` and the aspect ratio of the camera.
         supersample: rays per pixel and axis at edges; 1 disables antialiasing.
-        floor: True to draw a plain floor below everything; it is not an object.
+        floor: True to draw a plain floor below everything, and the scene's backdrop; they are not
+            objects.
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)
@@ -67,7 +73,8 @@ def render(
     spec = scene if isinstance(scene, SceneSpec) else None
     model, data = compile_posed(scene) if isinstance(scene, SceneSpec) else scene
     caster = RayCaster(model, data)
-    stage = _Stage.of(caster, appearance_of(model, data, spec), view, floor)
+    backdrop = None if spec is None or not floor else spec.backdrop
+    stage = _Stage.of(caster, appearance_of(model, data, spec), view, floor, backdrop)
 
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
@@ -94,6 +101,8 @@ def render(
         normal=np.where(hit[..., None], normal, 0.0),
         segmentation=np.where(hit, objects[np.maximum(surface, 0)], -1).astype(np.int32),
         names=names,
+        geoms=np.where(hit, surface, -1).astype(np.int32),
+        geom_names=tuple(model.geom(g).name for g in range(model.ngeom)),
     )
 
 
@@ -136,9 +145,17 @@ class _Stage:
     reach: float
     ground: float | None
     """Height of the floor [m]; None without a floor."""
+    backdrop: Backdrop | None
 
     @classmethod
-    def of(cls, caster: RayCaster, appearance: Appearance, view: View, floor: bool) -> "_Stage":
+    def of(
+        cls,
+        caster: RayCaster,
+        appearance: Appearance,
+        view: View,
+        floor: bool,
+        backdrop: Backdrop | None,
+    ) -> "_Stage":
         model, data = caster.model, caster.data
         shown = np.flatnonzero(caster.shown & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
         turn = data.geom_xmat[shown].reshape(-1, 3, 3)
@@ -154,6 +171,7 @@ class _Stage:
             centre,
             reach,
             float(low[2]) if floor else None,
+            backdrop,
         )
 
     def cast(self, rays: NDArray) -> _RayHits:
@@ -164,6 +182,8 @@ class _Stage:
         if self.ground is not None and self.view.eye[2] > self.ground and down.any():
             distance = (self.ground - self.view.eye[2]) / np.where(down, rays[:, 2], -1.0)
             floor = (surface < 0) & down & (distance < 40.0 * self.reach)
+            if self.backdrop is not None and self.view.eye[0] < self.backdrop.x:
+                floor &= self.view.eye[0] + rays[:, 0] * distance < self.backdrop.x
             surface[floor] = FLOOR
             hits.point[floor] = self.view.eye + rays[floor] * distance[floor, None]
             hits.normal[floor] = [0.0, 0.0, 1.0]
@@ -190,14 +210,17 @@ class _Stage:
         )
 
     def shade(self, cast: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
-        """Return the light along each ray [n, 3]."""
+        """Return the light along each ray, times the camera's gain [n, 3]."""
         light = surroundings(cast.rays)
+        if self.backdrop is not None and self.view.eye[0] < self.backdrop.x:
+            # The plane extends upwards and sideways without end; its color includes its light.
+            light[cast.rays[:, 0] > 0] = self._floor_color()
         body = np.flatnonzero(cast.surface >= 0)
         light[body] = self._shade_hits(cast.hits, body, cast.rays[body], key[body], sky[body])
         floor = np.flatnonzero(cast.surface == FLOOR)
         n = len(floor)
         lit = shade(
-            np.tile(FLOOR_COLOUR, (n, 1)),
+            np.tile(self._floor_color(), (n, 1)),
             np.zeros(n),
             np.zeros(n, bool),
             cast.hits.normal[floor],
@@ -206,11 +229,20 @@ class _Stage:
             sky[floor],
             self.lights.key_direction,
         )
+        if self.backdrop is not None:
+            light[floor] = lit
+            return self._through(cast, light) * self.view.gain
         # The floor fades into the horizon.
         away = np.linalg.norm((cast.hits.point[floor] - self.centre)[:, :2], axis=1) / self.reach
         fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
         light[floor] = lit + (surroundings(cast.rays[floor] * [1, 1, 0]) - lit) * fade
-        return self._through(cast, light)
+        return self._through(cast, light) * self.view.gain
+
+    def _floor_color(self) -> NDArray:
+        """Return the linear color [3] of the floor, that of the backdrop if there is one."""
+        if self.backdrop is None:
+            return FLOOR_COLOUR
+        return linear(np.array(self.backdrop.rgb)) / self.view.gain
 
     def _through(self, cast: _RayHits, light: NDArray) -> NDArray:
         """Return the light [n, 3] after it passes through transparent surfaces."""
@@ -238,8 +270,11 @@ class _Stage:
         """Return the light [k, 3] of some rows [k] of hits."""
         geom, normal = hits.geom[rows], hits.normal[rows]
         pixel = hits.distance[rows] / self.view.focal
+        colour = albedo(self.appearance, geom, hits.point[rows], normal, pixel)
+        # Colors of the photograph have its exposure already.
+        colour[self.appearance.photographed[geom]] /= self.view.gain
         return shade(
-            albedo(self.appearance, geom, hits.point[rows], normal, pixel),
+            colour,
             self.appearance.gloss[geom],
             self.appearance.metal[geom],
             normal,

@@ -26,6 +26,8 @@ class View(NamedTuple):
     height: int
     centre: tuple[float, float] | None = None
     """Principal point (u, v) in pixels; None is the center of the image."""
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Factors of linear red, green and blue."""
 
     @classmethod
     def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> "View":
@@ -41,7 +43,8 @@ class View(NamedTuple):
             width = max(1, round(rows * camera.width / camera.height_px))
         if height is None:
             height = max(1, round(width * camera.height_px / camera.width))
-        return cls(camera.position(), camera.axes(), camera.fovy, width, height)
+        at = camera.position(), camera.axes()
+        return cls(*at, camera.fovy, width, height, gain=camera.gain)
 
     @classmethod
     def look_at(

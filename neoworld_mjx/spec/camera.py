@@ -10,6 +10,8 @@ from pydantic import Field
 from .base import Number, Spec
 from .pose import ArrayLike, Pose, from_matrix
 
+Gain = Annotated[float, Field(ge=0.1, le=10)]
+
 
 class Camera(Spec):
     """A camera above the world origin that looks along +x, pitched down.
@@ -28,6 +30,10 @@ class Camera(Spec):
     """Downward angle of the view from the horizontal [rad]."""
     roll: Number = 0.0
     """Clockwise rotation about the view direction, as seen from behind the camera [rad]."""
+    gain: tuple[Gain, Gain, Gain] = Field(
+        default=(1.0, 1.0, 1.0), exclude_if=lambda value: value == (1.0, 1.0, 1.0)
+    )
+    """Exposure and white balance: factors of linear red, green and blue in rendered images."""
 
     @property
     def focal(self) -> float:

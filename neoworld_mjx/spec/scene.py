@@ -21,6 +21,7 @@ from .object import ObjectSpec
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale, scaled_state
 from .semantics import semantics_of
+from .surface_pattern import Share
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"
@@ -53,6 +54,8 @@ class SceneObject(Spec):
     parent: Name | None = None
     parent_link: Name | None = None
     relation: Relation = "on"
+    leans_on: Name | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Object against which it leans; None for the nearest one ahead."""
     environment: bool = False
     """True for a static support, which is not optimized."""
     fixed_base: bool = False
@@ -84,6 +87,15 @@ class SceneObject(Spec):
         return self.environment or self.fixed_base
 
 
+class Backdrop(Spec):
+    """An upright plane behind the scene, as its photograph shows it; it collides with nothing."""
+
+    x: Number
+    """Distance from the world's origin along +x, the horizontal direction of the camera [m]."""
+    rgb: tuple[Share, Share, Share]
+    """Display color (sRGB) in the photograph."""
+
+
 class SceneSpec(Spec):
     """A composed scene."""
 
@@ -91,6 +103,7 @@ class SceneSpec(Spec):
     objects: tuple[SceneObject, ...] = Field(min_length=1)
     camera: Camera | None = None
     gravity: Vec3 = (0.0, 0.0, -9.81)
+    backdrop: Backdrop | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @model_validator(mode="before")
     @classmethod

@@ -98,6 +98,8 @@ class TreeNode(Spec):
     parent: Name | None = None
     """Supporting node; None for the world."""
     relation: Relation = "on"
+    leans_on: Name | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Node against which a leaning object leans; None if not stated."""
     parent_link: Name | None = None
     """Supporting movable part of the parent, such as an open drawer."""
     environment: bool = False
@@ -156,6 +158,7 @@ class SceneTree(Spec):
         for node in self.nodes:
             for field, other in [
                 ("parent", node.parent),
+                ("leans_on", node.leans_on),
                 *(("occluded_by", o) for o in node.occluded_by),
             ]:
                 if other is not None and other not in parents:

@@ -46,6 +46,21 @@ def leaning_scene(gap, *, yaw=0.0):
     )
 
 
+def test_a_stated_object_is_reached_from_farther_and_others_are_passed():
+    scene = leaning_scene(0.2)
+    assert lean(scene)[1] == {}
+    to_wall, to_block = (
+        scene.model_copy(update={"objects": tuple(
+            item.model_copy(update={"leans_on": name}) if item.name == "board" else item
+            for item in scene.objects
+        )})
+        for name in ("wall", "block")
+    )  # fmt: skip
+    assert lean(to_wall)[1] == {"board": (pytest.approx(0.2, abs=5e-4), "wall")}
+    # The block stands beside the board, not ahead of it.
+    assert lean(to_block)[1] == {}
+
+
 @pytest.mark.parametrize("gap", [0.1, 0.01, -0.02, -0.06])
 def test_a_board_moves_into_contact_with_the_wall_and_keeps_its_tilt(gap):
     scene = leaning_scene(gap)

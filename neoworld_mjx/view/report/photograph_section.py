@@ -40,7 +40,7 @@ def photograph_section(folder: Path) -> Markup:
     return elements.section(
         TITLE,
         elements.div("pictures", picture(folder / "pictures" / "outlines.png", _CAPTION)),
-        elements.paragraph(_camera(aligned)),
+        elements.paragraph(_camera(aligned) + _exposure(folder)),
         elements.table(heads, [_row(name, change) for name, change in objects.items()]),
         elements.paragraph(_NOTE, "dim"),
     )
@@ -56,6 +56,19 @@ def _camera(aligned: dict[str, Any]) -> str:
     return (
         f"The alignment changed the camera's pitch (down) by {pitch}°, its roll by {roll}°, its "
         f"vertical field of view by {fovy}° and its height by {height} mm."
+    )
+
+
+def _exposure(folder: Path) -> str:
+    """Return a sentence with the exposure of the pictures; empty if it is the photograph's own."""
+    camera = (read_json(folder / "compose" / "scene.json") or {}).get("camera") or {}
+    if "gain" not in camera:
+        return ""
+    red, green, blue = camera["gain"]
+    return (
+        f" The pictures of the scene have one exposure and white balance, estimated from all "
+        f"objects: {green:.2f} times the light, red by {_signed(100 * (red / green - 1), 0)} % and "
+        f"blue by {_signed(100 * (blue / green - 1), 0)} % relative to green."
     )
 
 
