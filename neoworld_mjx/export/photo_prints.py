@@ -48,6 +48,9 @@ MARGIN = 0.006
 """Width of the border around other objects that a print leaves out, over the picture's width."""
 DEPTH_PX = 256
 """Longer side of the depth image of a print [px]."""
+EDGE_STEPS = 2
+"""Pixels of the depth image by which it is continued beyond the edges of surfaces. Otherwise, the
+last pixels of a surface would have no depth to be compared with, and no print."""
 
 
 def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpec:
@@ -304,6 +307,7 @@ def _print(
     share = np.where(np.isfinite(sight), (sight - near) / (far - near), 0.0)
     levels = np.where(np.isfinite(sight), 1 + np.round(65534 * share), 0).astype(np.uint16)
     step = max(1, max(levels.shape) // DEPTH_PX)
+    levels = _widened(levels, EDGE_STEPS * step)
     # The projection x = focal * X / Z + width / 2, relative to the window.
     axes = camera.axes().T
     wide, tall = x1 - x0, y1 - y0
@@ -322,3 +326,12 @@ def _print(
         turn=tuple(tuple(map(float, row)) for row in turn),  # pyright: ignore[reportArgumentType]
         shift=tuple(map(float, shift)),  # pyright: ignore[reportArgumentType]
     )
+
+
+def _widened(levels: NDArray, width: int) -> NDArray:
+    """Continue positive levels by the nearest ones, by a number of pixels."""
+    distance, (rows, columns) = cast(
+        tuple[NDArray, NDArray],
+        ndimage.distance_transform_edt(levels == 0, return_indices=True),
+    )
+    return np.where(distance <= width, levels[rows, columns], 0).astype(levels.dtype)
