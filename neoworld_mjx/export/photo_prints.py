@@ -74,7 +74,7 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
     if flat:
         size = (PHOTO_SCALE * camera.width, PHOTO_SCALE * camera.height_px)
         photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
-    view = render(scene, camera, supersample=1, floor=False)
+    view = render(scene, camera, supersample=1, floor=False, shadows=False)
     poses, ones = world_poses(scene), np.ones(2)
     masks = {name: view.segmentation == k for k, name in enumerate(view.names)}
     faces = flat_faces(view, View.of(camera)) if flat else np.ones(view.depth.shape, bool)

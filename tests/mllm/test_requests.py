@@ -79,7 +79,7 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
 @pytest.mark.parametrize(
     ("schema", "digest_start"),
     [
-        (ParsedScene, "74916462df1b2bab"),
+        (ParsedScene, "734f92b99f298641"),
         (SceneCritique, "f7f32e8731f015d8"),
         (ProgramResponse, "13e36c10da528d5f"),
         (GeometryCritique, "b449146b76100ba9"),

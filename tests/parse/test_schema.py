@@ -230,3 +230,24 @@ def test_the_uncertainty_of_the_camera_reaches_the_tree():
     assert tree.pitch_sd == pytest.approx(math.radians(3.0)) and tree.height_sd == 0.2
     with pytest.raises(ValidationError, match="pitch_doubt_deg must lie in"):
         ParsedScene.model_validate(data | {"camera": data["camera"] | {"pitch_doubt_deg": -1.0}})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"relation": "leaning", "leans_on": "wall"}, "leans_on 'wall' is no object"),
+        ({"relation": "leaning", "leans_on": "table"}, "not itself or what it stands on"),
+        ({"leans_on": "cup"}, "leans_on is for the relation leaning only"),
+    ],
+)
+def test_what_an_object_leans_on_is_checked(change, message):
+    data = answers.answer(answers.item("cup"), answers.item("book") | change)
+    with pytest.raises(InvalidResponse, match=message):
+        read_response(json.dumps(data), ParsedScene)
+
+
+def test_what_an_object_leans_on_reaches_the_tree():
+    leaning = {"relation": "leaning", "leans_on": "cup"}
+    data = answers.answer(answers.item("cup"), answers.item("book") | leaning)
+    assert tree(data).node("book").leans_on == "cup"
+    assert tree(data).node("cup").leans_on is None
