@@ -4,6 +4,7 @@ import pytest
 from neoworld_mjx.measure import scene_measure, stability, unstable_objects
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
+from neoworld_mjx.spec.pose import quat_mul
 from tests.support import scenes
 
 
@@ -73,6 +74,7 @@ def test_stability_is_none_without_movable_objects():
     assert result.movable == 0
     assert result.s_stab is None
     assert result.s_pen == 0
+    assert result.max_drift_m == result.max_tilt_deg == result.max_depth_m == 0.0
 
 
 def test_a_support_on_a_support_is_not_penetration():
@@ -123,46 +125,92 @@ def test_sideways_overlap_with_a_wall_does_not_lift_an_object_over_it(aside, abo
     assert snap_exactly(scene).object("inside").z == pytest.approx(0.006 + 1e-4, abs=2e-5)
 
 
-def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(monkeypatch):
-    """A block rises 3 cm, falls 2 cm, and turns by 10 degrees and back, as a drawer opens."""
-    scene = scenes.on_table((box("a"), (0, 0), 0.0, {}), (scenes.cabinet(), (0, 0.3), 0.0, {}))
-    steps = 5
+@pytest.fixture
+def fabricated(monkeypatch):
+    """A scene, with the trajectory of five steps in place of a simulation.
+
+    A block rises 3 cm, falls 2 cm, and turns by 10 degrees and back. A lamp's head turns by 20
+    degrees on its ball, a drawer opens by 4 cm, a door by 7 degrees. Their bases rise by 1 mm.
+    """
+    lamp = scenes.lamp().object("lamp").model_copy(update={"xy": (0.0, -0.25)})
+    scene = scenes.on_table((box("a"), (0, 0), 0.0, {}))
+    cabinet = SceneObject(name="cabinet", spec=scenes.cabinet(), parent="table", xy=(0, 0.3), z=0.1)
+    scene = scene.model_copy(update={"objects": (*scene.objects, lamp, cabinet)})
 
     def simulate(model, data, count):
-        assert count == round(0.01 / 0.002) == steps
-        qpos = np.tile(data.qpos, (steps, 1))
+        assert count == round(0.01 / 0.002) == 5
+        qpos = np.tile(data.qpos, (count, 1))
+        at = {model.joint(k).name: model.jnt_qposadr[k] for k in range(model.njnt)}
         a = model.jnt_qposadr[model.body("a").jntadr[0]]
         qpos[1, a + 2] += 0.03
         qpos[2, a + 2] -= 0.02
-        angle = np.radians(10.0) / 2
-        qpos[3, a + 3 : a + 7] = [np.cos(angle), 0, np.sin(angle), 0]
-        (slide,) = np.flatnonzero(model.jnt_type == 2)
-        qpos[1, model.jnt_qposadr[slide]] -= 0.04
-        hinges = np.flatnonzero(model.jnt_type == 3)
-        qpos[2, model.jnt_qposadr[hinges[0]]] -= np.radians(7.0)
+        qpos[3, a + 3 : a + 7] = about_y(10.0)
+        neck = slice(at["lamp-neck"], at["lamp-neck"] + 4)
+        qpos[2, neck] = quat_mul(qpos[2, neck], about_y(-20.0))
+        qpos[1, at["cabinet-slide"]] -= 0.04
+        qpos[2, at["cabinet-hinge"]] -= np.radians(7.0)
+        for name in ("lamp", "cabinet"):
+            qpos[:, model.jnt_qposadr[model.body(name).jntadr[0]] + 2] += 1e-3
         return qpos, True
 
     monkeypatch.setattr(stability, "_simulate", simulate)
-    found = scene_measure(scene, duration=0.01)
-    assert found.max_drift_m == found.drift_m["a"] == pytest.approx(0.03)
-    assert found.max_tilt_deg == found.tilt_deg["a"] == pytest.approx(10.0)
-    assert found.drop_m["a"] == pytest.approx(0.02)
-    assert found.drift_m["cabinet"] == found.tilt_deg["cabinet"] == found.drop_m["cabinet"] == 0.0
-    assert max(found.joint_slide_m.values()) == pytest.approx(0.04)
-    assert max(found.joint_turn_deg.values()) == pytest.approx(7.0)
+    return scene
+
+
+def about_y(degrees):
+    half = np.radians(degrees) / 2
+    return np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+
+
+def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(fabricated):
+    found = scene_measure(fabricated, duration=0.01)
+    assert (found.objects, found.movable, found.duration_s) == (4, 3, 0.01)
+    assert found.drift_m == pytest.approx({"a": 0.03, "lamp": 1e-3, "cabinet": 1e-3})
+    assert found.tilt_deg == pytest.approx({"a": 10.0, "lamp": 0.0, "cabinet": 0.0}, abs=1e-4)
+    assert (found.max_drift_m, found.max_tilt_deg) == pytest.approx((0.03, 10.0))
+    assert found.drop_m == pytest.approx({"a": 0.02, "lamp": 0.0, "cabinet": 0.0}, abs=1e-12)
+    assert found.joint_slide_m == pytest.approx({"cabinet-slide": 0.04})
+    turned = {"lamp-neck": 20.0, "cabinet-hinge": 7.0, "cabinet-turn": 0.0}
+    assert found.joint_turn_deg == pytest.approx(turned, abs=1e-4)
     assert found.s_stab is False and not found.diverged
-    # Either bound decides, and the value at a bound is over it.
-    calm = {"duration": 0.01, "max_drift": 0.031, "max_tilt": 10.1}
-    assert scene_measure(scene, **calm).s_stab is True
-    assert scene_measure(scene, **calm | {"max_drift": 0.029}).s_stab is False
-    assert scene_measure(scene, **calm | {"max_tilt": 9.9}).s_stab is False
 
 
-def test_a_simulation_that_is_not_finite_is_unstable(monkeypatch):
+def test_each_bound_decides_and_a_motion_at_its_bound_is_over_it(fabricated):
+    found = scene_measure(fabricated, duration=0.01)
+    stable = lambda **bounds: scene_measure(fabricated, duration=0.01, **bounds).s_stab
+    assert stable(max_drift=0.031, max_tilt=10.1) is True
+    assert stable(max_drift=found.max_drift_m, max_tilt=10.1) is False
+    assert stable(max_drift=0.031, max_tilt=found.max_tilt_deg) is False
+
+
+def test_an_overlap_at_its_bound_is_within_it():
+    scene = scenes.on_table((box("a"), (0, 0), 0.0, {}), (box("b"), (0.09, 0), 0.0, {}))
+    found = scene_measure(scene, duration=0.002)
+    assert found.s_pen == 1
+    assert scene_measure(scene, duration=0.002, max_depth=found.max_depth_m).s_pen == 0
+
+
+@pytest.mark.parametrize("finite", [True, False])
+def test_a_simulation_that_is_not_finite_is_unstable(monkeypatch, finite):
     scene = scenes.on_table((box("a"), (0, 0), 0.0, {}))
-    still = lambda model, data, steps: (np.tile(data.qpos, (steps, 1)), False)
-    monkeypatch.setattr(stability, "_simulate", still)
+
+    def simulate(model, data, count):
+        return np.full((count, model.nq), np.nan if finite else 0.0), finite
+
+    monkeypatch.setattr(stability, "_simulate", simulate)
     found = scene_measure(scene, duration=0.01)
     assert found.diverged and found.s_stab is False
     assert found.max_drift_m == found.max_tilt_deg == np.inf
     assert found.settled_depths_m == {} and found.settled_depth_m == 0.0
+
+
+def test_the_overlap_at_the_end_is_that_of_the_last_state():
+    """A block falls from 1 mm above the table, which it reaches after 14 ms."""
+    scene = scenes.on_table((box("a"), (0, 0), 0.0, {"z": 0.04 + 0.001}))
+    found = scene_measure(scene, duration=0.02, timestep=0.001)
+    assert found.depths_m == {} and found.max_depth_m == 0.0
+    assert found.settled_depth_m == found.settled_depths_m["table|a"] > 0.0
+    # Semi-implicit Euler falls by g dt^2 n (n + 1) / 2 in n steps.
+    short = scene_measure(scene, duration=0.010, timestep=0.001)
+    assert short.drop_m["a"] == short.max_drift_m == pytest.approx(9.81e-6 * 10 * 11 / 2, rel=1e-6)
+    assert short.settled_depths_m == {}
