@@ -193,6 +193,11 @@ def filled(folder: Path, text: str, *more: str) -> None:
         time.sleep(0.05)
 
 
+def write_hole(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
 HOSTILE = {
     "a link in the mailbox": (
         lambda mailbox: (mailbox / "0007-cup").symlink_to(mailbox.parent / "precious"),
@@ -210,7 +215,7 @@ HOSTILE = {
     "a pipe as response": (planted(lambda f: os.mkfifo(f / "response.json")), "a pipe or device"),
     "a folder as response": (planted(lambda f: (f / "response.json").mkdir()), "it is a folder"),
     "a huge response": (
-        planted(lambda f: os.truncate(os.open(f / "response.json", os.O_CREAT | os.O_RDWR), 1 << 40)),
+        planted(lambda f: write_hole(f / "response.json")),
         "the limit is 64 MiB",
     ),
     "a folder in place of the reason": (
