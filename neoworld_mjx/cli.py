@@ -34,6 +34,8 @@ BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
+    # The matrices are small: on a busy machine threads of BLAS spend twice the time on waiting.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
     if list(args) == ["--version"]:
         print(f"neoworld {__version__}")
