@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import queue
 import subprocess
 import sys
@@ -49,7 +50,9 @@ def _outcomes(first: int, count: int) -> list[dict[str, Any]]:
     """Run a process and return its outcomes; if it hangs or crashes, the last one records that."""
     command = [sys.executable, "-m", "tests.support.hostile_inputs", str(first), str(count)]
     outcomes: list[dict[str, Any]] = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+    streams: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # As the command line sets it.
+    with subprocess.Popen(command, env=environment, **streams) as process:
         assert process.stdout is not None
         lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         threading.Thread(target=_pump, args=(process.stdout, lines), daemon=True).start()

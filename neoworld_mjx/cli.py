@@ -3,6 +3,7 @@
 Exit codes: 0 success, 1 the scene or object fails its checks, 2 invalid input.
 """
 
+import _thread
 import contextlib
 import difflib
 import json
@@ -11,6 +12,7 @@ import os
 import shutil
 import sys
 import textwrap
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -32,6 +34,8 @@ BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
+    # The matrices are small: on a busy machine threads of BLAS spend twice the time on waiting.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
     if list(args) == ["--version"]:
         print(f"neoworld {__version__}")
@@ -108,7 +112,7 @@ def run(command: "Runnable") -> int:
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] It was closed by the caller.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
-    with _reserved_stdout() as out, _log_on_stderr(command):
+    with _reserved_stdout() as out, _log_on_stderr(command), _repeated_interrupts():
         try:
             result = command.run()
             code = FAILED if result.get("passed") is False else 0
@@ -152,6 +156,28 @@ def _describe(error: Exception) -> tuple[str, int]:
     if (refusal := system_refusal(error)) is not None:
         return refusal, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
+
+
+@contextlib.contextmanager
+def _repeated_interrupts() -> Iterator[None]:
+    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback."""
+    report, timers = sys.unraisablehook, list[threading.Timer]()
+
+    def repeat(ignored: Any) -> None:
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            report(ignored)
+            return
+        # Not at once: the callback is still running.
+        timers.append(threading.Timer(0.02, _thread.interrupt_main))
+        timers[-1].start()
+
+    sys.unraisablehook = repeat
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report
+        for timer in timers:
+            timer.cancel()
 
 
 @contextlib.contextmanager

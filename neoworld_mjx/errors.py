@@ -56,7 +56,7 @@ class RunError(NeoWorldError):
 _OPEN_FILES = {errno.EMFILE, errno.ENFILE}
 _REFUSALS = _OPEN_FILES | {
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS),
-    *(errno.ENOSPC, errno.EDQUOT, errno.EIO),
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
 }
 
 
@@ -67,6 +67,8 @@ def system_refusal(error: BaseException) -> str | None:
     """
     if open_files_exhausted(error):
         return f"{os.strerror(errno.EMFILE)}; raise the limit, such as with ulimit -n 4096"
+    if isinstance(error, OSError) and error.errno == errno.ENOENT and error.filename is None:
+        return f"{error.strerror}; free some space, or set TMPDIR"  # Of `tempfile`.
     if not isinstance(error, OSError) or error.errno not in _REFUSALS:
         return None
     path = "" if error.filename is None else f"cannot use {error.filename}: "

@@ -1,8 +1,11 @@
+import gc
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 from typing import NamedTuple
@@ -235,6 +238,28 @@ def test_output_of_other_code_is_not_mixed_with_the_json(capfd, monkeypatch):
     out, err = capfd.readouterr()
     assert json.loads(out) == {"a": 1}
     assert "from C" in err
+
+
+def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
+    """JAX collects its garbage in a callback, where an exception is reported and dropped."""
+
+    def strike(phase, info):
+        gc.callbacks.remove(strike)
+        signal.raise_signal(signal.SIGINT)
+        sum(range(3))  # Python looks for signals between operations.
+
+    def works(command):
+        gc.callbacks.append(strike)
+        gc.collect()
+        for _ in range(500):
+            time.sleep(0.01)
+        return {"passed": True}
+
+    monkeypatch.setattr(DoctorCommand, "run", works)
+    hook = sys.unraisablehook
+    assert cli.run(DoctorCommand(json=True)) == 130
+    assert sys.unraisablehook is hook
+    assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
 
 
 @pytest.mark.parametrize(

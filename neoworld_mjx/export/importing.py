@@ -11,7 +11,7 @@ from ..errors import SpecError
 from ..io.limited_worker import call_limited
 from ..io.names import RESERVED, identifier
 from ..io.validation_message import validation_message
-from ..physics.decompose import convex_pieces, hull_points, installed
+from ..physics.decompose import convex_pieces, decomposition_deadline, hull_points, installed
 from ..spec import (
     AuthoredInertia,
     GeomSpec,
@@ -89,7 +89,7 @@ def import_usd(path: Path, object_path: str | None = None) -> Imported:
     return to_object(call_limited(read_usd, Path(path), object_path))
 
 
-def to_object(mechanism: Mechanism) -> Imported:
+def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     """Convert a mechanism to an object.
 
     Links that have no geometry or are only visible are merged into the links they are fixed to; a
@@ -97,10 +97,12 @@ def to_object(mechanism: Mechanism) -> Imported:
 
     Args:
         mechanism: result of a reader; its links and notes are modified.
+        deadline: time until which meshes are split, by default that of `decomposition_deadline`.
 
     Raises:
         SpecError: it has too many links, or a number is out of bounds.
     """
+    deadline = decomposition_deadline() if deadline is None else deadline
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
     if len(by_name) > MAX_LINKS:
         raise SpecError(f"{name} has {len(by_name)} links; the limit is {MAX_LINKS}")
@@ -114,7 +116,7 @@ def to_object(mechanism: Mechanism) -> Imported:
     parts = []
     for link in by_name.values():
         try:
-            parts.append(_part(link, names, materials, notes))
+            parts.append(_part(link, names, materials, notes, deadline))
         except ValidationError as error:
             raise SpecError(
                 f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
@@ -228,7 +230,11 @@ def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:
 
 
 def _part(
-    link: Link, names: "_Names", materials: dict[tuple, Material], notes: list[str]
+    link: Link,
+    names: "_Names",
+    materials: dict[tuple, Material],
+    notes: list[str],
+    deadline: float,
 ) -> PartSpec:
     label = names.take(link.name, "part")
     visual_only = all(item.role == "visual" for item in link.shapes)
@@ -241,7 +247,8 @@ def _part(
         role = "both" if visual_only else item.role
         shape = item.shape
         if not isinstance(shape, BaseShape):
-            shape = _mesh(shape, role == "visual" or item.hull, link.name, notes)
+            until = None if role == "visual" or item.hull else deadline
+            shape = _mesh(shape, until, link.name, notes)
         if shape is None:
             continue
         geoms.append(
@@ -273,7 +280,8 @@ def _part(
     return PartSpec(name=label, geoms=tuple(geoms), mass=mass, inertia=inertia)
 
 
-def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh | None:
+def _mesh(triangles: Triangles, deadline: float | None, link: str, notes: list[str]) -> Mesh | None:
+    """Return a mesh that is split until a deadline; without one, its collider is its hull."""
     vertices, faces = (np.asarray(v) for v in triangles)
     if not np.isfinite(vertices).all():
         raise SpecError(f"link {link}: a mesh has vertices that are not finite")
@@ -282,7 +290,10 @@ def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh
         return None
     if len(vertices) == 3:
         vertices = np.vstack([vertices, vertices.mean(axis=0)])
-    hulls = [hull_points(vertices)] if hull else convex_pieces(vertices, faces)
+    if deadline is None:
+        hulls = [hull_points(vertices)]
+    else:
+        hulls = convex_pieces(vertices, faces, deadline)
     return Mesh(
         vertices=tuple(map(tuple, vertices.astype(float).tolist())),
         faces=tuple(map(tuple, faces.astype(int).tolist())),

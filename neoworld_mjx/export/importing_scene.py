@@ -10,6 +10,7 @@ from ..errors import SpecError
 from ..io.limited_worker import call_limited
 from ..io.names import identifier
 from ..io.validation_message import validation_message
+from ..physics.decompose import decomposition_deadline
 from ..spec import SceneObject, SceneSpec
 from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
@@ -98,8 +99,9 @@ def scene_of_assemblies(
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
     notes: list[str] = []
+    deadline = decomposition_deadline()
     for assembly in assemblies:
-        imported = to_object(assembly.mechanism)
+        imported = to_object(assembly.mechanism, deadline)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
         notes += [note if _is_general(note) else f"{name}: {note}" for note in imported.notes]
         objects.append(_placed(name, assembly, imported))

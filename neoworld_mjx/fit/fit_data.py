@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from .priors import (
 )
 from .projection import Silhouette
 from .visible_sides import hidden_sides
-from .wireframe import Wireframe
+from .wireframe import CutSurfaces, Wireframe, stacked
 
 CAMERA = 2
 """Number of unknowns of the camera; each object has seven."""
@@ -72,8 +72,9 @@ class FitData:
     yaw_sd: Float[np.ndarray, " n"]
     whitening: Float[np.ndarray, "n 3 3"]
     """Matrices that map changes of position [m] to standard deviations."""
-    cut: Mapping[int, tuple[Wireframe, ...]] = field(default_factory=dict)
-    """Surfaces of the objects that the border may cut, by index; the smallest outline first."""
+    cut: tuple[CutSurfaces, ...] = ()
+    """Smallest outlines of the objects that the border may cut, then the largest ones that
+    differ from them."""
 
     @cached_property
     def heights(self) -> Float[np.ndarray, " n"]:
@@ -134,9 +135,9 @@ def object_data(
         tilts=np.array([node.base_tilt for node in objects]),
         boxes=np.array([node.box2d.as_tuple() for node in objects]),
         contacts=np.array(contacts, float),
-        inner=_stacked([silhouette.inner for silhouette in silhouettes]),
-        outer=_stacked([silhouette.outer for silhouette in silhouettes]),
-        lowest=_stacked([silhouette.lowest for silhouette in silhouettes]),
+        inner=stacked([silhouette.inner for silhouette in silhouettes]),
+        outer=stacked([silhouette.outer for silhouette in silhouettes]),
+        lowest=stacked([silhouette.lowest for silhouette in silhouettes]),
         hidden=np.array([hidden_sides(tree, node, shown.get(node.name)) for node in objects]),
         normals=np.array([wall_normal(tree, node) for node in objects]),
         camera_sd=camera_sd(tree),
@@ -146,9 +147,3 @@ def object_data(
         yaw_sd=np.array([yaw_sd(node) for node in objects]),
         whitening=np.array([position_whitening(tree, node) for node in objects]),
     )
-
-
-def _stacked(points: list[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
-    """Stack point sets; shorter sets repeat points, which does not change their extents."""
-    longest = max(len(p) for p in points)
-    return np.array([np.resize(p, (longest, 3)) for p in points])

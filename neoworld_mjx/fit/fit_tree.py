@@ -71,8 +71,9 @@ def fit_tree(
     fixed = np.zeros(len(objects), bool)
     try:
         x = _solve_with_camera(problem, fixed)
+        known_errors = _error_codes(tree)
         for _ in range(MAX_SOLVES):
-            newly_refused = _refused_objects(problem, x, fixed)
+            newly_refused = _refused_objects(problem, x, fixed, known_errors)
             if not newly_refused:
                 break
             refused |= newly_refused
@@ -140,11 +141,13 @@ def _minimize(
 
 
 def _refused_objects(
-    problem: FitProblem, x: Float[np.ndarray, " u"], fixed: Bool[np.ndarray, " n"]
+    problem: FitProblem,
+    x: Float[np.ndarray, " u"],
+    fixed: Bool[np.ndarray, " n"],
+    known_errors: Mapping[str, set[str]],
 ) -> dict[str, str]:
     """Return the objects whose fit is refused, with reasons."""
-    data = problem.data
-    errors = [_error_codes(tree) for tree in (data.tree, problem.tree(x, fixed))]
+    data, errors = problem.data, _error_codes(problem.tree(x, fixed))
     residuals = [
         np.abs(outline_residuals(data, unknowns)[:, :4] / data.side_sd).max(axis=1)
         for unknowns in (data.initial_unknowns(), x)
@@ -154,7 +157,7 @@ def _refused_objects(
     for i, node in enumerate(data.objects):
         if fixed[i]:
             continue
-        new = errors[1].get(node.name, set()) - errors[0].get(node.name, set())
+        new = errors.get(node.name, set()) - known_errors.get(node.name, set())
         if residuals[1][i] > max(residuals[0][i] + MAX_RESIDUAL_GROWTH, 1.0 + MAX_RESIDUAL_GROWTH):
             refused[node.name] = (
                 f"its outline would differ from its 2D box by {residuals[1][i]:.1f} standard "

@@ -11,7 +11,14 @@ from ..spec.pose import rotate
 from .fit_data import FitData
 from .projection import NEAR_M, Silhouette
 from .visible_sides import EDGE
-from .wireframe import Wireframe, extents_in_picture, hull_wireframe, near_border
+from .wireframe import (
+    CutSurfaces,
+    Wireframe,
+    extents_in_picture,
+    hull_wireframe,
+    near_border,
+    stack_surfaces,
+)
 
 MAX_CUT = 8
 """Maximum number of objects whose visible part is projected edge by edge, which is slow."""
@@ -34,14 +41,15 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
         view, height = to_camera_frame(data, camera, values, points, rows)
         pixels = _projected(camera, view)
         boxes = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
-        for i, frames in data.cut.items():
-            if k == len(frames):  # Smallest and largest outline are the same.
-                boxes[i] = _OUTWARD * extents[0][i]
-                continue
-            view, _ = to_camera_frame(data, camera, values, frames[k].points[None], rows[i : i + 1])
+        if k == 1 and data.cut:
+            rows_alike = np.setdiff1d(data.cut[0].rows, data.cut[1].rows)
+            boxes[rows_alike] = _OUTWARD * extents[0][rows_alike]
+        if data.cut and len(cut := data.cut[k].rows):
+            points = data.cut[k].points
+            view, _ = to_camera_frame(data, camera, values, points, cut)
+            within = extents_in_picture(camera, view, data.cut[k].edges, data.cut[k].owners)
             size = np.tile([camera.width, camera.height_px], 2)
-            visible_part = extents_in_picture(camera, view[0], frames[k].edges)
-            boxes[i] = np.clip(boxes[i], 0, size) if visible_part is None else visible_part
+            boxes[cut] = np.where(np.isnan(within), np.clip(boxes[cut], 0, size), within)
         extents.append(_OUTWARD * boxes)
         above_foot = (height > FOOT_HEIGHT * data.heights[:, None] + 1e-4)[..., None]
         low = np.where(above_foot, np.inf, pixels).min(axis=1)
@@ -97,18 +105,21 @@ def to_camera_frame(
 
 def cut_surfaces(
     data: FitData, shapes: Mapping[str, Wireframe], silhouettes: Sequence[Silhouette]
-) -> dict[int, tuple[Wireframe, ...]]:
-    """Return the surfaces of the first objects that the picture's border may cut, by their index.
+) -> tuple[CutSurfaces, ...]:
+    """Return the surfaces of the first objects that the picture's border may cut; see `FitData`.
 
     Sides at the border do not count for the others.
     """
-    cut = (i for i in range(len(data.objects)) if _may_be_cut(data, i))
-    return {
-        i: (_trimmed(data, i, shapes[data.objects[i].name]),)
-        if data.objects[i].name in shapes
-        else tuple(hull_wireframe(p) for p in (silhouettes[i].inner, silhouettes[i].outer))
-        for i in itertools.islice(cut, MAX_CUT)
-    }
+    rows = itertools.islice((i for i in range(len(data.objects)) if _may_be_cut(data, i)), MAX_CUT)
+    smallest: dict[int, Wireframe] = {}
+    largest: dict[int, Wireframe] = {}
+    for i in rows:
+        if shape := shapes.get(data.objects[i].name):
+            smallest[i] = _trimmed(data, i, shape)
+        else:
+            smallest[i] = hull_wireframe(silhouettes[i].inner)
+            largest[i] = hull_wireframe(silhouettes[i].outer)
+    return (stack_surfaces(smallest), stack_surfaces(largest)) if smallest else ()
 
 
 def _may_be_cut(data: FitData, index: int) -> bool:

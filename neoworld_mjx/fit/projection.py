@@ -186,6 +186,10 @@ def visible_box(
         None if the solid is outside the picture.
     """
     local = (corners - camera.position()) @ camera.axes()
+    if local[:, 2].min() > NEAR_M:
+        pixels = _pixel(camera, local)
+        if (pixels >= 0).all() and (pixels <= [camera.width, camera.height_px]).all():
+            return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
     near = np.array([0.0, 0.0, 1.0, -NEAR_M])
     sides = [
         np.array([1.0, 0.0, 0.0, 0.0]),

@@ -68,16 +68,16 @@ def _covered_sides(
 ) -> Bool[np.ndarray, "4"]:
     """Return a mask of the sides of a box that the boxes of possible occluders cover."""
     names, hidden = _occluders(node), np.zeros(4, bool)
-    for other in tree.nodes:
+    boxes = np.array([other.box2d.as_tuple() for other in tree.nodes])
+    shares = _covered_fractions(box, boxes, edge)
+    for k in np.flatnonzero((shares >= COVERED).any(axis=1)):
+        other = tree.nodes[k]
         if other.name == node.name:
             continue
         if other.name in names:
-            share = COVERED
-        elif _is_nearer(tree, other, node):
-            share = COVERED_UNNAMED
-        else:
-            continue
-        hidden |= _covered_fractions(box, np.array(other.box2d.as_tuple()), edge) >= share
+            hidden |= shares[k] >= COVERED
+        elif (shares[k] >= COVERED_UNNAMED).any() and _is_nearer(tree, other, node):
+            hidden |= shares[k] >= COVERED_UNNAMED
     return hidden
 
 
@@ -113,7 +113,7 @@ def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
     return nearer < depth
 
 
-@lru_cache(maxsize=1024)  # Every pair of objects compares its depths.
+@lru_cache(maxsize=1024)  # Many pairs of objects compare their depths.
 def _depth(camera: Camera, box: Box3D, tilt: Quat) -> float:
     """Return the mean depth of a box's corners [m]."""
     eye, axis = camera.position(), camera.axes()[:, 2]
@@ -121,14 +121,12 @@ def _depth(camera: Camera, box: Box3D, tilt: Quat) -> float:
 
 
 def _covered_fractions(
-    box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"], slack: float
-) -> Float[np.ndarray, "4"]:
-    """Return the fraction of each side of a box that lies in another box, grown by `slack`."""
-    grown = other + slack * np.array([-1.0, -1.0, 1.0, 1.0])
-    shares = np.zeros(4)
-    for side in range(4):
-        axis, along = side % 2, 1 - side % 2
-        shared = min(box[along + 2], grown[along + 2]) - max(box[along], grown[along])
-        if grown[axis] <= box[side] <= grown[axis + 2]:
-            shares[side] = max(shared, 0.0) / (box[along + 2] - box[along])
-    return shares
+    box: Float[np.ndarray, "4"], others: Float[np.ndarray, "n 4"], slack: float
+) -> Float[np.ndarray, "n 4"]:
+    """Return the fraction of each side of a box that lies in other boxes, grown by `slack`."""
+    grown = others + slack * np.array([-1.0, -1.0, 1.0, 1.0])
+    low, high = np.maximum(grown[:, :2], box[:2]), np.minimum(grown[:, 2:], box[2:])
+    # Vertical sides extend along y, horizontal ones along x.
+    along = (np.maximum(high - low, 0.0) / (box[2:] - box[:2]))[:, [1, 0, 1, 0]]
+    within = (np.tile(grown[:, :2], 2) <= box) & (box <= np.tile(grown[:, 2:], 2))
+    return np.where(within, along, 0.0)

@@ -4,6 +4,7 @@ The visible box of an object that the border cuts ends where its edges leave the
 locates the object as accurately as a fully visible outline.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,25 +43,58 @@ def edges_of(triangles: Int[np.ndarray, "t 3"]) -> Int[np.ndarray, "e 2"]:
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
+class CutSurfaces(NamedTuple):
+    """Surfaces of the objects that the picture's border may cut."""
+
+    rows: Int[np.ndarray, " s"]
+    """Index of the object of each surface."""
+    points: Float[np.ndarray, "s p 3"]
+    edges: Int[np.ndarray, "e 2"]
+    """Indices of the points of each edge among the points of all surfaces."""
+    owners: Int[np.ndarray, " e"]
+    """The surface of each edge, ascending."""
+
+
+def stack_surfaces(frames: Mapping[int, Wireframe]) -> CutSurfaces:
+    """Stack wireframes by the index of their object."""
+    points = stacked([frame.points for frame in frames.values()])
+    edges = [k * points.shape[1] + frame.edges for k, frame in enumerate(frames.values())]
+    return CutSurfaces(
+        np.array(list(frames), int),
+        points,
+        np.concatenate([np.zeros((0, 2), int), *edges]),
+        np.arange(len(frames)).repeat([len(e) for e in edges]),
+    )
+
+
+def stacked(points: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
+    """Stack point sets; shorter sets repeat points, which does not change their extents."""
+    longest = max((len(p) for p in points), default=0)
+    return np.array([np.resize(p, (longest, 3)) for p in points]).reshape(len(points), longest, 3)
+
+
 def extents_in_picture(
     camera: Camera,
-    view: Float[np.ndarray, "n 3"],
+    view: Float[np.ndarray, "s p 3"],
     edges: Int[np.ndarray, "e 2"],
-) -> Float[np.ndarray, "4"] | None:
-    """Return the box [px] (x0, y0, x1, y1) of the part of a surface within the picture.
+    owners: Int[np.ndarray, " e"],
+) -> Float[np.ndarray, "s 4"]:
+    """Return the box [px] (x0, y0, x1, y1) of the part of each surface within the picture.
 
     Args:
         camera: the camera.
-        view: the surface's points in the camera frame (right, down, forward) [m].
-        edges: indices of the two points of each edge.
+        view: the surfaces' points in the camera frame (right, down, forward) [m].
+        edges: indices of the two points of each edge among the points of all surfaces.
+        owners: the surface of each edge.
 
     Returns:
-        None if the surface is out of the picture.
+        NaN for a surface that is out of the picture.
     """
-    ends = view[edges]
+    count = len(view)
+    ends = view.reshape(-1, 3)[edges]
     depth = ends[..., 2] - NEAR_M
     ahead = np.any(depth > 0, axis=1)
-    ends, depth = ends[ahead], depth[ahead]
+    ends, depth, owners = ends[ahead], depth[ahead], owners[ahead]
     crosses = np.any(depth < 0, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (depth[:, 0] / (depth[:, 0] - depth[:, 1]))[:, None]
@@ -82,18 +116,34 @@ def extents_in_picture(
             leave = np.where((inside_b < 0) & (inside_a >= 0), np.minimum(leave, t), leave)
             leave = np.where((inside_a < 0) & (inside_b < 0), -1.0, leave)
     shown = enter <= leave
-    a, direction = a[shown], (b - a)[shown]
+    a, direction, whose = a[shown], (b - a)[shown], owners[shown]
+    shown_ends = [a + enter[shown, None] * direction, a + leave[shown, None] * direction]
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    for points in shown_ends:
+        np.minimum.at(low, whose, points)
+        np.maximum.at(high, whose, points)
+    for surface, corner in _covered_corners(pixels, owners, count, size):
+        low[surface] = np.minimum(low[surface], corner)
+        high[surface] = np.maximum(high[surface], corner)
+    box = np.concatenate([low, high], axis=1)
+    return np.where(np.isfinite(box), box, np.nan)
+
+
+def _covered_corners(
+    pixels: Float[np.ndarray, "k 2 2"],
+    owners: Int[np.ndarray, " k"],
+    count: int,
+    size: Float[np.ndarray, "2"],
+) -> Iterator[tuple[int, Float[np.ndarray, "2"]]]:
+    """Return the corners of the picture [px] that surfaces cover, each with its surface."""
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, owners, pixels.min(axis=1))
+    np.maximum.at(high, owners, pixels.max(axis=1))
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
-    flat = pixels.reshape(-1, 2)
-    low, high = flat.min(axis=0, initial=np.inf), flat.max(axis=0, initial=-np.inf)
-    near = ((low <= corners) & (corners <= high)).all(axis=1)
-    covered = corners[[n and _surrounds(flat, c) for n, c in zip(near, corners, strict=True)]]
-    points = np.concatenate(
-        [a + enter[shown, None] * direction, a + leave[shown, None] * direction, covered]
-    )
-    if len(points) == 0:
-        return None
-    return np.concatenate([points.min(axis=0), points.max(axis=0)])
+    near = ((low[:, None] <= corners) & (corners <= high[:, None])).all(axis=2)
+    for surface, corner in zip(*np.nonzero(near), strict=True):
+        if _surrounds(pixels[owners == surface].reshape(-1, 2), corners[corner]):
+            yield int(surface), corners[corner]
 
 
 def near_border(

@@ -43,6 +43,14 @@ class FileOptions(Options):
         ge=64,
         le=65536,
     )
+    decompose_s: float = option(
+        120.0,
+        "Time limit for splitting all meshes of an asset into convex pieces, within `memory_mib`; "
+        "the meshes that remain become their convex hulls.",
+        unit="s",
+        gt=0,
+        le=86400,
+    )
     max_mesh_mib: int = option(64, "Maximum size of a mesh file.", unit="MiB", ge=1, le=1024)
     max_picture_mib: int = option(256, "Maximum size of an image file.", unit="MiB", ge=1, le=4096)
     max_picture_mpx: int = option(

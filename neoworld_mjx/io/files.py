@@ -31,18 +31,19 @@ _MAX_ENTRIES = 200_000
 _AS_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
-def read_bytes(path: Path, max_bytes: int) -> bytes:
+def read_bytes(path: Path, max_bytes: int, *, follow: bool = True) -> bytes:
     """Read a regular file.
 
     Args:
         path: the file, or a symbolic link to it.
         max_bytes: maximum size.
+        follow: False to refuse a symbolic link.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is larger; `strerror` describes
             the problem.
     """
-    with _opened(path) as handle:
+    with _opened(path, 0 if follow else os.O_NOFOLLOW) as handle:
         size = os.fstat(handle).st_size
         if size <= max_bytes:
             chunks, remaining = [], max_bytes + 1
@@ -258,9 +259,14 @@ def disk_full(path: Path) -> bool:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[int]:
+def _opened(path: Path, flags: int = 0) -> Iterator[int]:
     # Without O_NONBLOCK, opening a pipe blocks until a writer appears.
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)
+    except OSError as error:
+        if error.errno == errno.ELOOP and flags & os.O_NOFOLLOW:
+            raise OSError(errno.ELOOP, "it is a link, not a regular file", str(path)) from None
+        raise
     try:
         mode = os.fstat(handle).st_mode
         if stat.S_ISDIR(mode):

@@ -54,15 +54,19 @@ def call_limited(
     *arguments: Any,
     needs: Sequence[str] = (),
     error: type[NeoWorldError] = SpecError,
+    time_option: str = "timeout_s",
+    timeout_s: float | None = None,
 ) -> R:
-    """Call a function that reads a file in a worker, within `files.timeout_s` and `memory_mib`.
+    """Call a function on untrusted data in a worker, within `files.timeout_s` and `memory_mib`.
 
     Args:
-        function: a function of a module; the file's path is its first argument.
-        path: the file.
+        function: a function of a module; `path` is its first argument.
+        path: the file that is read, or a name of the data for messages.
         arguments: further arguments; all must be picklable.
         needs: modules that the server imports before it forks, as the function imports them late.
         error: class of the errors to raise.
+        time_option: the option of `files` that limits the time.
+        timeout_s: limit of processor time [s], if less is left than the option allows.
 
     Raises:
         NeoWorldError: of the class `error`: the function raised one, or the worker exceeded its
@@ -70,6 +74,8 @@ def call_limited(
         OSError: the server cannot be started.
     """
     bounds = file_bounds()
+    allowed_s = getattr(bounds, time_option)
+    bounds = bounds.model_copy(update={"timeout_s": min(allowed_s, timeout_s or allowed_s)})
     call = (function, (path, *arguments), tuple(needs), bounds, Path.cwd())
     with _lock:
         try:
@@ -86,8 +92,8 @@ def call_limited(
     status = int(payload)
     if -status in (signal.SIGXCPU, signal.SIGKILL):
         raise error(
-            f"{path}: it takes over {bounds.timeout_s:g} s to read; make the file smaller, or "
-            "raise files.timeout_s if you trust it"
+            f"{path}: it takes over {allowed_s:g} s to read; make the file smaller, or "
+            f"raise files.{time_option} if you trust it"
         )
     reason = "" if status == _OUT_OF_MEMORY else f", or crashes its reader (status {status})"
     raise error(

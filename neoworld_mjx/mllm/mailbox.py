@@ -29,7 +29,7 @@ from pydantic import BaseModel
 from ..config import RoleOptions
 from ..errors import ModelError
 from ..io import file_bounds, read_model
-from ..io.files import MIB, read_bytes, write_atomic
+from ..io.files import MIB, irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
 from .requests import Rejection, Reply, Request, Usage
 from .responses import InvalidResponse, is_json, read_response
@@ -92,6 +92,7 @@ class Mailbox:
         try:
             # One at a time, so that folders are numbered in the order of the requests.
             async with self._order:
+                self._check_entries()
                 await asyncio.to_thread(request.draw_pictures)
                 folder = self._find(request) or self._put(request)
             if not (folder / "response.json").exists():
@@ -112,6 +113,12 @@ class Mailbox:
 
     async def close(self) -> None:
         """Do nothing, as a mailbox has no connections."""
+
+    def _check_entries(self) -> None:
+        """Raise ModelError if the mailbox contains a link, a pipe or a device."""
+        if self._folder.is_dir() and (entry := irregular_entry(self._folder)):
+            name, kind = entry
+            raise ModelError(f"mailbox {self._folder}: {name} is {kind}; remove it")
 
     def _find(self, request: Request[Any]) -> Path | None:
         """Return the folder of a request that an earlier run wrote."""
@@ -135,12 +142,16 @@ class Mailbox:
             for number, picture in enumerate(request.pictures, start=1)
         ]
         for name, picture in zip(files, request.pictures, strict=True):
-            (partial / name).write_bytes(picture.data)
-        write_atomic(partial / "prompt.md", _prompt(request, files))
-        write_atomic(partial / "schema.json", json.dumps(request.json_schema, indent=1) + "\n")
+            write_inside(self._folder, f"{partial.name}/{name}", picture.data)
         ticket = _Ticket(key=request.key, role=request.role, name=request.name)
-        write_atomic(partial / "request.json", ticket.model_dump_json(indent=1) + "\n")
-        numbers = [int(m[1]) for p in self._folder.iterdir() if (m := re.match(r"(\d+)-", p.name))]
+        for name, text in (
+            ("prompt.md", _prompt(request, files)),
+            ("schema.json", json.dumps(request.json_schema, indent=1) + "\n"),
+            ("request.json", ticket.model_dump_json(indent=1) + "\n"),
+        ):
+            write_inside(self._folder, f"{partial.name}/{name}", text)
+        begun = (re.match(r"(\d{1,9})-", path.name) for path in self._folder.iterdir())
+        numbers = [int(match[1]) for match in begun if match]
         folder = self._folder / f"{max(numbers, default=0) + 1:04d}-{slug}"
         return partial.rename(folder)
 
@@ -155,7 +166,7 @@ class Mailbox:
                 last_stamp, last_change = stamp, now
             if stamp is not None:
                 max_bytes = file_bounds().max_text_mib * MIB
-                text = read_bytes(path, max_bytes).decode("utf-8", errors="replace")
+                text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")
                 complete = is_json(text)
                 try:
                     read_response(text, request.schema)
@@ -172,8 +183,9 @@ class Mailbox:
         count = 1 + sum(1 for _ in folder.glob("response.rejected-*.json"))
         rejected_name = f"response.rejected-{count}.json"
         (folder / "response.json").rename(folder / rejected_name)
-        write_atomic(
-            folder / "error.md",
+        write_inside(
+            self._folder,
+            f"{folder.name}/error.md",
             f"# Response {count} was rejected\n\n{reason}\n\n"
             f"It was moved to {rejected_name}. "
             "Write a corrected response.json that fits schema.json.\n",
@@ -202,7 +214,7 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     try:
-        status = path.stat()
+        status = path.lstat()
     except FileNotFoundError:
         return None
     return status.st_mtime_ns, status.st_size

@@ -3,6 +3,7 @@
 import hashlib
 import importlib.util
 import logging
+import time
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..cache import cache_folder
 from ..errors import RunError
-from ..io import read_arrays
+from ..io import file_bounds, read_arrays
 from ..io.files import write_atomic
+from ..io.limited_worker import call_limited
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)
@@ -34,10 +36,18 @@ def installed() -> bool:
     return importlib.util.find_spec("coacd") is not None
 
 
-def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
+def decomposition_deadline() -> float:
+    """Return the time (`time.monotonic`) until which the meshes of an asset may be split."""
+    return time.monotonic() + file_bounds().decompose_s
+
+
+def convex_pieces(
+    vertices: NDArray, faces: NDArray, deadline: float | None = None
+) -> list[NDArray]:
     """Split a mesh of vertices [v, 3] m and triangles [f, 3] into hulls, each of points [n, 3] m.
 
-    A convex mesh yields a single piece, as does any mesh if CoACD is not installed or fails.
+    A convex mesh yields a single piece, as does any mesh if CoACD is not installed, fails, or takes
+    more than `files.memory_mib` or the time until `deadline`, see `decomposition_deadline`.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
     whole = [hull_points(vertices)]
@@ -53,7 +63,21 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
             return stored
     except (RunError, TypeError, ValueError):
         pass  # A missing or invalid entry is recomputed.
-    pieces = _coacd(vertices, faces) or whole
+    left = (decomposition_deadline() if deadline is None else deadline) - time.monotonic()
+    try:
+        if left <= 0:
+            raise RunError(f"files.decompose_s, {file_bounds().decompose_s:g} s, have passed")
+        mesh = Path(f"a mesh of {len(faces)} faces")
+        pieces = call_limited(
+            *(_coacd, mesh, vertices, faces),
+            error=RunError,
+            time_option="decompose_s",
+            timeout_s=left,
+        )
+    except RunError as error:
+        _log.warning("no convex decomposition (%s); the mesh becomes its convex hull", error)
+        return whole
+    pieces = pieces or whole
     _store(path, pieces)
     return pieces
 
@@ -132,7 +156,7 @@ def _directions() -> NDArray:
     return np.vstack([spread, box / np.linalg.norm(box, axis=1, keepdims=True)])
 
 
-def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
+def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
     import coacd
 
     coacd.set_log_level("error")
@@ -140,23 +164,19 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
     concavity, max_pieces = CLOSED if closed else OPEN
-    try:
-        parts = coacd.run_coacd(
-            coacd.Mesh(mesh.vertices, mesh.faces) if closed else coacd.Mesh(vertices, faces),
-            threshold=concavity,
-            max_convex_hull=max_pieces,
-            preprocess_mode="off" if closed else "auto",
-            preprocess_resolution=50,
-            mcts_iterations=20,
-            mcts_nodes=10,
-            mcts_max_depth=2,
-            resolution=1000,
-            decimate=True,
-            max_ch_vertex=MAX_CORNERS,
-        )
-    except Exception as error:  # CoACD documents no exception types.
-        _log.warning("CoACD failed (%s); the mesh becomes its convex hull", error)
-        return []
+    parts = coacd.run_coacd(
+        coacd.Mesh(mesh.vertices, mesh.faces) if closed else coacd.Mesh(vertices, faces),
+        threshold=concavity,
+        max_convex_hull=max_pieces,
+        preprocess_mode="off" if closed else "auto",
+        preprocess_resolution=50,
+        mcts_iterations=20,
+        mcts_nodes=10,
+        mcts_max_depth=2,
+        resolution=1000,
+        decimate=True,
+        max_ch_vertex=MAX_CORNERS,
+    )
     # Wrapping enlarges open meshes; clip the pieces to the mesh's bounds.
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return [

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
     export_object,
@@ -11,6 +12,7 @@ from neoworld_mjx.export import (
     import_usd,
     mechanism,
 )
+from neoworld_mjx.io.file_options import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds
 from tests.support import scenes
@@ -107,7 +109,7 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
     assert len(geom.shape.hulls) >= 3  # two posts and what joins them
     assert len(geom.shape.surface()[1]) == 28
     assert any("no colliders" in note for note in result.notes)
-    monkeypatch.setattr(decompose, "_coacd", lambda *_: pytest.fail("it was kept"))
+    monkeypatch.setattr(decompose, "call_limited", lambda *_, **__: pytest.fail("it was kept"))
     assert import_urdf(path).spec == result.spec
 
 
@@ -183,6 +185,28 @@ def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     assert [part.name for part in result.spec.parts] == ["stove", "knob"]
     assert [geom.role for geom in result.spec.part("stove").geoms] == ["collision", "visual"]
     assert result.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)
+
+
+def test_the_meshes_of_an_asset_are_split_within_its_time(tmp_path, caplog, monkeypatch):
+    """CoACD takes minutes for open meshes of some thousand faces; a scene may have many."""
+    pytest.importorskip("coacd")
+    import trimesh
+
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
+    torus = trimesh.creation.torus(0.3, 0.1, 70, 70)
+    trimesh.Trimesh(torus.vertices, torus.faces[:-300]).export(tmp_path / "open.obj")
+    visual = "<visual><geometry><mesh filename='open.obj'/></geometry></visual>"
+    path = tmp_path / "open.urdf"
+    path.write_text(urdf(f"<link name='a'>{visual * 3}</link>"))
+    with bounded_by(FileOptions(decompose_s=1.0)):
+        geoms = import_urdf(path).spec.parts[0].geoms
+    assert [len(geom.shape.hulls) for geom in geoms] == [1, 1, 1]
+    assert [record.getMessage().split(" (")[0] for record in caplog.records] == [
+        "no convex decomposition"
+    ] * 3
+    assert "files.decompose_s, 1 s, have passed" in caplog.text
+    # The hulls are not stored: a later import may take the time.
+    assert not list(tmp_path.glob("cache/**/*.npz"))
 
 
 def test_closed_meshes_are_split_finely(tmp_path):

@@ -10,7 +10,7 @@ from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.projection import visible_box
 from neoworld_mjx.fit.refit import refit_tree, surface_of
 from neoworld_mjx.fit.tree_checks import agreement
-from neoworld_mjx.fit.wireframe import extents_in_picture, hull_wireframe
+from neoworld_mjx.fit.wireframe import extents_in_picture, hull_wireframe, stack_surfaces
 from neoworld_mjx.measure import SidesShown
 from neoworld_mjx.spec import Box, Box2D, Box3D, Cues, SceneTree
 from tests.support import answers, scenes
@@ -262,6 +262,11 @@ def test_twenty_objects_are_fitted_in_seconds():
     assert time.perf_counter() - begun < 20
 
 
+def extents(camera, points, edges):
+    owners = np.zeros(len(edges), int)
+    return extents_in_picture(camera, points[None], edges, owners)[0]
+
+
 def test_extents_in_picture_match_dense_points():
     """Against dense points of the same surface, also where it goes past the camera."""
     camera = answers.exact().camera
@@ -279,7 +284,7 @@ def test_extents_in_picture_match_dense_points():
         ((0.1, 0.2, 0.4), (0.2, 0.2, 1.0)),  # Past the camera.
     ):
         frame = hull_wireframe(corners)
-        box = extents_in_picture(camera, frame.points * scale + middle, frame.edges)
+        box = extents(camera, frame.points * scale + middle, frame.edges)
         view = (share - 0.5) * scale + middle
         view = view[view[:, 2] > 0.02]
         pixels = view[:, :2] / view[:, 2:] * camera.focal + size / 2
@@ -287,7 +292,25 @@ def test_extents_in_picture_match_dense_points():
         expected = [*inside.min(axis=0), *inside.max(axis=0)]
         assert box == pytest.approx(expected, abs=0.02 * size.max())
     out = frame.points * 0.1 + [5.0, 0.0, 1.0]
-    assert extents_in_picture(camera, out, frame.edges) is None
+    assert np.isnan(extents(camera, out, frame.edges)).all()
+
+
+def test_extents_of_several_surfaces_are_those_of_each():
+    camera = answers.exact().camera
+    cube = hull_wireframe(np.array(np.meshgrid(*([-0.5, 0.5],) * 3)).reshape(3, -1).T)
+    needle = hull_wireframe(np.eye(4, 3))
+    views = {
+        5: cube._replace(points=cube.points * [1.0, 0.2, 0.4] + [0.5, 0.0, 1.0]),
+        2: needle._replace(points=needle.points * 0.2 + [-0.4, -0.5, 0.9]),
+        7: cube._replace(points=cube.points * 0.1 + [5.0, 0.0, 1.0]),
+        3: cube._replace(points=cube.points * [9.0, 9.0, 0.2] + [0.0, 0.0, 1.5]),
+    }
+    stack = stack_surfaces(views)
+    boxes = extents_in_picture(camera, stack.points, stack.edges, stack.owners)
+    each = [extents(camera, frame.points, frame.edges) for frame in views.values()]
+    assert stack.rows.tolist() == [5, 2, 7, 3]
+    np.testing.assert_allclose(boxes, each)
+    assert boxes[3].tolist() == [0, 0, camera.width, camera.height_px]
 
 
 def test_edges_that_leave_the_picture_locate_a_cut_object():

@@ -1,6 +1,7 @@
 """The mailbox asks by folders, waits, rejects with a reason, and takes up what was begun."""
 
 import json
+import os
 import threading
 import time
 from pathlib import Path
@@ -178,3 +179,81 @@ def test_recorded_responses_replay(make, tmp_path):
     assert not (tmp_path / "unused").exists()
     with pytest.raises(ModelError, match="another photo"):
         panel_of(folder, record=tape, photo="cd")
+
+
+def planted(act) -> object:
+    """Plant something in the folder of a request once it is there."""
+    return lambda mailbox: in_background(lambda: act(wait_for(mailbox / "0001-parse")))
+
+
+def filled(folder: Path, text: str, *more: str) -> None:
+    for content in (text, *more):
+        (folder / "part").write_text(content)
+        (folder / "part").rename(folder / "response.json")
+        time.sleep(0.05)
+
+
+def write_hole(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
+HOSTILE = {
+    "a link in the mailbox": (
+        lambda mailbox: (mailbox / "0007-cup").symlink_to(mailbox.parent / "precious"),
+        "0007-cup is a link",
+    ),
+    "a pipe in the mailbox": (lambda mailbox: os.mkfifo(mailbox / "0001-x"), "0001-x is a pipe"),
+    "a link as partial folder": (
+        lambda mailbox: (mailbox / ".partial-0").symlink_to(mailbox.parent / "precious"),
+        ".partial-0 is a link",
+    ),
+    "a link as response": (
+        planted(lambda f: (f / "response.json").symlink_to(f.parents[1] / "precious/key.json")),
+        "it is a link, not a regular file",
+    ),
+    "a pipe as response": (planted(lambda f: os.mkfifo(f / "response.json")), "a pipe or device"),
+    "a folder as response": (planted(lambda f: (f / "response.json").mkdir()), "it is a folder"),
+    "a huge response": (
+        planted(lambda f: write_hole(f / "response.json")),
+        "the limit is 64 MiB",
+    ),
+    "a folder in place of the reason": (
+        planted(lambda f: ((f / "error.md").mkdir(), filled(f, '{"name": 3}'))),
+        "error.md",
+    ),
+    "a folder in place of the rejected response": (
+        planted(lambda f: ((f / "response.rejected-2.json").mkdir(), filled(f, "[]", "[1]"))),
+        "response",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_mailbox_that_a_stranger_writes_ends_in_one_message(make, tmp_path, name):
+    plant, expected = HOSTILE[name]
+    mailbox, precious = tmp_path / "mailbox", tmp_path / "precious"
+    mailbox.mkdir()
+    precious.mkdir()
+    (precious / "key.json").write_text('{"name": "secret"}')
+    plant(mailbox)
+    with panel_of(mailbox) as panel, pytest.raises(ModelError) as refused:
+        panel.ask_sync(make.request())
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert "secret" not in str(refused.value)
+    assert [path.name for path in precious.iterdir()] == ["key.json"]
+    assert (precious / "key.json").read_text() == '{"name": "secret"}'
+
+
+def test_folders_that_are_no_requests_do_not_matter(make, tmp_path):
+    (tmp_path / ("9" * 200 + "-x")).mkdir()
+    for name, text in (("0001-a", "{"), ("0002-b", "[" * 100_000), ("0003-c", "\0" * 100)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "request.json").write_text(text)
+    (tmp_path / "0004-d" / "request.json").mkdir(parents=True)
+    (tmp_path / ".partial-x").write_text("half")
+    replaced = [json.dumps({"name": str(k)}) for k in range(20)]
+    in_background(lambda: filled(wait_for(tmp_path / "0005-parse"), "{", *replaced))
+    with panel_of(tmp_path) as panel:
+        assert panel.ask_sync(make.request()).value.name in {str(k) for k in range(20)}

@@ -1,19 +1,23 @@
 """Commands replace regular files only, write through no link, and name what the system refuses."""
 
+import itertools
 import os
 import stat
 import subprocess
 import sys
+import threading
+from contextlib import suppress
 
 import pytest
 
 from neoworld_mjx import cli
 from neoworld_mjx.errors import ExportError
 from neoworld_mjx.export import export_object
-from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.io.names import repeated
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import ObjectSpec
+from tests.faults.strikes import EXAMPLES
 
 PROGRAM = """from neoworld_mjx.program.sdk import Object, box
 o = Object("thing", "a thing")
@@ -141,6 +145,72 @@ cli.main(["build", {str(program)!r}, "--out", {str(program.parent / "out")!r}])
     assert done.returncode == 2, done.stderr
     assert "Too many open files" in done.stderr
     assert "ulimit -n" in done.stderr
+
+
+def limited(kib: int, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command that may write files of some KiB, as on a disk that fills up."""
+    code = f"""
+import resource
+from neoworld_mjx import cli
+resource.setrlimit(resource.RLIMIT_FSIZE, ({kib * 1024}, {kib * 1024}))
+cli.main({[str(word) for word in words]!r})
+"""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_a_run_whose_files_cannot_grow_is_resumed(tmp_path):
+    words = ("reconstruct", EXAMPLES / "coffee.png", "--out", tmp_path / "out", "--until", "parse")
+    done = limited(60, *words)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: cannot write ")
+    assert done.stderr.count("\n") == 1
+    left = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert left == {".lock", "answers.tape.json", "run.json", "run.log"}
+    done = limited(1 << 20, *words, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out/tree.json").exists()
+
+
+@pytest.mark.parametrize("words", [("render", "--width", "256"), ("export",)])
+def test_a_command_whose_files_cannot_grow_leaves_none(program, tmp_path, words):
+    out = tmp_path / ("out.png" if words[0] == "render" else "out")
+    done = limited(0, words[0], program, "--out", out, *words[1:])
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "File too large" in done.stderr or "No usable temporary directory" in done.stderr
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".part", ".png", ".json")]
+
+
+def test_a_folder_that_becomes_a_link_during_writes(tmp_path):
+    """The parent is opened once, without following links; nothing is written where a link leads."""
+    precious, stop = tmp_path / "precious", threading.Event()
+    precious.mkdir()
+    out = tmp_path / "out"
+    (out / "sub").mkdir(parents=True)
+
+    def swap():
+        for k in itertools.count():
+            if stop.is_set():
+                return
+            with suppress(OSError):  # The writer makes the folder again.
+                (out / "sub").rename(out / f"aside{k}")
+                (out / "sub").symlink_to(precious)
+            with suppress(OSError):
+                (out / "sub").unlink()
+
+    thread = threading.Thread(target=swap)
+    thread.start()
+    ended = set()
+    for k in range(1000):
+        try:
+            write_inside(out, "sub/file", str(k), sync=False)
+            ended.add("written")
+        except OSError:
+            ended.add("refused")
+    stop.set()
+    thread.join()
+    assert "written" in ended
+    assert not list(precious.iterdir())
 
 
 def test_repeated_names_are_found_in_one_pass():

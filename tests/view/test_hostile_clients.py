@@ -10,7 +10,14 @@ viser = pytest.importorskip("viser", reason="the extra viewer is not installed")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
+from neoworld_mjx.commands.view_command import (  # noqa: E402
+    AnnotateCommand,
+    PageCommand,
+    ViewCommand,
+)
 from neoworld_mjx.view.pages.local_server import close_server, open_server  # noqa: E402
+from tests.faults.strikes import EXAMPLES  # noqa: E402
+from tests.support.hostile import FINE  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +38,36 @@ def status_of(port: int, path: str, **headers: str) -> int:
         with connection.getresponse() as response:
             response.read()
             return response.status
+
+
+def test_the_server_opens_no_tunnel():
+    server = open_server("test", port=0)
+    try:
+        assert server.request_share_url() is None
+        assert server.get_host() == "127.0.0.1"
+    finally:
+        close_server(server)
+
+
+@pytest.mark.parametrize("name", ["view", "annotate"])
+def test_both_commands_open_this_server(name, tmp_path, monkeypatch):
+    def probe(command, address):
+        port = int(address.rpartition(":")[2])
+        with client(port, origin=f"http://localhost:{port}") as connection:
+            assert connection.recv(timeout=10)
+        with pytest.raises(InvalidStatus), client(port, origin="http://evil.example"):
+            pass
+        return {hosts: status_of(port, "/", Host=hosts) for hosts in ("localhost", "evil.example")}
+
+    monkeypatch.setattr(PageCommand, "serve_until_interrupted", probe)
+    (tmp_path / "thing.py").write_text(FINE)
+    commands = {
+        "view": lambda: ViewCommand(target=tmp_path / "thing.py", port=0),
+        "annotate": lambda: AnnotateCommand(
+            photo=EXAMPLES / "coffee.png", out=tmp_path / "out", port=0
+        ),
+    }
+    assert commands[name]().run() == {"localhost": 200, "evil.example": 403}
 
 
 def test_only_this_machine_reaches_the_server(port):
