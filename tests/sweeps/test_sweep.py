@@ -13,7 +13,7 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.rewards import s_sem
-from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, run, sweep
+from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder
 from neoworld_mjx.sweeps.plan import points, read
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
@@ -45,7 +45,7 @@ def plan(seeds=(0, 1), **axes):
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_once():
     """Most of the time of a small sweep is compiling its scene, which these tests share."""
-    remaining, built = run.compile_for_search, {}
+    remaining, built = group_runs.compile_for_search, {}
 
     def compiled(scene, o):
         key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
@@ -54,7 +54,7 @@ def _compiled_once():
         return built[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "compile_for_search", compiled)
+        patch.setattr(group_runs, "compile_for_search", compiled)
         yield
 
 
