@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeVar
 
 from ..cache import keep_compilations
@@ -33,6 +33,11 @@ class Place:
     """Cores of a task on a cluster."""
     task_gpus: int = 0
     """GPUs of a task on a cluster."""
+
+    @property
+    def place(self) -> "Place":
+        """This place alone, where a command has these options among others."""
+        return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
 
     @property
     def remote(self) -> bool:
