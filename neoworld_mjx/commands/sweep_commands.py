@@ -1,10 +1,12 @@
 """Commands of sweeps and ablations."""
 
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from ..errors import ConfigError
 from ..places import Place
@@ -31,9 +33,29 @@ class PlanCommand(Command, Place):
     """K/N computes the K-th of N shares of the runs, into a folder of its own; `neoworld sweep
     merge` joins the folders."""
 
+    track: UseAppendAction[tuple[str, ...]] = ()
+    """Log every iteration with a tracker: tensorboard:DIR, wandb:PROJECT or mlflow:URI;
+    repeatable."""
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
         return sweep_lines(result)
+
+    def _run(self, function: Callable[..., "SweepResult"]) -> CommandResult:
+        """Run the plan with `sweep` or `ablate`, and log it with the trackers."""
+        from ..sweeps.trackers import open_tracker
+
+        arguments = self._arguments()
+        with contextlib.ExitStack() as stack:
+            trackers = [stack.enter_context(open_tracker(text)) for text in self.track]
+
+            def on_iteration(run: Any, summary: Any) -> None:
+                for tracker in trackers:
+                    tracker(run, summary)
+
+            return _summary(
+                function(self.plan, self.out, on_iteration=on_iteration, **arguments), self.out
+            )
 
     def _arguments(self) -> dict[str, Any]:
         from ..cache import keep_compilations
@@ -97,7 +119,7 @@ class SweepCommand(PlanCommand):
         """Run the sweep."""
         from ..sweeps import sweep
 
-        return _summary(sweep(self.plan, self.out, **self._arguments()), self.out)
+        return self._run(sweep)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +135,7 @@ class AblateCommand(PlanCommand):
         """Run the ablation."""
         from ..sweeps import ablate
 
-        return _summary(ablate(self.plan, self.out, **self._arguments()), self.out)
+        return self._run(ablate)
 
 
 def _summary(result: "SweepResult", out: Path) -> CommandResult:

@@ -65,7 +65,13 @@ def _parameters(text: str) -> dict[str, Any]:
     return parameters
 
 
-def _executor(place: Place, cluster: str) -> Any:
+def open_executor(place: Place, cluster: str) -> Any:
+    """Return submitit's executor with the parameters of a place.
+
+    Args:
+        place: the place.
+        cluster: `slurm`, or `local` for processes.
+    """
     executor = open_submitit().AutoExecutor(JOBS, cluster=cluster)
     executor.update_parameters(
         name="neoworld",
@@ -80,7 +86,7 @@ def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) ->
     """Run tasks as jobs of one array; see `place.run_tasks`."""
     submitit = open_submitit()
     local = place.slurm == LOCAL
-    executor = _executor(place, LOCAL if local else "slurm")
+    executor = open_executor(place, LOCAL if local else "slurm")
     # Slurm has a queue of its own; without it, all jobs would start at once.
     room = place.processes if local else len(tasks)
     queue = [(task, 0) for task in tasks]

@@ -24,10 +24,11 @@ from .folder import FORMAT, SweepFolder
 from .group_runs import Part, compute, forget_compiled, runs_at_once
 from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, points, read, shared_config
+from .plan import Ablation, Plan, Point, points, read, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row
 from .study import check_study, run_study
+from .trackers import OnIteration, TrackedRun
 
 
 def sweep(
@@ -41,6 +42,7 @@ def sweep(
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
     place: Place = HERE,
+    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with every combination of some options' values and several seeds.
 
@@ -58,6 +60,8 @@ def sweep(
         shard: (K, N) computes the K-th of N shares of the runs, each for a process or machine of
             its own; `merge` joins their folders.
         place: where the runs are computed.
+        on_iteration: receives every iteration of the new runs, as the runs are complete; see
+            `trackers.OnIteration`.
 
     Raises:
         ConfigError: the plan is invalid; raised before any run.
@@ -72,14 +76,14 @@ def sweep(
         check_study(plan)
 
         def run_point(point: Plan, scene: Case) -> SweepResult:
-            return _Runner(point, [scene], {}, engine, (1, 1), HERE).run(
+            return _Runner(point, [scene], {}, engine, (1, 1), HERE, on_iteration).run(
                 None, resume=False, overwrite=False
             )
 
         scenes = _cases(plan, cases, sources)
         path = None if out is None else Path(out)
         return run_study(plan, scenes, run_point, path, resume=resume, overwrite=overwrite)
-    runner = _Runner(plan, cases, sources, engine, shard, place)
+    runner = _Runner(plan, cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -94,13 +98,14 @@ def ablate(
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
     place: Place = HERE,
+    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
     Unless the plan sets `fold`, runs are separate refinements; the first of each kind runs twice,
     so that times exclude compilation. Arguments and errors are those of `sweep`.
     """
-    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place)
+    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -115,11 +120,13 @@ class _Runner:
         engine: Engine | None,
         shard: tuple[int, int],
         place: Place,
+        on_iteration: OnIteration | None,
     ) -> None:
         number, of = self.shard = shard
         if not 1 <= number <= of:
             raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{of}")
         self.plan, self.engine, self.place = plan, engine, place
+        self.on_iteration = on_iteration
         self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
         self.points = points(plan)
         self.cases = _cases(plan, scenes, sources)
@@ -179,6 +186,7 @@ class _Runner:
                 for (point, seed), row in zip(part.runs, rows, strict=True):
                     key = (part.case.name, point.label, seed)
                     self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
+                    self._track(point, part.case.name, seed, row)
                 self.about["groups"].append(timing)
                 done = len(self.completed)
                 left = (self.total - done) * (time.perf_counter() - began) / (done - before)
@@ -197,6 +205,10 @@ class _Runner:
         if self.scores is not None:
             self.scores.close()
         return result
+
+    def _track(self, point: Point, scene: str, seed: int, row: Row) -> None:
+        for step in row["history"] if self.on_iteration is not None else ():
+            self.on_iteration(TrackedRun(scene, point.label, seed, point.values), step)
 
     def _heads(self) -> dict[Key, Row]:
         """Return the columns that name each run."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
-from neoworld_mjx.places import Place, check_place, run_tasks
+from neoworld_mjx.places import Place, check_place, on_slurm, run_tasks
 from neoworld_mjx.places.place import work_there
 from neoworld_mjx.run_folder import versions
 
@@ -124,16 +124,31 @@ def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
 def test_submitit_repeats_the_task_of_a_lost_worker(tmp_path, monkeypatch):
     pytest.importorskip("submitit")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(on_slurm, "RETRIES", 1)
     place = Place(slurm="local", workers=2)
-    assert sorted(run_tasks(squares, [2, 3, 4], place)) == [2, 3, 4, 4, 9, 16]
-    markers = [str(tmp_path / name) for name in "ab"]
-    assert sorted(run_tasks(dying_once, markers, place)) == markers
-    with pytest.raises(SpecError, match="-1 is negative"):
-        list(run_tasks(squares, [-1], place))
-    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
-        list(run_tasks(failing, [2], place))
-    with pytest.raises(RunError, match="lost its workers 4 times"):
-        list(run_tasks(dying, [3], place))
+    marker = str(tmp_path / "begun")
+    assert list(run_tasks(dying_once, [marker], place)) == [marker]
+    assert sorted(run_tasks(squares, [2, 3], place)) == [2, 3, 4, 9]
+    for work, number, error, message in (
+        (squares, -1, SpecError, "-1 is negative"),
+        (failing, 2, RuntimeError, "ZeroDivisionError"),
+        (dying, 3, RunError, "lost its workers 2 times"),
+    ):
+        with pytest.raises(error, match=message):
+            list(run_tasks(work, [number], place))
+
+
+def test_the_script_in_the_documentation_is_what_slurm_gets(tmp_path, monkeypatch):
+    submitit = pytest.importorskip("submitit")
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")  # srun and sbatch
+    text = "slurm_partition=gpu,timeout_min=60"
+    executor = on_slurm.open_executor(Place(slurm=text, task_cores=4, task_gpus=1), "slurm")
+    script = executor._executor._make_submission_file_text("COMMAND", "ID")
+    wanted = [line for line in script.splitlines() if line.startswith("#SBATCH")]
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "sweeps.md").read_text()
+    shown = [line.strip() for line in page.splitlines() if line.strip().startswith("#SBATCH")]
+    kept = [line for line in wanted if not line.startswith(("#SBATCH --output", "#SBATCH --error"))]
+    assert shown == kept and submitit.__version__
 
 
 def test_invalid_parameters_of_slurm_are_one_message(monkeypatch):
