@@ -69,7 +69,7 @@ def _session(ray: Any, place: Place) -> Iterator[None]:
         }
     try:
         ray.init(logging_level="ERROR", log_to_driver=False, **options)
-    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
+    except Exception as error:  # Ray raises plain ones, such as for a node that is slow to start.
         first = str(error).strip().split("\n", 1)[0]
         raise EngineError(f"--ray {place.ray}: {first}") from None
     try:
