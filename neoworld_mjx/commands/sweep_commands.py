@@ -33,18 +33,26 @@ class PlanCommand(Command, Place):
     """K/N computes the K-th of N shares of the runs, into a folder of its own; `neoworld sweep
     merge` joins the folders."""
 
+    check: bool = False
+    """Compute nothing; check that the rows in --out can be compared: each must come from the
+    scenes, options and versions that the plan gives it here."""
     track: UseAppendAction[tuple[str, ...]] = ()
     """Log every iteration with a tracker: tensorboard:DIR, wandb:PROJECT or mlflow:URI;
     repeatable."""
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
+        if "checked" in result:
+            return [f"{result['checked']} rows can be compared, {result['missing']} are missing"]
         return sweep_lines(result)
 
-    def _run(self, function: Callable[..., "SweepResult"]) -> CommandResult:
+    def _run(self, function: Callable[..., "SweepResult"], kind: Any) -> CommandResult:
         """Run the plan with `sweep` or `ablate`, and log it with the trackers."""
+        from ..sweeps.run import check
         from ..sweeps.trackers import open_tracker
 
+        if self.check:
+            return check(self.plan, self.out, kind)
         arguments = self._arguments()
         with contextlib.ExitStack() as stack:
             trackers = [stack.enter_context(open_tracker(text)) for text in self.track]
@@ -117,9 +125,9 @@ class SweepCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the sweep."""
-        from ..sweeps import sweep
+        from ..sweeps import Plan, sweep
 
-        return self._run(sweep)
+        return self._run(sweep, Plan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +141,9 @@ class AblateCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the ablation."""
-        from ..sweeps import ablate
+        from ..sweeps import Ablation, ablate
 
-        return self._run(ablate)
+        return self._run(ablate, Ablation)
 
 
 def _summary(result: "SweepResult", out: Path) -> CommandResult:

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 
 from ..config import option_values
-from ..errors import ConfigError
+from ..errors import ConfigError, RunError
 from ..io.files import content_hash
 from ..io.names import repeated
 from ..physics.engine import Engine
@@ -20,13 +20,13 @@ from ..progress import report
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
-from .folder import FORMAT, SweepFolder
+from .folder import FORMAT, RESULTS, SweepFolder
 from .group_runs import Part, compute, forget_compiled, runs_at_once
 from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
 from .plan import Ablation, Plan, Point, points, read, shared_config
 from .result import SweepResult, commit, stored_result
-from .run_rows import Key, Row
+from .run_rows import Key, Row, read_runs, row_key
 from .study import check_study, run_study
 from .trackers import OnIteration, TrackedRun
 
@@ -107,6 +107,48 @@ def ablate(
     """
     runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
+
+
+def check(
+    plan: Plan | Ablation | Mapping[str, Any] | Path | str,
+    out: Path | str,
+    kind: type[Plan] | type[Ablation] = Ablation,
+    *,
+    cases: Sequence[Case | SceneSpec] = (),
+    sources: Mapping[str, Source] | None = None,
+    engine: Engine | None = None,
+) -> dict[str, Any]:
+    """Check that the rows of a folder can be compared; nothing is computed.
+
+    Each row must have the fingerprint that the plan, its scenes and the installed versions give
+    its run, so that rows differ in their options and seeds alone.
+
+    Args:
+        plan: see `sweep` and `ablate`.
+        out: folder of the rows.
+        kind: Plan or Ablation.
+        cases: see `sweep`.
+        sources: see `sweep`.
+        engine: see `sweep`.
+
+    Returns:
+        "checked", the number of rows, and "missing", the number of runs without one.
+
+    Raises:
+        RunError: a row has another fingerprint or belongs to no run of the plan, or the folder
+            cannot be read.
+    """
+    runner = _Runner(read(plan, kind), cases, sources, engine, (1, 1), HERE, None)
+    rows = {row_key(row): row["fingerprint"] for row in read_runs(Path(out) / RESULTS)}
+    unlike = [key for key, mark in rows.items() if runner.fingerprints.get(key) != mark]
+    if unlike:
+        scene, point, seed = unlike[0]
+        raise RunError(
+            f"{out}: {len(unlike)} of {len(rows)} rows come from other scenes, options or versions "
+            f"than the plan gives them here, such as scene {scene}, point {point}, seed {seed}: "
+            "they must not be compared; compute them again with --resume"
+        )
+    return {"checked": len(rows), "missing": runner.total - len(rows)}
 
 
 class _Runner:
