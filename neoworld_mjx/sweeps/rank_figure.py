@@ -56,9 +56,8 @@ def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
         tied = bool((values == values[:, :1]).all())
         p = 1.0 if tied else float(stats.friedmanchisquare(*values.T).pvalue)
         order = np.argsort(means, kind="stable")
-        return Ranks(
-            [points[k] for k in order], [float(means[k]) for k in order], number, critical, p, title
-        )
+        ordered = [str(points[k]) for k in order]
+        return Ranks(ordered, [float(means[k]) for k in order], number, critical, p, title)
     return None
 
 

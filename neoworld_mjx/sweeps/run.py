@@ -24,7 +24,7 @@ from .folder import FORMAT, RESULTS, SweepFolder
 from .group_runs import Part, compute, forget_compiled, runs_at_once
 from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, Point, points, read, shared_config
+from .plan import Ablation, Plan, Point, Request, points, read, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row, read_runs, row_key
 from .study import check_study, run_study
@@ -110,9 +110,9 @@ def ablate(
 
 
 def check(
-    plan: Plan | Ablation | Mapping[str, Any] | Path | str,
+    plan: Request | Mapping[str, Any] | Path | str,
     out: Path | str,
-    kind: type[Plan] | type[Ablation] = Ablation,
+    kind: type[Request],
     *,
     cases: Sequence[Case | SceneSpec] = (),
     sources: Mapping[str, Source] | None = None,
@@ -249,7 +249,9 @@ class _Runner:
         return result
 
     def _track(self, point: Point, scene: str, seed: int, row: Row) -> None:
-        for step in row["history"] if self.on_iteration is not None else ():
+        if self.on_iteration is None:
+            return
+        for step in row["history"]:
             self.on_iteration(TrackedRun(scene, point.label, seed, point.values), step)
 
     def _heads(self) -> dict[Key, Row]:
