@@ -35,7 +35,7 @@ CANDIDATES_AT_ONCE = 1024
 """Candidates that occupy four cores for a while."""
 
 
-class Part(NamedTuple):
+class SweepPart(NamedTuple):
     """Runs of one group on one scene that are computed and saved together."""
 
     case: Case
@@ -54,7 +54,7 @@ class Part(NamedTuple):
 class ComputedPart(NamedTuple):
     """Rows of a part's runs, in their order."""
 
-    part: Part
+    part: SweepPart
     rows: list[Row]
     timing: dict[str, Any]
     """Entry of "groups" in sweep.json."""
@@ -81,7 +81,7 @@ def forget_compiled(scene_hash: str = "") -> None:
     COMPILED.kinds.clear()
 
 
-def compute(part: Part, scores: ModelScores | None = None) -> Iterator[ComputedPart]:
+def compute(part: SweepPart, scores: ModelScores | None = None) -> Iterator[ComputedPart]:
     """Compute the runs of a part.
 
     Args:

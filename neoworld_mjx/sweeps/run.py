@@ -21,7 +21,7 @@ from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
 from .folder import FORMAT, RESULTS, SweepFolder
-from .group_runs import Part, compute, forget_compiled, runs_at_once
+from .group_runs import SweepPart, compute, forget_compiled, runs_at_once
 from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
 from .plan import Ablation, Plan, Point, Request, points, read, shared_config
@@ -262,7 +262,7 @@ class _Runner:
             for scene, point, seed in self.fingerprints
         }
 
-    def _parts(self) -> list[Part]:
+    def _parts(self) -> list[SweepPart]:
         """Return the tasks: the runs that `completed` lacks, by scene and group."""
         parts = []
         for scene in self.cases:
@@ -282,7 +282,7 @@ class _Runner:
                 for first in range(0, len(pending), size):
                     runs = tuple(pending[first : first + size])
                     parts.append(
-                        Part(scene, scene_hash, options, runs, self.fold, self.engine,
+                        SweepPart(scene, scene_hash, options, runs, self.fold, self.engine,
                              self.place.threads)
                     )  # fmt: skip
         return parts
