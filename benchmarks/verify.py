@@ -8,9 +8,7 @@ faint magnitudes contradict nothing and are part of the curve alone.
 import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from statistics import median
 from typing import Any
 
@@ -21,6 +19,7 @@ from pydantic import BaseModel
 from benchmarks.suites import Verify
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.errors import ConfigError, choices
+from neoworld_mjx.places import Place, run_tasks
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.repairs import repair
 from tests.support.injected_faults import KINDS, Kind
@@ -87,14 +86,14 @@ def verify_matrix(
         for spec in specs
         for magnitude in _magnitudes(kind)
     ]
-    workers = workers or os.cpu_count() or 1
-    if workers == 1:
-        yield from (row for task in tasks if (row := _fault(*_sent(task))) is not None)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(_fault, *zip(*map(_sent, tasks), strict=True), chunksize=4):
-            if row is not None:
-                yield row
+    place = Place(workers=workers or os.cpu_count() or 1)
+    yield from run_tasks(_faults, [_sent(task) for task in tasks], place)
+
+
+def _faults(sent: tuple[str, str, float, bool]) -> Iterator[FaultRow]:
+    row = _fault(*sent)
+    if row is not None:
+        yield row
 
 
 def _magnitudes(kind: Kind) -> list[float]:

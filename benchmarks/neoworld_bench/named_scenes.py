@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from typing import get_args
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from .dataset.truth_scene import photographed
 from .engines.table_scenes import Noise, crowded, noisy_layouts
 from .fidelity.rendered_responses import exact_response
 from .methods.layout_errors import layout_errors
-from .noise.initial_scenes import composed_start, noise_number
+from .noise.initial_scenes import NoiseLevel, composed_start, noise_number
 from .photographs.real_scenes import FOLDER
 
 CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
@@ -26,16 +27,24 @@ CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
 
 
 def bench_case(name: str) -> Case:
-    """Return the first initial scene of one of the thirty scenes, with noise `all`.
+    """Return the first initial scene of one of the thirty scenes.
+
+    Args:
+        name: its name, with noise `all`, or NAME@LEVEL.
 
     Raises:
-        SpecError: there is no such scene.
+        SpecError: there is no such scene or noise level.
     """
+    scene, at, level = name.partition("@")
+    if at and level not in get_args(NoiseLevel):
+        raise SpecError(f"scene bench:{name}: noise {choices(level, get_args(NoiseLevel))}")
+    noise: NoiseLevel = level if at else "all"  # pyright: ignore[reportAssignmentType]
     try:
-        truth = photographed(declaration(name))
+        truth = photographed(declaration(scene))
     except SpecError as error:
         raise SpecError(f"scene bench:{name}: {error}") from None
-    composed = composed_start(truth, exact_response(truth), noise_number(name, seed=0, start=0))
+    number = noise_number(scene, seed=0, start=0)
+    composed = composed_start(truth, exact_response(truth), number, noise=noise)
     return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
 
 

@@ -1,11 +1,6 @@
-"""Parquet files of rows, and processes that compute rows."""
+"""Parquet files of rows."""
 
-import os
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from functools import partial
-from multiprocessing import get_context
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -15,8 +10,6 @@ from neoworld_mjx.io.parquet_files import read_rows, write_rows
 from .rows import Row, column_types
 
 R = TypeVar("R", bound=Row)
-Job = TypeVar("Job")
-Made = TypeVar("Made")
 
 
 class RowFile(Generic[R]):
@@ -68,49 +61,3 @@ def check_level(kept: RowFile[Any], noise: str) -> None:
         raise RunError(
             f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
         )
-
-
-def sized(workers: int) -> tuple[int, int]:
-    """Return the number of processes, one for every two cores if 0, and the threads of each."""
-    cores = os.cpu_count() or 1
-    workers = workers or max(1, cores // 2)
-    return workers, max(1, cores // workers)
-
-
-def made_by_jobs(
-    work: Callable[[Job], Iterable[Made]], jobs: Sequence[Job], workers: int
-) -> Iterator[Made]:
-    """Run jobs in separate processes, and yield results as they complete.
-
-    Args:
-        work: what to do, a function of a module; with one worker it is done here.
-        jobs: what it is given.
-        workers: number of processes.
-
-    Raises:
-        RunError: a process died.
-    """
-    if workers == 1:
-        for job in jobs:
-            yield from work(job)
-        return
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        futures = [pool.submit(partial(_listed, work), job) for job in jobs]
-        try:
-            for future in as_completed(futures):
-                yield from future.result()
-        except BrokenProcessPool:
-            raise RunError(
-                "a process died, for want of memory perhaps; take fewer --workers, the rows that "
-                "are there are kept"
-            ) from None
-        finally:
-            # Whatever ends this early, such as Ctrl-C, ends what has not begun, too.
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _listed(work: Callable[[Job], Iterable[Made]], job: Job) -> list[Made]:
-    from neoworld_mjx.cache import keep_compilations
-
-    keep_compilations()
-    return list(work(job))

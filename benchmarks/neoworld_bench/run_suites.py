@@ -174,7 +174,7 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
             methods,
             RunSettings(o.seed, config.refine, config.compose, o.noise, named),
             starts=o.starts,
-            workers=o.workers,
+            place=o.place,
             out=o.out or folder,
             submission=o.submission,
         )
@@ -262,7 +262,7 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
             o.method,
             RunSettings(o.seed, config.refine, config.compose, o.noise),
             starts=o.starts,
-            workers=o.workers,
+            place=o.place,
             out=o.out or folder,
         )
     return {**success_summary(rows), "machine": machine()}

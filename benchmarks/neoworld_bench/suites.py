@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 from tyro.conf import Positional
 
 from neoworld_mjx.engines import ENGINES, EngineChoice, EngineName
+from neoworld_mjx.places import Place
 
 MethodName = Literal[
     "ours",
@@ -57,7 +58,7 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyRuns:
+class NoisyRuns(Place):
     """Options of suites that run methods from noisy initial scenes."""
 
     starts: int = 2

@@ -44,6 +44,19 @@ def run_lines(result: CommandResult) -> list[str]:
     return rows
 
 
+def photo_lines(result: CommandResult) -> list[str]:
+    """Summarize the reconstruction of a folder of photographs."""
+    words = {True: "valid", False: "not valid", None: "not refined yet"}
+    rows = [
+        f"{each['photo']}: {each['error'] or words[each['passed']]}, {each['seconds']:.1f} s, in "
+        f"{each['folder']}"
+        for each in result["photos"]
+    ]
+    valid = sum(each["passed"] is True for each in result["photos"])
+    return [f"{valid} of {count(rows, 'photograph')} valid", *rows,
+            f"{_cost(result['mllm'])}; {DETAILS}"]  # fmt: skip
+
+
 def rescue_lines(result: CommandResult) -> list[str]:
     """Summarize the rescue of another method's scene."""
     moves = result["moves_m"]

@@ -2,22 +2,30 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..engines import EngineChoice
+from ..errors import ConfigError
+from ..places import HERE, Place
 from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import file_lines, rescue_lines, run_lines
+from .result_lines import file_lines, photo_lines, rescue_lines, run_lines
+
+if TYPE_CHECKING:
+    from ..config import Config
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReconstructCommand(ConfiguredCommand):
-    """Reconstruct a simulation-ready scene from a photograph."""
+class ReconstructCommand(ConfiguredCommand, Place):
+    """Reconstruct a simulation-ready scene from a photograph.
+
+    A folder of photographs gives one run folder each in --out, with one ledger and one cost cap.
+    """
 
     photo: Positional[Path]
-    """The photograph, or the name of one that `neoworld examples` lists."""
+    """The photograph, the name of one that `neoworld examples` lists, or a folder of them."""
     out: Path
     """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
@@ -51,6 +59,12 @@ class ReconstructCommand(ConfiguredCommand):
             {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
         )
         keep_compilations()
+        if self.photo.is_dir():
+            return self._reconstruct_folder(config)
+        if self.place != HERE:
+            raise ConfigError(
+                "--workers, --ray and --slurm are for several photographs: name their folder"
+            )
         result = reconstruct(
             photo_of(self.photo),
             self.out,
@@ -65,9 +79,27 @@ class ReconstructCommand(ConfiguredCommand):
         )
         return result.summary()
 
+    def _reconstruct_folder(self, config: "Config") -> CommandResult:
+        from ..pipeline.photo_folder import reconstruct_folder
+
+        single = {"--from": self.start, "--record": self.record, "--mailbox": self.mailbox}
+        for flag, value in single.items():
+            if value is not None:
+                raise ConfigError(f"{flag} is for a single photograph, {self.photo} is a folder")
+        return reconstruct_folder(
+            self.photo,
+            self.out,
+            config,
+            until=self.until,
+            resume=self.resume,
+            overwrite=self.overwrite,
+            tapes=self.tape,
+            place=self.place,
+        )
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return run_lines(result)
+        return photo_lines(result) if "photos" in result else run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,15 @@
 """Commands of sweeps and ablations."""
 
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from ..errors import ConfigError
+from ..places import Place
 from .base_command import Command, CommandResult
 from .result_lines import sweep_lines
 
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanCommand(Command):
+class PlanCommand(Command, Place):
     """Options of the commands that run a plan."""
 
     plan: Positional[Path]
@@ -30,9 +33,37 @@ class PlanCommand(Command):
     """K/N computes the K-th of N shares of the runs, into a folder of its own; `neoworld sweep
     merge` joins the folders."""
 
+    check: bool = False
+    """Compute nothing; check that the rows in --out can be compared: each must come from the
+    scenes, options and versions that the plan gives it here."""
+    track: UseAppendAction[tuple[str, ...]] = ()
+    """Log every iteration with a tracker: tensorboard:DIR, wandb:PROJECT or mlflow:URI;
+    repeatable."""
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
+        if "checked" in result:
+            return [f"{result['checked']} rows can be compared, {result['missing']} are missing"]
         return sweep_lines(result)
+
+    def _run(self, function: Callable[..., "SweepResult"], kind: Any) -> CommandResult:
+        """Run the plan with `sweep` or `ablate`, and log it with the trackers."""
+        from ..sweeps.run import check
+        from ..sweeps.trackers import open_tracker
+
+        if self.check:
+            return check(self.plan, self.out, kind)
+        arguments = self._arguments()
+        with contextlib.ExitStack() as stack:
+            trackers = [stack.enter_context(open_tracker(text)) for text in self.track]
+
+            def on_iteration(run: Any, summary: Any) -> None:
+                for tracker in trackers:
+                    tracker(run, summary)
+
+            return _summary(
+                function(self.plan, self.out, on_iteration=on_iteration, **arguments), self.out
+            )
 
     def _arguments(self) -> dict[str, Any]:
         from ..cache import keep_compilations
@@ -41,6 +72,7 @@ class PlanCommand(Command):
         return {
             "resume": self.resume,
             "overwrite": self.overwrite,
+            "place": self.place,
             "shard": (1, 1) if self.shard is None else shard_of(self.shard),
         }
 
@@ -93,9 +125,9 @@ class SweepCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the sweep."""
-        from ..sweeps import sweep
+        from ..sweeps import Plan, sweep
 
-        return _summary(sweep(self.plan, self.out, **self._arguments()), self.out)
+        return self._run(sweep, Plan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,9 +141,9 @@ class AblateCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the ablation."""
-        from ..sweeps import ablate
+        from ..sweeps import Ablation, ablate
 
-        return _summary(ablate(self.plan, self.out, **self._arguments()), self.out)
+        return self._run(ablate, Ablation)
 
 
 def _summary(result: "SweepResult", out: Path) -> CommandResult:

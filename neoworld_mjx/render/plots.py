@@ -1,9 +1,9 @@
-"""Plot figures as SVG with matplotlib, an optional dependency."""
+"""Plot figures as SVG or PDF with matplotlib, an optional dependency."""
 
 import io
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 _log = logging.getLogger(__name__)
 
@@ -17,6 +17,14 @@ def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | No
         size: width and height [inch].
         draw: function that draws into a matplotlib figure.
     """
+    data = plot(size, draw, "svg")
+    return None if data is None else data.decode()
+
+
+def plot(
+    size: tuple[float, float], draw: Callable[[Any], None], form: Literal["svg", "pdf"]
+) -> bytes | None:
+    """Return a figure as SVG or PDF; see `plot_svg`."""
     try:
         import matplotlib
     except ImportError:
@@ -24,12 +32,13 @@ def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | No
         return None
     from matplotlib.figure import Figure
 
+    dates = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
     # pyplot would keep the figure in memory and need a display.
     with matplotlib.rc_context(
-        {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none"}
+        {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none", "pdf.fonttype": 42}
     ):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        svg = io.StringIO()
-        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
-    return svg.getvalue()
+        file = io.BytesIO()
+        figure.savefig(file, format=form, metadata=dates[form])
+    return file.getvalue()

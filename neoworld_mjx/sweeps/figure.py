@@ -3,11 +3,11 @@
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..render.plots import plot_svg
+from ..render import plots
 from .run_rows import Row
 
 MAX_CELLS = 64
@@ -34,8 +34,10 @@ EFFECTS = (
 )
 
 
-def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
-    """Draw a sweep as SVG; without matplotlib, log that and return None.
+def draw(
+    rows: Sequence[Row], axes: Sequence[str], form: Literal["svg", "pdf"] = "svg"
+) -> bytes | None:
+    """Draw a sweep as SVG or PDF; without matplotlib, log that and return None.
 
     Left: best reward so far over the rollouts made, median and interquartile range over scenes and
     seeds.
@@ -45,6 +47,7 @@ def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
     Args:
         rows: the runs, each with its iterations under "history".
         axes: columns that distinguish points.
+        form: format of the file.
     """
     axes = [name for name in axes if len({row[name] for row in rows}) > 1][:2]
     effects = EFFECTS if axes else ()
@@ -56,7 +59,7 @@ def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
             _effect(figure, plot, rows, axes, effect)
         _terms(last, rows)
 
-    return plot_svg((3.4 * (2 + len(effects)), 3.2), fill)
+    return plots.plot((3.4 * (2 + len(effects)), 3.2), fill, form)
 
 
 def _convergence(plot: Any, rows: Sequence[Row]) -> None:

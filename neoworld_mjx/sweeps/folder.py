@@ -10,10 +10,13 @@ from ..io import read_object
 from ..io.files import write_output
 from ..run_folder import LOCK, lock_folder, refuse_links
 from .figure import draw
+from .rank_figure import draw_ranks, ranks
 from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterations, write_runs
 
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
-TABLE, CSV, LATEX, FIGURE = "table.md", "table.csv", "table.tex", "figure.svg"
+TABLE, CSV, LATEX = "table.md", "table.csv", "table.tex"
+FIGURE, RANKS = "figure.svg", "ranks.svg"
+"""Figures; a PDF with the same name is beside each."""
 FORMAT = "neoworld-sweep/1"
 
 
@@ -82,8 +85,9 @@ class SweepFolder:
     def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
         about = self._refuse_foreign(kind)
         if overwrite:
-            for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE):
+            for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE, RANKS):
                 (self.path / name).unlink(missing_ok=True)
+                (self.path / name).with_suffix(".pdf").unlink(missing_ok=True)
         elif not resume:
             raise RunError(
                 f"{self.path} holds a {kind}: continue with --resume, start over with --overwrite, "
@@ -131,16 +135,28 @@ class SweepFolder:
         for name, text in texts.items():
             write_output(self.path / name, text, RunError)
 
-    def write_figure(self, rows: Sequence[Row], axes: Sequence[str]) -> str | None:
+    def write_figure(
+        self, rows: Sequence[Row], axes: Sequence[str], *, ranked: bool = False
+    ) -> str | None:
         """Draw the sweep; return the figure's path, or None without matplotlib.
+
+        Args:
+            rows: the runs.
+            axes: columns that distinguish points.
+            ranked: True to draw the critical-difference diagram, too.
 
         Raises:
             RunError: the file cannot be written.
         """
-        drawing = draw(rows, axes)
-        if drawing is None:
-            return None
-        write_output(self.path / FIGURE, drawing, RunError)
+        found = ranks(rows, list(dict.fromkeys(row["point"] for row in rows)))
+        for form in ("svg", "pdf"):
+            drawings = {FIGURE: draw(rows, axes, form)}
+            if ranked and found is not None:
+                drawings[RANKS] = draw_ranks(found, form)
+            for name, drawing in drawings.items():
+                if drawing is None:
+                    return None
+                write_output((self.path / name).with_suffix(f".{form}"), drawing, RunError)
         return str(self.path / FIGURE)
 
     def write_about(self, about: dict[str, Any]) -> None:

@@ -1,16 +1,24 @@
-"""Runs of one group of points on one scene: searched together, or refined one by one."""
+"""Runs of one group of points on one scene: searched together, or refined one by one.
+
+`compute` is the task of a sweep; a worker elsewhere gets it, too.
+"""
 
 import json
 import os
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from ..compilations import compiled
 from ..config import RefineOptions, option_values
+from ..parse.photo import load_photo
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
+from ..physics.native import NativeEngine
+from ..physics.simulate import open_engine
 from ..refinement.batching import TILE
+from ..refinement.compiling import S_PHOTO, compile_for_search, reach_of, with_evidence
 from ..refinement.delivery import delivered
 from ..refinement.loop import search
 from ..refinement.scene_refinement import refine
@@ -25,6 +33,96 @@ from .winners import winners
 
 CANDIDATES_AT_ONCE = 1024
 """Candidates that occupy four cores for a while."""
+
+
+class SweepPart(NamedTuple):
+    """Runs of one group on one scene that are computed and saved together."""
+
+    case: Case
+    scene_hash: str
+    options: RefineOptions
+    """Options to compile the scene with."""
+    runs: tuple[tuple[Point, int], ...]
+    """Point and seed of each run."""
+    fold: bool
+    engine: Engine | None
+    """Physics engine; None opens the one that the options name."""
+    threads: int = 0
+    """Threads of that one on a CPU; 0 is all cores."""
+
+
+class ComputedPart(NamedTuple):
+    """Rows of a part's runs, in their order."""
+
+    part: SweepPart
+    rows: list[Row]
+    timing: dict[str, Any]
+    """Entry of "groups" in sweep.json."""
+
+
+@dataclass
+class CompiledScene:
+    """What this process has compiled of the scene that it computed last."""
+
+    scene_hash: str = ""
+    models: dict[tuple[float, int, float, bool], SceneModel] = field(default_factory=dict)
+    """By time step, samples, reach, and whether the photograph is evidence."""
+    kinds: set[str] = field(default_factory=set)
+    """Static options of the runs that have been compiled."""
+
+
+COMPILED = CompiledScene()
+
+
+def forget_compiled(scene_hash: str = "") -> None:
+    """Begin another scene, or another sweep."""
+    COMPILED.scene_hash = scene_hash
+    COMPILED.models.clear()
+    COMPILED.kinds.clear()
+
+
+def compute(part: SweepPart, scores: ModelScores | None = None) -> Iterator[ComputedPart]:
+    """Compute the runs of a part.
+
+    Args:
+        part: the runs.
+        scores: scores by a model; None if no run needs them.
+    """
+    case, options = part.case, part.options
+    if COMPILED.scene_hash != part.scene_hash:
+        forget_compiled(part.scene_hash)
+    engine = part.engine or open_engine(options.rollout.engine)
+    if part.engine is None and isinstance(engine, NativeEngine):
+        engine.threads = part.threads
+    start, before = time.perf_counter(), compiled()
+    rollout, by_photo = options.rollout, S_PHOTO in options.reward.terms
+    shape = (rollout.timestep_s, rollout.samples_per_object, reach_of(options), by_photo)
+    if shape not in COMPILED.models:
+        model = compile_for_search(case.scene, options)
+        photo = load_photo(case.photo).rgb if by_photo and case.photo is not None else None
+        COMPILED.models[shape] = with_evidence(model, options, photo)
+    model = COMPILED.models[shape]
+    runs = [
+        SearchRun(point.options, seed, None if case.start is None else case.start(model, seed))
+        for point, seed in part.runs
+    ]
+    clock: dict[str, float] = {}
+    if part.fold:
+        rows = search_together(case, options, model, runs, engine, clock)
+    else:
+        pairs = [(point, run) for (point, _), run in zip(part.runs, runs, strict=True)]
+        rows = refine_separately(case, model, pairs, engine, COMPILED.kinds, scores)
+    programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
+    timing = {
+        "scene": case.name,
+        "points": list(dict.fromkeys(point.label for point, _ in part.runs)),
+        "runs": len(part.runs),
+        "seconds": time.perf_counter() - start,
+        "compilations": int(programs),
+        "compile_s": compile_s,
+        "parts": clock,
+    }
+    yield ComputedPart(part, rows, timing)
 
 
 def search_together(

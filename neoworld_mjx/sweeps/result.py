@@ -87,7 +87,7 @@ def stored_result(
         folder.write(rows, axes, texts)
         folder.write_about(about)
         if finished:
-            about["figure"] = folder.write_figure(rows, axes)
+            about["figure"] = folder.write_figure(rows, axes, ranked=about["kind"] == "ablation")
     return SweepResult(list(rows), summaries, compared, markdown, about)
 
 

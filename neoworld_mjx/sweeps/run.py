@@ -3,35 +3,32 @@
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from ..compilations import compiled
-from ..config import RefineOptions, option_values
-from ..errors import ConfigError
+from ..config import option_values
+from ..errors import ConfigError, RunError
 from ..io.files import content_hash
 from ..io.names import repeated
-from ..parse.photo import load_photo
 from ..physics.engine import Engine
-from ..physics.model import SceneModel
-from ..physics.simulate import open_engine
+from ..places import HERE, Place, check_place, run_tasks
 from ..progress import report
-from ..refinement.compiling import S_PHOTO, compile_for_search, reach_of, with_evidence
-from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
-from .folder import FORMAT, SweepFolder
-from .group_runs import refine_separately, runs_at_once, search_together
-from .grouping import PointGroup, grouped, reasons
+from .folder import FORMAT, RESULTS, SweepFolder
+from .group_runs import SweepPart, compute, forget_compiled, runs_at_once
+from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, Point, points, read, shared_config
+from .plan import Ablation, Plan, Point, Request, points, read, shared_config
 from .result import SweepResult, commit, stored_result
-from .run_rows import Key, Row
+from .run_rows import Key, Row, read_runs, row_key
 from .study import check_study, run_study
+from .trackers import OnIteration, TrackedRun
 
 
 def sweep(
@@ -44,6 +41,8 @@ def sweep(
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
+    place: Place = HERE,
+    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with every combination of some options' values and several seeds.
 
@@ -60,27 +59,31 @@ def sweep(
         overwrite: replace the sweep in `out`.
         shard: (K, N) computes the K-th of N shares of the runs, each for a process or machine of
             its own; `merge` joins their folders.
+        place: where the runs are computed.
+        on_iteration: receives every iteration of the new runs, as the runs are complete; see
+            `trackers.OnIteration`.
 
     Raises:
         ConfigError: the plan is invalid; raised before any run.
+        EngineError: the cluster of `place` does not answer; raised before any run.
         SpecError: a scene does not exist.
         RunError: the folder cannot be written, is in use, or holds files that must not be replaced.
     """
     plan = read(plan, Plan)
     if plan.study is not None:
-        if shard != (1, 1):
-            raise ConfigError("shard: the trials of a study depend on each other")
+        if shard != (1, 1) or place != HERE:
+            raise ConfigError("the trials of a study depend on each other: they run in one process")
         check_study(plan)
 
         def run_point(point: Plan, scene: Case) -> SweepResult:
-            return _Runner(point, [scene], {}, engine, (1, 1)).run(
+            return _Runner(point, [scene], {}, engine, (1, 1), HERE, on_iteration).run(
                 None, resume=False, overwrite=False
             )
 
         scenes = _cases(plan, cases, sources)
         path = None if out is None else Path(out)
         return run_study(plan, scenes, run_point, path, resume=resume, overwrite=overwrite)
-    runner = _Runner(plan, cases, sources, engine, shard)
+    runner = _Runner(plan, cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -94,14 +97,58 @@ def ablate(
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
+    place: Place = HERE,
+    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
     Unless the plan sets `fold`, runs are separate refinements; the first of each kind runs twice,
     so that times exclude compilation. Arguments and errors are those of `sweep`.
     """
-    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard)
+    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
+
+
+def check(
+    plan: Request | Mapping[str, Any] | Path | str,
+    out: Path | str,
+    kind: type[Request],
+    *,
+    cases: Sequence[Case | SceneSpec] = (),
+    sources: Mapping[str, Source] | None = None,
+    engine: Engine | None = None,
+) -> dict[str, Any]:
+    """Check that the rows of a folder can be compared; nothing is computed.
+
+    Each row must have the fingerprint that the plan, its scenes and the installed versions give
+    its run, so that rows differ in their options and seeds alone.
+
+    Args:
+        plan: see `sweep` and `ablate`.
+        out: folder of the rows.
+        kind: Plan or Ablation.
+        cases: see `sweep`.
+        sources: see `sweep`.
+        engine: see `sweep`.
+
+    Returns:
+        "checked", the number of rows, and "missing", the number of runs without one.
+
+    Raises:
+        RunError: a row has another fingerprint or belongs to no run of the plan, or the folder
+            cannot be read.
+    """
+    runner = _Runner(read(plan, kind), cases, sources, engine, (1, 1), HERE, None)
+    rows = {row_key(row): row["fingerprint"] for row in read_runs(Path(out) / RESULTS)}
+    unlike = [key for key, mark in rows.items() if runner.fingerprints.get(key) != mark]
+    if unlike:
+        scene, point, seed = unlike[0]
+        raise RunError(
+            f"{out}: {len(unlike)} of {len(rows)} rows come from other scenes, options or versions "
+            f"than the plan gives them here, such as scene {scene}, point {point}, seed {seed}: "
+            "they must not be compared; compute them again with --resume"
+        )
+    return {"checked": len(rows), "missing": runner.total - len(rows)}
 
 
 class _Runner:
@@ -114,15 +161,21 @@ class _Runner:
         sources: Mapping[str, Source] | None,
         engine: Engine | None,
         shard: tuple[int, int],
+        place: Place,
+        on_iteration: OnIteration | None,
     ) -> None:
         number, of = self.shard = shard
         if not 1 <= number <= of:
             raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{of}")
-        self.plan, self.engine = plan, engine
+        self.plan, self.engine, self.place = plan, engine, place
+        self.on_iteration = on_iteration
         self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
         self.points = points(plan)
         self.cases = _cases(plan, scenes, sources)
         self.by_model = any(scored_by_model(point.options) for point in self.points)
+        check_place(place)
+        if self.by_model and (place.remote or place.processes > 1):
+            raise ConfigError("a sweep scored by a model has one ledger: it runs in one process")
         # Responses of a model arrive at any time, so such runs cannot share a computation.
         self.fold = plan.fold and not self.by_model
         options = [point.options for point in self.points]
@@ -167,27 +220,39 @@ class _Runner:
         if self.by_model:
             self.scores = self._open_scores()
         self.about = self._about()
-        began, before = time.perf_counter(), len(self.completed)
-        for scene in self.cases:
-            models: dict[tuple[float, int, float], SceneModel] = {}
-            compiled_kinds: set[str] = set()
-            for number, group in enumerate(self.groups, start=1):
-                for timing in self._run_group(scene, group, models, compiled_kinds):
-                    done = len(self.completed)
-                    rate = (time.perf_counter() - began) / (done - before)
-                    left = (self.total - done) * rate
-                    report(
-                        f"{scene.name}, group {number} of {len(self.groups)}: {timing['runs']} "
-                        f"runs in {timing['seconds']:.1f} s, {timing['compile_s']:.1f} s of it "
-                        f"compiling {timing['compilations']} programs; {done} of {self.total} "
-                        f"runs done, about {left:.0f} s left",
-                        step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
-                    )
-                    self._save(finished=False)
+        forget_compiled()
+        began, before, heads = time.perf_counter(), len(self.completed), self._heads()
+        work = partial(compute, scores=self.scores)
+        try:
+            for part, rows, timing in run_tasks(work, self._parts(), self.place):
+                for (point, seed), row in zip(part.runs, rows, strict=True):
+                    key = (part.case.name, point.label, seed)
+                    self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
+                    self._track(point, part.case.name, seed, row)
+                self.about["groups"].append(timing)
+                done = len(self.completed)
+                left = (self.total - done) * (time.perf_counter() - began) / (done - before)
+                report(
+                    f"{part.case.name}: {timing['runs']} runs in {timing['seconds']:.1f} s, "
+                    f"{timing['compile_s']:.1f} s of it compiling {timing['compilations']} "
+                    f"programs; {done} of {self.total} runs done, about {left:.0f} s left",
+                    step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
+                )
+                self._save(finished=False)
+        except BaseException:
+            if self.scores is not None:
+                self._save(finished=False)  # Record the costs so far.
+            raise
         result = self._save(finished=True)
         if self.scores is not None:
             self.scores.close()
         return result
+
+    def _track(self, point: Point, scene: str, seed: int, row: Row) -> None:
+        if self.on_iteration is None:
+            return
+        for step in row["history"]:
+            self.on_iteration(TrackedRun(scene, point.label, seed, point.values), step)
 
     def _heads(self) -> dict[Key, Row]:
         """Return the columns that name each run."""
@@ -197,84 +262,30 @@ class _Runner:
             for scene, point, seed in self.fingerprints
         }
 
-    def _run_group(
-        self,
-        scene: Case,
-        group: PointGroup,
-        models: dict[tuple[float, int, float], SceneModel],
-        compiled_kinds: set[str],
-    ) -> Iterator[dict[str, Any]]:
-        """Compute the missing runs of a group on a scene; yield the timing of every part.
-
-        Args:
-            scene: the scene.
-            group: the points.
-            models: compiled models of the scene, by time step, samples and reach; updated in place.
-            compiled_kinds: see `refine_separately`.
-        """
-        pending = [
-            (point, seed)
-            for point in (self.points[k] for k in group.members)
-            for seed in self.plan.seeds
-            if (key := (scene.name, point.label, seed)) in self.fingerprints
-            and key not in self.completed
-        ]
-        if not pending:
-            return
-        options = group.compile_options
-        rollout = options.rollout
-        shape = (rollout.timestep_s, rollout.samples_per_object, reach_of(options))
-        engine = self.engine or open_engine(rollout.engine)
-        size = runs_at_once(options) if self.fold else 1
-        for first in range(0, len(pending), size):
-            part = pending[first : first + size]
-            start, before = time.perf_counter(), compiled()
-            if shape not in models:
-                model = compile_for_search(scene.scene, options)
-                photo = None
-                if scene.photo is not None and S_PHOTO in options.reward.terms:
-                    photo = load_photo(scene.photo).rgb
-                models[shape] = with_evidence(model, options, photo)
-            rows = self._rows(scene, options, models[shape], part, engine, compiled_kinds)
-            heads = self._heads()
-            for (point, seed), row in zip(part, rows, strict=True):
-                key = (scene.name, point.label, seed)
-                self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
-            programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
-            timing = {
-                "scene": scene.name,
-                "points": list(dict.fromkeys(point.label for point, _ in part)),
-                "runs": len(part),
-                "seconds": time.perf_counter() - start,
-                "compilations": int(programs),
-                "compile_s": compile_s,
-            }
-            self.about["groups"].append(timing)
-            yield timing
-
-    def _rows(
-        self,
-        scene: Case,
-        options: RefineOptions,
-        model: SceneModel,
-        part: Sequence[tuple[Point, int]],
-        engine: Engine,
-        compiled_kinds: set[str],
-    ) -> list[Row]:
-        runs = [
-            SearchRun(
-                point.options, seed, None if scene.start is None else scene.start(model, seed)
-            )
-            for point, seed in part
-        ]
-        if self.fold:
-            return search_together(scene, options, model, runs, engine)
-        pairs = [(point, run) for (point, _), run in zip(part, runs, strict=True)]
-        try:
-            return refine_separately(scene, model, pairs, engine, compiled_kinds, self.scores)
-        except BaseException:
-            self._save(finished=False)  # Record the costs so far.
-            raise
+    def _parts(self) -> list[SweepPart]:
+        """Return the tasks: the runs that `completed` lacks, by scene and group."""
+        parts = []
+        for scene in self.cases:
+            scene_hash = content_hash(scene.scene)
+            for group in self.groups:
+                options = group.compile_options
+                pending = [
+                    (point, seed)
+                    for point in (self.points[k] for k in group.members)
+                    for seed in self.plan.seeds
+                    if (key := (scene.name, point.label, seed)) in self.fingerprints
+                    and key not in self.completed
+                ]
+                size = runs_at_once(options) if self.fold else 1
+                if self.place.processes > 1 or self.place.remote:
+                    size = min(size, len(self.plan.seeds))  # A point is a task.
+                for first in range(0, len(pending), size):
+                    runs = tuple(pending[first : first + size])
+                    parts.append(
+                        SweepPart(scene, scene_hash, options, runs, self.fold, self.engine,
+                             self.place.threads)
+                    )  # fmt: skip
+        return parts
 
     def _save(self, *, finished: bool) -> SweepResult:
         """Return the result so far, and write it into the folder."""

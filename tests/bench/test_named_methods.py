@@ -32,7 +32,7 @@ def settings(named=(), **reward):
 
 
 def run(tmp_path, methods, used):
-    return run_scenes(("tents",), methods, used, starts=1, workers=1, out=tmp_path)
+    return run_scenes(("tents",), methods, used, starts=1, out=tmp_path)
 
 
 @pytest.fixture(scope="module")

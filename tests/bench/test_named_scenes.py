@@ -19,6 +19,7 @@ PLANS = sorted(CONFIGS.glob("*/*.yaml"))
     ("name", "message"),
     [
         ("bench:dominos", "scene bench:dominos: .*did you mean 'dominoes'"),
+        ("bench:tents@al", "scene bench:tents@al: noise got 'al', valid are: exact, layout"),
         ("crowded:many", "number of objects from 1 to 100"),
         ("photo:cofee", "did you mean 'coffee'"),
         ("bensh:dominoes", "did you mean 'bench'"),
@@ -66,3 +67,10 @@ def test_plans_of_the_repository_name_existing_scenes(path):
             ).is_file()
         else:
             assert case(name, SOURCES).name == name
+
+
+def test_a_bench_scene_has_the_noise_level_of_its_name():
+    exact, every = case("bench:tents@exact", SOURCES), case("bench:tents@all", SOURCES)
+    assert every.scene == case("bench:tents", SOURCES).scene and exact.name == "bench:tents@exact"
+    errors = [each.errors(each.scene)["xy_m"] for each in (exact, every)]
+    assert errors[0] < 0.5 * errors[1]

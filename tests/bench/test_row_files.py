@@ -1,9 +1,7 @@
-"""Rows of Parquet files, and the processes that compute them."""
-
-import os
+"""Rows of Parquet files."""
 
 import pytest
-from neoworld_bench.row_files import RowFile, made_by_jobs, sized, stored_rows
+from neoworld_bench.row_files import RowFile, stored_rows
 from neoworld_bench.rows import Row
 
 from neoworld_mjx.errors import RunError
@@ -14,14 +12,6 @@ class Kept(Row):
 
     name: str
     value: float | None
-
-
-def squares(number: int) -> list[int]:
-    return [number, number**2]
-
-
-def dying(number: int) -> list[int]:
-    os._exit(number)
 
 
 def test_rows_replace_those_with_the_same_key(tmp_path):
@@ -38,16 +28,3 @@ def test_rows_replace_those_with_the_same_key(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match="cannot make"):
         RowFile(tmp_path / "file" / "rows.parquet", Kept, lambda row: row.name)
-
-
-def test_one_worker_runs_jobs_in_this_process():
-    assert list(made_by_jobs(squares, [2, 3], 1)) == [2, 4, 3, 9]
-    workers, threads = sized(0)
-    assert workers >= 1 and threads >= 1 and sized(10_000)[1] == 1
-
-
-@pytest.mark.slow
-def test_several_workers_run_jobs_in_processes():
-    assert sorted(made_by_jobs(squares, [2, 3], 2)) == [2, 3, 4, 9]
-    with pytest.raises(RunError, match="a process died"):
-        list(made_by_jobs(dying, [3, 4], 2))

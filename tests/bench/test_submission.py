@@ -179,7 +179,6 @@ def test_submissions_add_rows_to_a_results_folder(tmp_path, truth: SceneSpec):
             ("ours",),
             RunSettings(0, RefineOptions(), ComposeOptions(), "layout"),
             starts=3,
-            workers=1,
             out=tmp_path / "results",
             submission=tmp_path / name,
         )

@@ -150,7 +150,7 @@ EXACT = RunSettings(0, RefineOptions(), ComposeOptions(), "exact")
 
 def _run(out):
     tasks = [find_task("cube_on_cube")]
-    return run_successes(tasks, ["open_loop"], EXACT, starts=1, workers=1, out=out)
+    return run_successes(tasks, ["open_loop"], EXACT, starts=1, out=out)
 
 
 def test_rows_are_stored_and_exceptions_count_as_failures(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 
 from neoworld_mjx.sweeps.figure import MAX_LINES, draw
 from neoworld_mjx.sweeps.folder import SweepFolder
+from neoworld_mjx.sweeps.rank_figure import cliques, draw_ranks, ranks
 from neoworld_mjx.sweeps.run_rows import iteration_rows, read_runs, summaries, write_runs
 from neoworld_mjx.sweeps.table import comma_separated, differences, summary, text_table
 
@@ -116,6 +117,8 @@ def test_differences_are_signed():
 def test_a_figure_shows_points_axes_and_terms():
     drawn = draw(ROWS, [SIGMA, DRIFT])
     assert drawn == draw(ROWS, [SIGMA, DRIFT])
+    assert draw(ROWS, [SIGMA, DRIFT], "pdf").startswith(b"%PDF") and drawn is not None
+    drawn = drawn.decode()
     text = "\n".join(part.text or "" for part in ET.fromstring(drawn).iter())
     for label in ("s 0.06, d 1.0", "passed, %", "sigma_xy", "w_drift", "S_sem", "not passed"):
         assert label in text, label
@@ -124,11 +127,43 @@ def test_a_figure_shows_points_axes_and_terms():
 def test_a_figure_of_one_axis_none_and_many_points():
     one = "".join(ET.fromstring(draw(ROWS[:4], [SIGMA, DRIFT])).itertext())
     assert "w_drift" in one and "sigma_xy" not in one
-    assert "passed, %" not in draw(ROWS[:1], [SIGMA, DRIFT])
+    assert b"passed, %" not in draw(ROWS[:1], [SIGMA, DRIFT])
     many = [run(f"point {k}", 0, 0.1, float(k), reward=k / 20) for k in range(MAX_LINES + 3)]
-    text = draw(many, [DRIFT])
+    text = draw(many, [DRIFT]).decode()
     assert f"best {MAX_LINES} of {len(many)}" in text
     assert "point 10<" in text and "point 2<" not in text
+
+
+def ablated(errors):
+    return [
+        {"scene": f"s{k}", "point": point, "seed": 0, "xy_error_m": value, "d_drift": 0.0}
+        for point, values in errors.items()
+        for k, value in enumerate(values)
+    ]
+
+
+def test_ranks_are_those_of_demsar():
+    """Table 6 of Demšar (2006): four methods on 14 data sets have CD 2.569 sqrt(4 5 / (6 14))."""
+    rng = np.random.default_rng(0)
+    rows = ablated({name: rng.random(14) + k for k, name in enumerate("abcd")})
+    found = ranks(rows, list("abcd"))
+    assert found.points == list("abcd") and found.scenes == 14
+    assert found.critical == pytest.approx(2.569 * np.sqrt(4 * 5 / (6 * 14)), rel=1e-3)
+    assert found.means == [1.0, 2.0, 3.0, 4.0] and found.friedman_p < 1e-6
+    # Neighbors are within the critical difference of 1.25, others are not.
+    assert cliques(found) == [(0, 1), (1, 2), (2, 3)]
+    text = "".join(ET.fromstring(draw_ranks(found, "svg")).itertext())
+    assert "critical difference 1.25" in text and "mean rank by xy error over 14 scenes" in text
+
+
+def test_ranks_share_ties_and_need_three_points_and_two_scenes():
+    found = ranks(ablated({"a": [1, 1], "b": [1, 1], "c": [0, 2]}), ["a", "b", "c"])
+    assert dict(zip(found.points, found.means, strict=True)) == {"a": 2.0, "b": 2.0, "c": 2.0}
+    assert ranks(ablated({"a": [1, 1], "b": [1, 1]}), ["a", "b"]) is None
+    assert ranks(ablated({"a": [1], "b": [1], "c": [1]}), ["a", "b", "c"]) is None
+    # Where an error is unknown, all are ranked by drift.
+    unknown = ablated({"a": [1, 1], "b": [1, 1], "c": [None, None]})
+    assert ranks(unknown, ["a", "b", "c"]).title == "D_drift"
 
 
 def test_without_matplotlib_the_log_says_why_there_is_no_figure(monkeypatch, caplog):

@@ -13,9 +13,10 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.rewards import s_sem
-from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, run, sweep
+from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder
 from neoworld_mjx.sweeps.plan import points, read
+from neoworld_mjx.sweeps.run import check
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
 from tests.support.notebooks import run_small
 from tests.support.scenes import stored_scene
@@ -45,7 +46,7 @@ def plan(seeds=(0, 1), **axes):
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_once():
     """Most of the time of a small sweep is compiling its scene, which these tests share."""
-    remaining, built = run.compile_for_search, {}
+    remaining, built = group_runs.compile_for_search, {}
 
     def compiled(scene, o):
         key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
@@ -54,7 +55,7 @@ def _compiled_once():
         return built[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "compile_for_search", compiled)
+        patch.setattr(group_runs, "compile_for_search", compiled)
         yield
 
 
@@ -250,6 +251,19 @@ def test_a_group_that_is_killed_keeps_its_runs(tmp_path, monkeypatch):
     assert counts == [1, 1, 1] and len(result.rows) == 4
     whole = sweep(requests, cases=[SCENE], engine=NativeEngine())
     assert without_times(result.rows) == without_times(whole.rows)
+
+
+def test_rows_of_other_inputs_are_not_compared(swept, tmp_path):
+    out, _ = swept
+    requests = plan(drift=[1, 2], sigma=[5, 10])
+    assert check(requests, out, Plan, cases=[SCENE]) == {"checked": 8, "missing": 0}
+    more = plan(seeds=(0, 1, 2), drift=[1, 2], sigma=[5, 10])
+    assert check(more, out, Plan, cases=[SCENE]) == {"checked": 8, "missing": 4}
+    moved = Case("two", stored_scene("crowded_3"))
+    other = requests | {"base": {"refine": BASE["refine"] | {"finalists": 3}}}
+    for asked, scene in ((requests, moved), (other, SCENE), (plan(drift=[1]), SCENE)):
+        with pytest.raises(RunError, match="8 of 8 rows come from other scenes, options or ver"):
+            check(asked, out, Plan, cases=[scene])
 
 
 def test_an_axis_may_be_added_at_its_default(tmp_path, monkeypatch):

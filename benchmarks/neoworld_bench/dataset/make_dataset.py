@@ -14,11 +14,9 @@ six digits; pictures and what is read off them follow from these.
 import io
 import json
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +26,7 @@ from PIL import Image, ImageDraw
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.io import open_image
 from neoworld_mjx.io.files import content_hash, write_atomic
+from neoworld_mjx.places import Place, run_tasks
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 from neoworld_mjx.templates import template, templates
 
@@ -68,11 +67,9 @@ def make_dataset(
     categories = [] if scenes else list(templates())
     jobs = [("categories", name, str(out), seed) for name in categories]
     jobs += [("scenes", name, str(out), seed) for name in chosen]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            parts = list(pool.map(_write_part, jobs))
-    else:
-        parts = [_write_part(job) for job in jobs]
+    done = run_tasks(_write_part, jobs, Place(workers=workers))
+    order = {job[:2]: k for k, job in enumerate(jobs)}
+    parts = sorted(done, key=lambda part: order[part["kind"], part["name"]])
     tasks = task_names()
     summary = {
         "categories": len(categories),
@@ -111,20 +108,19 @@ def task_names() -> list[str]:
     return list(import_module(TASKS).task_names())
 
 
-def _write_part(job: tuple[str, str, str, int | None]) -> dict[str, Any]:
+def _write_part(job: tuple[str, str, str, int | None]) -> Iterator[dict[str, Any]]:
     kind, name, out, seed = job
     folder = Path(out) / kind / name
     part = _category(name, seed) if kind == "categories" else _scene(name)
     content = {"kind": kind, "name": name, "joints": part["joints"], "hash": part["hash"]}
     text = json.dumps(content, indent=1) + "\n"
     done = folder / DONE
-    if done.is_file() and done.read_text(encoding="utf-8") == text:
-        return content
-    for path, data in part["files"]().items():
-        _write(folder / path, data)
-    _write(done, text)
-    log.info(f"{kind}/{name}")
-    return content
+    if not done.is_file() or done.read_text(encoding="utf-8") != text:
+        for path, data in part["files"]().items():
+            _write(folder / path, data)
+        _write(done, text)
+        log.info(f"{kind}/{name}")
+    yield content
 
 
 def _category(name: str, seed: int | None) -> dict[str, Any]:

@@ -8,12 +8,13 @@ from typing import Any, TypeVar
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.io.files import content_hash
+from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
 from ..noise.initial_scenes import NoiseLevel, composed_start, is_evaluation, noise_number
 from ..noise.parse_noise import NoiseLog
-from ..row_files import RowFile, check_level, made_by_jobs, sized
+from ..row_files import RowFile, check_level
 from ..rows import Row, log
 from .named_methods import note_methods, options_json
 from .scene_objects import ObjectRow
@@ -133,7 +134,7 @@ def run_jobs(
     starts: Mapping[str, Sequence[int]],
     methods: Sequence[str],
     settings: RunSettings,
-    workers: int = 0,
+    place: Place = HERE,
     file: Path | None = None,
     objects: Path | None = None,
     submission: Path | None = None,
@@ -147,7 +148,7 @@ def run_jobs(
         starts: numbers of each subject's initial scenes.
         methods: names.
         settings: of the run.
-        workers: processes; 0 takes one for every two cores.
+        place: where the jobs run.
         file: Parquet file of the rows; None stores none.
         objects: Parquet file of the objects' rows; None stores none.
         submission: folder of scenes to score, anew each time.
@@ -159,6 +160,7 @@ def run_jobs(
         RunError: a file cannot be read or written or has rows of another noise level, or a process
             died.
     """
+    check_place(place)
     stored = RowFile(file, row_type, lambda row: row.key)
     check_level(stored, settings.noise)
     stored_objects = RowFile(objects, ObjectRow, lambda row: row.key)
@@ -179,18 +181,19 @@ def run_jobs(
         return mark is not None and settings.of_method(row.method, mark) == row.fingerprint
 
     done = set() if submission else {row.key for row in stored.rows if is_current(row)}
-    workers, threads = sized(workers)
     jobs = []
     for subject, fingerprint in fingerprints.items():
         for start in starts[subject]:
             missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in done)
             if missing:
                 jobs.append(
-                    MethodJob(subject, start, missing, settings, threads, fingerprint, submission)
+                    MethodJob(
+                        subject, start, missing, settings, place.threads, fingerprint, submission
+                    )
                 )
     # An interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
-    for row, object_rows in made_by_jobs(work, jobs, workers):
+    for row, object_rows in run_tasks(work, jobs, place):
         log.info(row.summary)
         # Objects first: a stored row always has the rows of its objects.
         stored_objects.put(object_rows, in_place_of=row.key)

@@ -9,6 +9,7 @@ import numpy as np
 from neoworld_mjx.errors import RunError, SpecError, choices
 from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
 from ..dataset.declaration import declaration, declarations
@@ -118,7 +119,7 @@ def run_scenes(
     settings: RunSettings,
     *,
     starts: int,
-    workers: int = 0,
+    place: Place = HERE,
     out: Path | None = None,
     submission: Path | None = None,
 ) -> list[SceneRow]:
@@ -129,7 +130,7 @@ def run_scenes(
         methods: of METHODS.
         settings: of the run.
         starts: number of initial scenes of each scene.
-        workers: processes; 0 takes one for every two cores.
+        place: where they run.
         out: folder of `results.parquet`; None stores nothing.
         submission: folder of scenes to score in place of running methods, anew each time.
 
@@ -152,7 +153,7 @@ def run_scenes(
         starts=starts_of,
         methods=methods,
         settings=settings,
-        workers=workers,
+        place=place,
         file=out and out / RESULTS,
         objects=out and out / OBJECTS,
         submission=submission,

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_scenes import photograph
@@ -74,7 +75,7 @@ def run_successes(
     settings: RunSettings,
     *,
     starts: int,
-    workers: int = 0,
+    place: Place = HERE,
     out: Path | None = None,
 ) -> list[SuccessRow]:
     """Run methods on tasks, except for rows that the folder's file already contains.
@@ -84,7 +85,7 @@ def run_successes(
         methods: of scene_methods.METHODS.
         settings: of the run.
         starts: number of initial scenes of each task.
-        workers: processes; 0 takes one for every two cores.
+        place: where they run.
         out: folder of `tasks.parquet`; None stores nothing.
 
     Raises:
@@ -105,7 +106,7 @@ def run_successes(
         starts={task.name: range(starts) for task in tasks},
         methods=methods,
         settings=settings,
-        workers=workers,
+        place=place,
         file=out and out / SUCCESSES,
     )
 

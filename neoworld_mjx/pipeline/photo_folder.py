@@ -1,0 +1,238 @@
+"""Reconstruction of a folder of photographs: one run folder each, one ledger, one cost cap."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from ..config import Config
+from ..errors import BudgetError, NeoWorldError, PhotoError, RunError
+from ..io import read_object
+from ..io.files import write_output
+from ..io.names import repeated
+from ..mllm.ledger import Ledger, load_prices
+from ..places import HERE, Place, check_place, run_tasks
+from ..progress import report
+from ..run_folder import lock_folder, read_run, refuse_links
+from .reconstruction import reconstruct
+
+ABOUT, FORMAT = "photos.json", "neoworld-photos/1"
+
+
+@dataclass(frozen=True)
+class PhotoTask:
+    """A photograph to reconstruct."""
+
+    photo: Path
+    out: Path
+    config: Config
+    until: str | None
+    overwrite: bool
+    tapes: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class PhotoOutcome:
+    """What became of a photograph."""
+
+    photo: Path
+    summary: dict[str, Any] | None
+    """`Result.summary`; None after an error."""
+    error: str = ""
+    stopped: bool = False
+    """True if the cost cap stopped the run."""
+
+
+def reconstruct_photo(task: PhotoTask) -> Iterator[PhotoOutcome]:
+    """Reconstruct a photograph; continue if a lost worker has begun with it."""
+    try:
+        result = reconstruct(
+            task.photo,
+            task.out,
+            task.config,
+            until=task.until,
+            resume=not task.overwrite,
+            overwrite=task.overwrite,
+            tapes=task.tapes,
+        )
+        yield PhotoOutcome(task.photo, result.summary())
+    except NeoWorldError as error:  # An error of one photograph must not end the others.
+        yield PhotoOutcome(task.photo, None, str(error), isinstance(error, BudgetError))
+
+
+def reconstruct_folder(
+    photos: Path,
+    out: Path,
+    config: Config,
+    *,
+    until: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    tapes: tuple[Path, ...] = (),
+    place: Place = HERE,
+) -> dict[str, Any]:
+    """Reconstruct every photograph of a folder, each into a run folder of its own.
+
+    `mllm.max_cost_usd` is the cap of all runs together. What is left of it is divided evenly among
+    the photographs that are not finished; those that their part stops are repeated with what the
+    others leave.
+
+    Args:
+        photos: folder of the photographs.
+        out: folder of the run folders, which are named after the photographs, and of photos.json.
+        config: all options.
+        until: last step; see `reconstruct`.
+        resume: keep what earlier runs in `out` finished.
+        overwrite: replace them.
+        tapes: see `reconstruct`.
+        place: where the photographs are reconstructed.
+
+    Returns:
+        The content of photos.json: "photos", "passed", "mllm".
+
+    Raises:
+        PhotoError: the folder has no photographs, or two with one name.
+        RunError: `out` is in use, or holds other files or runs that must not be replaced.
+        NeoWorldError: no photograph can be reconstructed, all for one reason.
+    """
+    files = photographs(photos)
+    check_place(place)
+    out = Path(out).resolve()  # A worker may have another working directory.
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        refuse_links(out)
+        _refuse_earlier(out, resume=resume, overwrite=overwrite)
+        lock = lock_folder(out)
+    except OSError as error:
+        raise RunError(f"cannot write {out}: {error.strerror}") from None
+    with lock:
+        outcomes: dict[Path, PhotoOutcome] = {}
+        pending = list(files)
+        about = _save(out, files, outcomes, config, until)
+        while pending:
+            tasks = [
+                PhotoTask(photo, out / photo.stem, own, until, overwrite and photo not in outcomes,
+                          tuple(tape.resolve() for tape in tapes))
+                for photo, own in _shares(out, files, pending, config, fresh=overwrite).items()
+            ]  # fmt: skip
+            for outcome in run_tasks(reconstruct_photo, tasks, place):
+                outcomes[outcome.photo] = outcome
+                about = _save(out, files, outcomes, config, until)
+                report(
+                    f"{outcome.photo.name}: {outcome.error or 'reconstructed'}; {len(outcomes)} of "
+                    f"{len(files)} photographs done",
+                    step=f"{len(files)} photographs, {len(outcomes)} done",
+                )
+            overwrite = False
+            stopped = [photo for photo in pending if outcomes[photo].stopped]
+            # Only photographs that did not need their part leave something to the others.
+            pending = stopped if len(stopped) < len(pending) else []
+    errors = {outcome.error for outcome in outcomes.values()}
+    if len(errors) == 1 and "" not in errors and len(files) > 1:
+        raise RunError(f"no photograph of {photos} can be reconstructed: {errors.pop()}")
+    return about
+
+
+def photographs(folder: Path) -> list[Path]:
+    """Return the photographs of a folder by name; files that are no pictures are left out.
+
+    Raises:
+        PhotoError: there are none, or two have one name.
+    """
+    known = Image.registered_extensions()
+    found = sorted(
+        path.resolve()
+        for path in folder.iterdir()
+        if path.suffix.lower() in known and path.is_file() and not path.name.startswith(".")
+    )
+    if not found:
+        raise PhotoError(f"{folder} has no photographs")
+    if twice := repeated(path.stem for path in found):
+        raise PhotoError(f"{folder} has several photographs named {', '.join(twice)}: rename them")
+    return found
+
+
+def _refuse_earlier(out: Path, *, resume: bool, overwrite: bool) -> None:
+    if resume and overwrite:
+        raise RunError("--overwrite starts over and --resume continues runs: give one of them")
+    if (out / ABOUT).exists():
+        if read_object(out / ABOUT, RunError).get("format") != FORMAT:
+            raise RunError(f"{out / ABOUT} is of another program; name a new folder")
+        if not resume and not overwrite:
+            raise RunError(
+                f"{out} holds runs of photographs: continue them with --resume, replace them with "
+                "--overwrite, or name a new folder"
+            )
+    elif any(not entry.name.startswith(".") for entry in out.iterdir()):
+        raise RunError(f"{out} is not empty and holds no runs of photographs; name a new folder")
+
+
+def _earlier(out: Path, photo: Path) -> dict[str, Any]:
+    """Return the run.json of a photograph's run; nothing before it has one."""
+    folder = out / photo.stem
+    return read_run(folder) if (folder / "run.json").is_file() else {}
+
+
+def _ledger(out: Path, files: Sequence[Path], config: Config) -> Ledger:
+    """Return the ledger of all runs in the folder."""
+    ledger = Ledger(config.mllm.max_cost_usd, load_prices(config.mllm.prices))
+    for photo in files:
+        if costs := _earlier(out, photo).get("mllm"):
+            ledger.add_earlier(costs)
+    return ledger
+
+
+def _shares(
+    out: Path, files: Sequence[Path], pending: Sequence[Path], config: Config, *, fresh: bool
+) -> dict[Path, Config]:
+    """Return the options of each pending photograph, with its part of the cost cap."""
+    cap = config.mllm.max_cost_usd
+    if cap is None:
+        return dict.fromkeys(pending, config)
+    spent = 0.0 if fresh else _ledger(out, files, config).spent_usd
+    runs = {} if fresh else {photo: _earlier(out, photo) for photo in pending}
+    left = [photo for photo in pending if runs.get(photo, {}).get("status") != "finished"]
+    part = max(cap - spent, 0.0) / max(len(left), 1)
+    shares = {}
+    for photo in pending:
+        own = float((runs.get(photo, {}).get("mllm") or {}).get("known_cost_usd", 0.0))
+        mllm = config.mllm.model_copy(update={"max_cost_usd": own + (part if photo in left else 0)})
+        shares[photo] = config.model_copy(update={"mllm": mllm})
+    return shares
+
+
+def _save(
+    out: Path,
+    files: Sequence[Path],
+    outcomes: Mapping[Path, PhotoOutcome],
+    config: Config,
+    until: str | None,
+) -> dict[str, Any]:
+    """Write photos.json, and return its content."""
+    photos = []
+    for photo in files:
+        entry: dict[str, Any] = {"photo": photo.name, "folder": str(out / photo.stem)}
+        if outcome := outcomes.get(photo):
+            summary = outcome.summary or {}
+            seconds = sum(summary.get("seconds", {}).values())
+            entry |= {"passed": summary.get("passed"), "seconds": round(seconds, 1)}
+            entry |= {"error": outcome.error}
+        photos.append(entry)
+    whole = len(outcomes) == len(files)
+    good = all(not o.error and (o.summary or {}).get("passed") is not False
+               for o in outcomes.values())  # fmt: skip
+    costs = _ledger(out, files, config).to_json()
+    about = {
+        "format": FORMAT,
+        "folder": str(out),
+        "until": until,
+        "finished": whole,
+        "passed": whole and good,
+        "photos": photos,
+        "mllm": {"provider": config.provider, **costs},
+    }
+    write_output(out / ABOUT, json.dumps(about, indent=1) + "\n", RunError)
+    return about

@@ -1,0 +1,124 @@
+"""Tasks as Slurm jobs, through submitit (extra `slurm`)."""
+
+import contextlib
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import ConfigError, EngineError, RunError
+from ..run_folder import versions
+from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
+
+LOCAL = "local"
+JOBS = Path("slurm_jobs")
+"""Folder of submitit's files, which all machines share; in the working directory."""
+POLL_S = 0.5
+
+
+def open_submitit() -> Any:
+    """Import submitit.
+
+    Raises:
+        EngineError: it is not installed.
+    """
+    try:
+        import submitit  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise EngineError("--slurm needs submitit: uv sync --inexact --extra slurm") from None
+    return submitit
+
+
+def check_slurm(text: str) -> None:
+    """Check that submitit is installed, its parameters are valid, and Slurm is there.
+
+    Raises:
+        ConfigError: a parameter is unknown to submitit.
+        EngineError: submitit or Slurm is missing.
+    """
+    submitit = open_submitit()
+    parameters = _parameters(text)
+    try:
+        submitit.AutoExecutor(JOBS, cluster="debug").update_parameters(**parameters)
+    except (NameError, TypeError, ValueError) as error:
+        raise ConfigError(f"--slurm {text}: {error}") from None
+    if text != LOCAL and shutil.which("sbatch") is None:
+        raise EngineError("--slurm: there is no sbatch here; --slurm local runs without Slurm")
+
+
+def _parameters(text: str) -> dict[str, Any]:
+    """Return submitit's parameters from KEY=VALUE,KEY=VALUE."""
+    if text == LOCAL:
+        return {}
+    parameters = {}
+    for part in filter(None, text.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals or not key.isidentifier():
+            raise ConfigError(
+                "--slurm takes local, or submitit's parameters as KEY=VALUE,KEY=VALUE, such as "
+                f"slurm_partition=gpu,timeout_min=60; got {part!r}"
+            )
+        parameters[key] = yaml.safe_load(value)
+    return parameters
+
+
+def open_executor(place: Place, cluster: str) -> Any:
+    """Return submitit's executor with the parameters of a place.
+
+    Args:
+        place: the place.
+        cluster: `slurm`, or `local` for processes.
+    """
+    executor = open_submitit().AutoExecutor(JOBS, cluster=cluster)
+    executor.update_parameters(
+        name="neoworld",
+        cpus_per_task=place.task_cores,
+        **({"gpus_per_node": place.task_gpus} if place.task_gpus else {}),
+        **_parameters(place.slurm or LOCAL),
+    )
+    return executor
+
+
+def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> Iterator[Made]:
+    """Run tasks as jobs of one array; see `place.run_tasks`."""
+    submitit = open_submitit()
+    local = place.slurm == LOCAL
+    executor = open_executor(place, LOCAL if local else "slurm")
+    # Slurm has a queue of its own; without it, all jobs would start at once.
+    room = place.processes if local else len(tasks)
+    queue = [(task, 0) for task in tasks]
+    flying: dict[Any, tuple[Any, int]] = {}
+    try:
+        while queue or flying:
+            started, queue = queue[: room - len(flying)], queue[room - len(flying) :]
+            if started:
+                with executor.batch():
+                    jobs = [
+                        executor.submit(work_there, work, task, versions()) for task, _ in started
+                    ]
+                flying |= dict(zip(jobs, started, strict=True))
+            ended = [job for job in flying if job.done()]
+            if not ended:
+                time.sleep(POLL_S)
+            for job in ended:
+                task, tries = flying.pop(job)
+                try:
+                    returned = job.result()
+                except submitit.core.utils.FailedJobError as error:  # The task raised.
+                    raise RuntimeError(str(error)) from None
+                except submitit.core.utils.UncompletedJobError:  # The worker is lost.
+                    if tries == RETRIES:
+                        raise RunError(
+                            f"--slurm {place.slurm}: a task lost its workers {tries + 1} times, "
+                            f"see {job.paths.stderr}; finished tasks are kept"
+                        ) from None
+                    queue.append((task, tries + 1))
+                else:
+                    yield from results_of(returned)
+    finally:
+        with contextlib.suppress(Exception):
+            for job in flying:
+                job.cancel()

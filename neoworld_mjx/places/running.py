@@ -1,0 +1,86 @@
+"""Tasks of a sweep, a benchmark or a folder of photographs, run at a place."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+
+from ..errors import ConfigError, RunError
+from ..run_folder import versions
+from .place import Made, Place, Task, Work, results_of, work_there
+
+HERE = Place()
+"""This process."""
+
+
+def check_place(place: Place) -> None:
+    """Check that tasks can run at a place, before anything else is done.
+
+    Raises:
+        ConfigError: two clusters or an invalid number or parameter are given.
+        EngineError: the package of the cluster is missing, or the cluster does not answer.
+    """
+    if place.ray is not None and place.slurm is not None:
+        raise ConfigError("--ray and --slurm exclude each other: give one of them")
+    if place.workers < 0 or place.task_cores < 1 or place.task_gpus < 0:
+        raise ConfigError("--workers and --task-gpus take 0 or more, and --task-cores 1 or more")
+    if place.ray is not None:
+        from .on_ray import check_ray
+
+        check_ray(place.ray)
+    if place.slurm is not None:
+        from .on_slurm import check_slurm
+
+        check_slurm(place.slurm)
+
+
+def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE) -> Iterator[Made]:
+    """Run a function on tasks, and yield the results as they come.
+
+    In this process results come one by one and in order, elsewhere those of a task together.
+    A lost worker of a cluster is replaced, and its task repeated.
+
+    Args:
+        work: what to do.
+        tasks: what it is given; tasks and results can be pickled if they run elsewhere.
+        place: where they run.
+
+    Raises:
+        RunError: a process died, a task lost its workers repeatedly, or a worker has other
+            versions of the packages.
+        NeoWorldError: a task raised it.
+    """
+    check_place(place)
+    if not tasks:
+        return
+    if place.ray is not None:
+        from .on_ray import run_on_ray
+
+        yield from run_on_ray(work, tasks, place)
+    elif place.slurm is not None:
+        from .on_slurm import run_on_slurm
+
+        yield from run_on_slurm(work, tasks, place)
+    elif place.processes == 1:
+        for task in tasks:
+            yield from work(task)
+    else:
+        yield from _run_in_processes(work, tasks, place)
+
+
+def _run_in_processes(
+    work: Work[Task, Made], tasks: Sequence[Task], place: Place
+) -> Iterator[Made]:
+    with ProcessPoolExecutor(place.processes, get_context("spawn")) as pool:
+        futures = [pool.submit(work_there, work, task, versions()) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                yield from results_of(future.result())
+        except BrokenProcessPool:
+            raise RunError(
+                "a process died, for want of memory perhaps; take fewer --workers, the rows that "
+                "are there are kept"
+            ) from None
+        finally:
+            # Whatever ends this early, such as Ctrl-C, ends what has not begun, too.
+            pool.shutdown(wait=False, cancel_futures=True)
