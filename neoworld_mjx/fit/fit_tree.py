@@ -39,8 +39,9 @@ LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
 """Change, in standard deviations, above which an object needs a number of visible sides."""
 MAX_EVALUATIONS = 60
 """Maximum number of evaluations by the solver."""
-MAX_WORK = 400
-"""Maximum number of evaluations times objects, which limits crowds of more than ten objects."""
+MAX_WORK, FEWEST_EVALUATIONS = 50_000, 5
+"""Maximum number of evaluations times squared objects, which limits crowds of more than 28 objects,
+and the number that a crowd of any size gets."""
 MAX_SOLVES = 3
 """Maximum number of solves, each with the refused objects fixed."""
 MAX_EXACT_OBJECTS = 12
@@ -120,7 +121,8 @@ def _minimize(
         full[free] = part
         return full
 
-    exact = len(problem.data.objects) <= MAX_EXACT_OBJECTS
+    count = len(problem.data.objects)
+    exact = count <= MAX_EXACT_OBJECTS
 
     def derivative(part: Float[np.ndarray, " f"]) -> Any:
         jacobian = problem.jacobian(expanded(part))[:, free]
@@ -133,7 +135,7 @@ def _minimize(
         jac=derivative,  # pyright: ignore[reportArgumentType] Its stubs lack functions.
         x_scale="jac",
         tr_solver="exact" if exact else "lsmr",
-        max_nfev=min(MAX_EVALUATIONS, max(MAX_WORK // len(problem.data.objects), 5)),
+        max_nfev=min(MAX_EVALUATIONS, max(MAX_WORK // count**2, FEWEST_EVALUATIONS)),
         ftol=1e-7,
         xtol=1e-7,
     )
