@@ -81,11 +81,13 @@ def test_unreadable_photos_are_rejected(refused, tmp_path):
     out = tmp_path / "out"
     text = tmp_path / "text.png"
     text.write_text("hello")
+    empty = tmp_path / "empty"
+    empty.mkdir()
     cut = tmp_path / "cut.png"
     cut.write_bytes(PHOTO.read_bytes()[:20_000])
     for photo, said in (
         (tmp_path / "nowhere.png", "no such file; check the path"),
-        (tmp_path, "is a folder; give the file"),
+        (empty, "has no photographs"),
         (text, "save it as PNG or JPEG"),
         (cut, "get the file again"),
         (picture(tmp_path / "one.png", (1, 1)), "1 x 1 pixels is too small; at least 16"),

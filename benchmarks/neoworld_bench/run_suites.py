@@ -61,7 +61,7 @@ def run_devices(o: suites.Devices) -> dict[str, Any]:
     """Compare one device with several."""
     import jax
 
-    from .engines.device_scaling import device_counts, in_a_process, scaling, scaling_tasks
+    from .methods.device_scaling import device_counts, in_a_process, scaling, scaling_tasks
 
     counts = o.devices or device_counts(len(jax.local_devices()))
     tasks = scaling_tasks(

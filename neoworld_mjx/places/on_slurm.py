@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ..errors import ConfigError, EngineError, RunError
+from ..io.yaml_files import parse_yaml
 from ..run_folder import versions
 from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
 
@@ -61,7 +60,10 @@ def _parameters(text: str) -> dict[str, Any]:
                 "--slurm takes local, or submitit's parameters as KEY=VALUE,KEY=VALUE, such as "
                 f"slurm_partition=gpu,timeout_min=60; got {part!r}"
             )
-        parameters[key] = yaml.safe_load(value)
+        try:
+            parameters[key] = parse_yaml(value)
+        except ValueError as error:
+            raise ConfigError(f"--slurm: {key}: {error}") from None
     return parameters
 
 

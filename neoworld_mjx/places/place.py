@@ -7,7 +7,6 @@ from typing import TypeVar
 
 from ..cache import keep_compilations
 from ..errors import NeoWorldError, RunError
-from ..run_folder import versions
 
 Task = TypeVar("Task")
 Made = TypeVar("Made")
@@ -67,6 +66,8 @@ def work_there(
         task: what it is given.
         wanted: versions of the packages that affect results, as the caller has them.
     """
+    from ..run_folder import versions  # Help texts need places and nothing heavy.
+
     for name, version in versions().items():
         if wanted.get(name) != version:
             return RunError(

@@ -6,7 +6,6 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 from ..errors import ConfigError, RunError
-from ..run_folder import versions
 from .place import Made, Place, Task, Work, results_of, work_there
 
 HERE = Place()
@@ -71,6 +70,8 @@ def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE
 def _run_in_processes(
     work: Work[Task, Made], tasks: Sequence[Task], place: Place
 ) -> Iterator[Made]:
+    from ..run_folder import versions
+
     with ProcessPoolExecutor(place.processes, get_context("spawn")) as pool:
         futures = [pool.submit(work_there, work, task, versions()) for task in tasks]
         try:

@@ -1,8 +1,8 @@
 """Comparison of one device with several."""
 
 import pytest
-from neoworld_bench.engines import device_scaling
-from neoworld_bench.engines.device_scaling import (
+from neoworld_bench.methods import device_scaling
+from neoworld_bench.methods.device_scaling import (
     Scaled,
     ScalingTask,
     device_counts,

@@ -58,7 +58,7 @@ def test_plans_of_the_repository_name_existing_scenes(path):
     plan = read(path, Ablation if path.parent.name == "ablations" else Plan)
     assert len(points(plan)) > 1
     for name in plan.scenes:
-        kind, colon, inner = name.partition(":")
+        kind, colon, inner = name.partition("@")[0].partition(":")
         if not colon:
             assert (CONFIGS.parent / name).is_file()
         elif kind == "bench":

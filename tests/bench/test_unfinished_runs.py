@@ -134,7 +134,7 @@ def test_missing_packages_are_named_before_anything_runs(
         raise AssertionError("a row was made")
 
     monkeypatch.setattr(KeptRows, "rows", no_row)
-    monkeypatch.setattr("neoworld_bench.methods.method_runs.made_by_jobs", no_row)
+    monkeypatch.setattr("neoworld_bench.methods.method_runs.run_tasks", no_row)
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)

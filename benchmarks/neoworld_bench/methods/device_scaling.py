@@ -31,12 +31,12 @@ from neoworld_mjx.spec import read_scene
 from neoworld_mjx.sweeps.cases import Case
 from neoworld_mjx.sweeps.group_runs import search_together
 
+from ..engines.table_scenes import crowded, noisy_layouts
+from ..engines.verdicts import motion
 from ..machine import peak_device_mib
-from ..methods.baselines import algorithm1
 from ..photographs.real_scenes import FOLDER
 from ..rows import Row
-from .table_scenes import crowded, noisy_layouts
-from .verdicts import motion
+from .baselines import algorithm1
 
 EQUAL = 1e-3
 """Difference up to which two devices computed the same."""
