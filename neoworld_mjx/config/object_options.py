@@ -320,7 +320,7 @@ class ComposeOptions(Options):
             False,
             "Scores by a model and the report compare rendered pictures with the photograph.",
             "mean difference of an object's color 14.6 and 8.4, of a pixel 23.3 and 10.1 in CIE "
-            "Lab (n = 8 photographs and 3 examples)",
+            "Lab (8 photographs with the earlier lights; those and 3 examples)",
         ),
     )
     gap_m: float = option(
