@@ -1,4 +1,4 @@
-"""What others install and run: one version, credits, workflows and containers of existing files."""
+"""The release has one version, and its credits, workflows and containers name existing files."""
 
 import json
 import re

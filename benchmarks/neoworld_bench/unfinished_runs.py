@@ -91,7 +91,7 @@ class KeptRows:
         if self._file is not None:
             line = [job, [[type(row).__name__, row.model_dump()] for row in rows]]
             try:
-                # A run of the same options beside this one may have finished and deleted it.
+                # A concurrent run with the same options may have finished and deleted it.
                 self._file.parent.mkdir(parents=True, exist_ok=True)
                 with self._file.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")

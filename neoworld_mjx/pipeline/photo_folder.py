@@ -36,7 +36,7 @@ class PhotoTask:
 
 @dataclass(frozen=True)
 class PhotoOutcome:
-    """What became of a photograph."""
+    """Result of one photograph."""
 
     photo: Path
     summary: dict[str, Any] | None

@@ -1,4 +1,4 @@
-"""Where tasks run: in this process, in processes of this machine, on Ray or on Slurm."""
+"""Places for tasks to run: this process, processes of this machine, Ray, Slurm."""
 
 from .place import Place
 from .running import HERE, check_place, run_tasks

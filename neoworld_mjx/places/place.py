@@ -18,7 +18,7 @@ RETRIES = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where tasks run; by default in this process."""
+    """A place for tasks to run; by default this process."""
 
     workers: int = 1
     """Processes; 0 starts one for every two cores. With --ray local and --slurm local, the size of
@@ -62,8 +62,8 @@ def work_there(
     """Run a task in a worker; return its results, or the error that the user is to see.
 
     Args:
-        work: what to do.
-        task: what it is given.
+        work: function from a task to its results.
+        task: the argument of `work`.
         wanted: versions of the packages that affect results, as the caller has them.
     """
     from ..run_folder import versions  # Help texts need places and nothing heavy.

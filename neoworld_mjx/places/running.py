@@ -40,8 +40,8 @@ def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE
     A lost worker of a cluster is replaced, and its task repeated.
 
     Args:
-        work: what to do.
-        tasks: what it is given; tasks and results can be pickled if they run elsewhere.
+        work: function from a task to its results.
+        tasks: arguments of `work`; tasks and results must be picklable if they run elsewhere.
         place: where they run.
 
     Raises:
@@ -79,8 +79,7 @@ def _run_in_processes(
                 yield from results_of(future.result())
         except BrokenProcessPool:
             raise RunError(
-                "a process died, for want of memory perhaps; take fewer --workers, the rows that "
-                "are there are kept"
+                "a process died, perhaps out of memory: use fewer --workers; finished rows are kept"
             ) from None
         finally:
             # Whatever ends this early, such as Ctrl-C, ends what has not begun, too.

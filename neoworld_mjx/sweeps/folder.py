@@ -16,7 +16,7 @@ from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterat
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
 TABLE, CSV, LATEX = "table.md", "table.csv", "table.tex"
 FIGURE, RANKS = "figure.svg", "ranks.svg"
-"""Figures; a PDF with the same name is beside each."""
+"""Figures; each is also written as a PDF of the same name."""
 FORMAT = "neoworld-sweep/1"
 
 

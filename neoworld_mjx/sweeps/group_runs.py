@@ -62,7 +62,7 @@ class ComputedPart(NamedTuple):
 
 @dataclass
 class CompiledScene:
-    """What this process has compiled of the scene that it computed last."""
+    """Compiled models of the last scene, which later parts of a sweep reuse in this process."""
 
     scene_hash: str = ""
     models: dict[tuple[float, int, float, bool], SceneModel] = field(default_factory=dict)

@@ -29,7 +29,7 @@ class Ranks(NamedTuple):
     friedman_p: float
     """p of Friedman's test that all points rank alike."""
     title: str
-    """What the points are ranked by."""
+    """Column by which the points are ranked."""
 
 
 def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:

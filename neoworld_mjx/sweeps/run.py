@@ -72,7 +72,10 @@ def sweep(
     plan = read(plan, Plan)
     if plan.study is not None:
         if shard != (1, 1) or place != HERE:
-            raise ConfigError("the trials of a study depend on each other: they run in one process")
+            raise ConfigError(
+                "shard: the trials of a study depend on each other; run it in one process, without "
+                "--shard, --workers, --ray and --slurm"
+            )
         check_study(plan)
 
         def run_point(point: Plan, scene: Case) -> SweepResult:

@@ -57,7 +57,7 @@ def test_an_invalid_study_is_one_message_before_anything_runs(study, axes, messa
 
 
 def test_a_study_is_not_sharded():
-    with pytest.raises(ConfigError, match="the trials of a study depend"):
+    with pytest.raises(ConfigError, match="shard: the trials of a study depend"):
         sweep(plan(), cases=SCENES, shard=(1, 2))
 
 
