@@ -88,7 +88,8 @@ def read_figure(name: str) -> Figure:
 def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> Figure:
     """Return a figure of what a suite printed.
 
-    The table holds `rows`, otherwise the first list of records, otherwise the numeric values.
+    The table holds `table`, otherwise `rows`, otherwise the first list of records, otherwise the
+    numeric values. Sizes are those of `n` where the suite prints them, otherwise the known ones.
 
     Args:
         result: the JSON that a suite prints.
@@ -96,16 +97,19 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
         code: folders and files that the values of a new figure depend on.
 
     Raises:
-        ValueError: the table of the known figure was written by hand.
+        ValueError: the table of the known figure was written by hand, or the suite does not print
+            one of its columns.
     """
     if known is not None and not known.keys:
         raise ValueError(f"{known.title}: its table was written by hand; give it keys")
     machine = result.get("machine", {})
     tables = [v for v in result.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
     values = {key: value for key, value in result.items() if isinstance(value, int | float)}
-    rows = result.get("rows") or next(iter(tables), [values])
+    rows = result.get("table") or result.get("rows") or next(iter(tables), [values])
     names = [key for key, value in rows[0].items() if not isinstance(value, list | dict)]
     keys = names if known is None else known.keys
+    if missing := [key for key in keys if not any(key in row for row in rows)]:
+        raise ValueError(f"{result['suite']} prints no {', '.join(missing)}: {', '.join(names)}")
     measured = {
         "suite": result["suite"],
         "command": result["command"],
@@ -114,6 +118,8 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
         "rows": [[_cell(row.get(key)) for key in keys] for row in rows],
         "code": {path: fingerprint(ROOT / path) for path in (known.code if known else code)},
     }
+    if isinstance(result.get("n"), str):
+        measured["n"] = result["n"]
     if machine:
         devices = ", ".join(machine["devices"])
         cores = f"{machine['cores']} cores, load {machine['load'][0]:.1f}"

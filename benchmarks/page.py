@@ -4,8 +4,8 @@
     uv run python -m benchmarks.page --record NAME RESULT.json   # a figure before, from a suite
 
 `page.yaml` lists the pages of docs/benchmarks/ with their figures, the tables of the front page,
-and the text between `<!-- NAME -->` and `<!-- end -->` in other pages. It refers to values as
-{FIGURE/ROW/COLUMN}, so that no number is written twice.
+the sections of docs/results.md, and the text between `<!-- NAME -->` and `<!-- end -->` in other
+pages. It refers to values as {FIGURE/ROW/COLUMN}, so that no number is written twice.
 """
 
 import json
@@ -16,7 +16,9 @@ import tyro
 import yaml
 from pydantic import BaseModel, ConfigDict
 
-from .figure import FIGURES, ROOT, Figure, read_figure, recorded
+from .figure import FIGURES, ROOT, read_figure, recorded
+from .figure_text import age, anchor, markdown, older, table
+from .results import Results, results_page
 
 MARK = "<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures. -->"
 REFERENCE = re.compile(r"\{([a-z0-9_]+)/([^{}/]+)/([^{}/]+)\}")
@@ -44,6 +46,7 @@ class Contents(BaseModel):
     key: list[str]
     """Figures whose tables are on the front page."""
     pages: list[Page]
+    results: Results
     tables: dict[str, dict[str, str]]
     """Markdown with references, by file and by name of the mark in it."""
 
@@ -63,6 +66,7 @@ def pages() -> dict[Path, str]:
     """
     contents = read_contents()
     written = {Path("docs/benchmarks.md"): _front_page(contents)}
+    written[Path("docs/results.md")] = results_page(contents.results, MARK)
     for page in contents.pages:
         written[Path("docs/benchmarks") / f"{page.name}.md"] = _page(page)
     for path, tables in contents.tables.items():
@@ -80,7 +84,7 @@ def filled(template: str) -> str:
     for line in template.splitlines():
         names = [match[1] for match in REFERENCE.finditer(line)]
         figures = {name: figure for name in names if (figure := read_figure(name)).changed}
-        old |= {name: _age(figure) for name, figure in figures.items()}
+        old |= {name: age(figure) for name, figure in figures.items()}
         text = REFERENCE.sub(lambda m: read_figure(m[1]).cell(m[2], m[3]), line)
         if figures:
             # Behind the first cell of a row, or else the line.
@@ -111,8 +115,8 @@ def _front_page(contents: Contents) -> str:
             f"## {figure.title}",
             f"{figure.device}. n: {figure.n}. "
             f"[Conditions and notes](benchmarks/{home}.md#{anchor(figure.title)}).",
-            *_older(figure),
-            _table(figure),
+            *older(figure),
+            table(figure.columns, figure.rows),
         ]
     parts.append("## All figures")
     lines = []
@@ -127,46 +131,6 @@ def _page(page: Page) -> str:
     parts = [f"# {page.title}", MARK, page.intro.strip()]
     parts += [markdown(read_figure(name)) for name in page.figures]
     return "\n\n".join(parts) + "\n"
-
-
-def anchor(title: str) -> str:
-    """Return the anchor that MkDocs gives a heading."""
-    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
-
-
-def markdown(figure: Figure) -> str:
-    """Return a figure as a section of the page."""
-    date = figure.date + (f", commit {figure.commit} or before" if figure.commit else "")
-    conditions = [
-        f"`{figure.command}`",
-        f"**Device:** {figure.device}" + (f"; {figure.software}" if figure.software else ""),
-        f"**n:** {figure.n}",
-        f"**Recorded:** {date}",
-    ]
-    parts = [f"## {figure.title}", "  \n".join(conditions), *_older(figure)]
-    if figure.text:
-        parts.append(figure.text.strip())
-    if figure.columns:
-        parts.append(_table(figure))
-    if figure.notes:
-        parts.append(figure.notes.strip())
-    return "\n\n".join(parts)
-
-
-def _older(figure: Figure) -> list[str]:
-    if not figure.changed:
-        return []
-    folders = ", ".join(f"`{path}`" for path in figure.changed)
-    return [f"**Of an older version** ({_age(figure)}): since then the code of {folders} changed."]
-
-
-def _age(figure: Figure) -> str:
-    return f"commit {figure.commit}" if figure.commit else figure.date
-
-
-def _table(figure: Figure) -> str:
-    lines = [figure.columns, ["---"] * len(figure.columns), *figure.rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def write_figure(name: str, result: Path, code: tuple[str, ...]) -> None:

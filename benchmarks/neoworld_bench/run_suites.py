@@ -165,6 +165,7 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     from .methods.named_methods import read_methods
     from .methods.scene_runs import chosen_scenes
     from .methods.scene_runs import run_scenes as run_methods_on_scenes
+    from .tables.figure_tables import scene_figure_table
     from .tables.scene_summary import summarise
 
     methods, named = read_methods(o.method, o.label, config)
@@ -178,13 +179,14 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
             out=o.out or folder,
             submission=o.submission,
         )
-    return {**summarise(rows), "machine": machine()}
+    return {**summarise(rows), **scene_figure_table(rows, methods), "machine": machine()}
 
 
 def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     """Score reconstructions of real photographs."""
     from .real_poses.pose_estimates import estimate_figures, estimate_rows
     from .real_poses.real_views import real_figures, score_real_views
+    from .tables.figure_tables import real_figure_table
 
     if o.data is None:
         raise ConfigError("real-poses needs DATA, the folder of the data set")
@@ -209,13 +211,14 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
                 kept=KeptRows(folder),
             )
         result |= {"figures": real_figures(views, objects), "views": plain(views)}
-        result |= {"rows": plain(objects)}
+        result |= {"rows": plain(objects), **real_figure_table(views, objects)}
     return {**result, "machine": machine()}
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
     from .objects.object_scores import score_figures, score_objects
+    from .tables.figure_tables import joint_figure_table
     from .tables.joint_table import NOTE, PAPER
 
     if o.made is None:
@@ -233,7 +236,8 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         )
         rows = list(scored)
     paper = {"joints": PAPER, "note": NOTE}
-    return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
+    found = {**score_figures(rows), **joint_figure_table(rows), "machine": machine()}
+    return {**found, "paper": paper, "rows": plain(rows)}
 
 
 def run_tasks(o: suites.Tasks) -> dict[str, Any]:
@@ -252,6 +256,7 @@ def run_tasks(o: suites.Tasks) -> dict[str, Any]:
 def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
     from .methods.method_runs import RunSettings
+    from .tables.figure_tables import task_figure_table
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
     from .tasks.success_summary import success_summary
@@ -265,7 +270,7 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
             place=o.place,
             out=o.out or folder,
         )
-    return {**success_summary(rows), "machine": machine()}
+    return {**success_summary(rows), **task_figure_table(rows, o.method), "machine": machine()}
 
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
