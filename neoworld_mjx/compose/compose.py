@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from ..config import ComposeOptions
 from ..errors import SpecError
-from ..physics.layout import Layout, arrange
-from ..physics.scene_arrays import snapped_heights
 from ..spec import (
     ObjectSpec,
     Quat,
@@ -28,11 +26,9 @@ from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .inside import covers, entrance
 from .joint_friction import hold_joints
-from .leaning import lean
-from .put_back import put_back
+from .on_supports import in_contact
 from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
-from .walls import clear_walls
 
 NOTED_TILT_DEG = 2.0
 """Smallest change from the parsed tilt that is reported in a note."""
@@ -96,53 +92,6 @@ def compose(
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene, moved = in_contact(scene, options)
     return Composed(scene, scales, (*shortfalls, *notes, *moved), tuple(shortfalls))
-
-
-def in_contact(
-    scene: SceneSpec, options: ComposeOptions | None = None
-) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Put objects onto their supports, clear of walls, and up to what they lean on.
-
-    Returns:
-        The scene, and a note for each object that moved sideways.
-    """
-    options = options or ComposeOptions()
-    if not options.settle:
-        return snap(scene, options.gap_m), ()
-    scene, returned = put_back(scene)
-    scene = snap(scene, options.gap_m)
-    notes = [
-        f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
-        f"{scene.object(item).parent}"
-        for item, distance in returned.items()
-    ]
-    scene, cleared = clear_walls(scene)
-    scene = snap(scene, options.gap_m) if cleared else scene
-    for item, distance in cleared.items():
-        notes.append(
-            f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
-            f"of {scene.object(item).parent}"
-        )
-    scene, moved = lean(scene)
-    scene = snap(scene, options.gap_m) if moved else scene
-    for leaning, (distance, other) in moved.items():
-        direction = "up to" if distance > 0 else "out of"
-        notes.append(
-            f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
-            f"{other}, on which it leans"
-        )
-    return scene, tuple(notes)
-
-
-def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
-    """Place every object on the surface under its footprint, with a clearance of `gap` [m]."""
-    arrangement = arrange(scene, gap=gap)
-    z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))[0]
-    objects = [
-        obj.model_copy(update={"z": float(h)}) if flag else obj
-        for obj, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
-    ]
-    return scene.model_copy(update={"objects": tuple(objects)})
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:

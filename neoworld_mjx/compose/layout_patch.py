@@ -83,7 +83,7 @@ def apply_layout(
                 }
             )
         )
-    from .compose import snap
+    from .on_supports import snap
 
     return snap(scene.model_copy(update={"objects": tuple(objects)}), gap), tuple(stale)
 

@@ -25,7 +25,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.pose import Pose, angle_between, conjugate, from_yaw, quat_mul, rotate, yaw_of
-from .compose import snap
+from .on_supports import snap
 from .resting_pose import resting_tilt
 
 if TYPE_CHECKING:

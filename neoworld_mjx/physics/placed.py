@@ -40,7 +40,7 @@ class Placed(eqx.Module):
 
 BALL_EXTENT = 0.03
 """Largest relative difference between a ball's extents."""
-TILTED, TOPPLED = float(np.radians(20.0)), float(np.radians(45.0))
+TILTED, TOPPLED = float(np.radians(15.0)), float(np.radians(45.0))
 """Bounds of the change of tilt [rad]: of objects placed upright; and of those placed tilted, which
 lie or lean, and of COMPACT ones, which roll."""
 UPRIGHT = float(np.cos(np.radians(2.0)))

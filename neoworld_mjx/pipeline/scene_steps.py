@@ -38,8 +38,9 @@ def compose_scene(context: StepContext) -> None:
     compose/scales.json and pictures/outlines.png.
     """
     from ..align.looks import as_photographed
-    from ..compose.compose import compose, in_contact
+    from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
+    from ..compose.on_supports import in_contact
     from ..fit.refit import refit_tree
     from ..measure import shown_sides
 
@@ -85,7 +86,7 @@ def compose_scene(context: StepContext) -> None:
             scene, notes, shortfalls = composed.scene, composed.notes, composed.shortfalls
             if config.compose.align.enabled:
                 scene = _aligned(context, scene, tree, out)
-                scene, moved = in_contact(scene, config.compose)
+                scene, moved = in_contact(scene, config.compose, composed=composed.scene)
                 notes = (*notes, *moved)
             scene, stale = apply_layout(scene, patch, config.compose.gap_m)
             if config.compose.looks:

@@ -1,6 +1,5 @@
 import pytest
 
-from neoworld_mjx.compose.compose import snap
 from neoworld_mjx.compose.layout_patch import (
     LAYOUT_PATCH,
     LayoutPatch,
@@ -9,6 +8,7 @@ from neoworld_mjx.compose.layout_patch import (
     read_layout_patch,
     write_layout_patch,
 )
+from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box2D
 from tests.support import scenes

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.compose import snap
+from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.compose.settle import settle
 from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.spec import (

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neoworld_mjx.compose.compose import snap
+from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.render import RenderedImage, render, to_png
 from neoworld_mjx.spec import (
     Box,

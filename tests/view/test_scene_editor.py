@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.compose import snap
 from neoworld_mjx.compose.layout_patch import LayoutPatch
+from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.program.sandbox import run

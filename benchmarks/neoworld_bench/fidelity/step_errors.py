@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from neoworld_mjx.align.align import align
-from neoworld_mjx.compose.compose import compose, in_contact
+from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.fit.fit_tree import fit_tree
@@ -118,7 +119,7 @@ def photo_rows(
         start = stages["composed"]
         if c.align.enabled:
             aligned = align(start, photograph(scene), c.align).scene
-            start, _ = in_contact(aligned, c)
+            start, _ = in_contact(aligned, c, composed=start)
             stages["aligned"] = start
         if runner is not None:
             stages["refined"] = refine(start, o, seed=seed, engine=runner).scene

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from neoworld_mjx.align.align import align as align_scene
-from neoworld_mjx.compose.compose import in_contact
+from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import AlignOptions, RefineOptions, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
@@ -255,7 +255,7 @@ def outcomes_of(
         if used not in starts:
             shown = picture()
             began = time.perf_counter()
-            aligned, _ = in_contact(align_scene(composed, shown, used).scene)
+            aligned, _ = in_contact(align_scene(composed, shown, used).scene, composed=composed)
             starts[used] = aligned, time.perf_counter() - began
         return starts[used]
 

@@ -43,7 +43,7 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
     """
     import jax
 
-    from ...compose.compose import snap
+    from ...compose.on_supports import snap
     from ...physics.layout import Layout, arrange, compose_poses
     from ...physics.scene_arrays import snapped_heights
 

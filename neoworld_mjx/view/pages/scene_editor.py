@@ -63,7 +63,7 @@ class SceneEditor:
 
     def snap(self) -> None:
         """Snap every object onto its support."""
-        from ...compose.compose import snap
+        from ...compose.on_supports import snap
 
         self.scene = snap(self.scene)
 

@@ -1,0 +1,106 @@
+"""Contact of objects with what carries them: heights from supports, and moves off walls."""
+
+import numpy as np
+
+from ..config import ComposeOptions
+from ..physics.layout import Layout, arrange
+from ..physics.placed import DOWN
+from ..physics.scene_arrays import snapped_heights
+from ..spec import SceneSpec, bounds
+from .leaning import lean
+from .put_back import put_back
+from .walls import clear_walls
+
+
+def in_contact(
+    scene: SceneSpec, options: ComposeOptions | None = None, *, composed: SceneSpec | None = None
+) -> tuple[SceneSpec, tuple[str, ...]]:
+    """Put objects onto their supports, clear of walls, and up to what they lean on.
+
+    Args:
+        scene: the scene.
+        options: of the composition.
+        composed: the scene before its alignment, see `kept_on_level`.
+
+    Returns:
+        The scene, and a note for each object that moved sideways.
+    """
+    options = options or ComposeOptions()
+    kept = dict[str, float]()
+    if composed is not None:
+        scene, kept = kept_on_level(scene, composed, options.gap_m)
+    if not options.settle:
+        return snap(scene, options.gap_m), ()
+    scene, returned = put_back(scene)
+    scene = snap(scene, options.gap_m)
+    notes = [
+        f"{item}: composition kept it where it was before the alignment, which would have moved it "
+        f"{1e3 * abs(rise):.0f} mm {'up' if rise > 0 else 'down'}, off what it rests on"
+        for item, rise in kept.items()
+    ]
+    notes += [
+        f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
+        f"{scene.object(item).parent}"
+        for item, distance in returned.items()
+    ]
+    scene, cleared = clear_walls(scene)
+    scene = snap(scene, options.gap_m) if cleared else scene
+    for item, distance in cleared.items():
+        notes.append(
+            f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
+            f"of {scene.object(item).parent}"
+        )
+    scene, moved = lean(scene)
+    scene = snap(scene, options.gap_m) if moved else scene
+    for leaning, (distance, other) in moved.items():
+        direction = "up to" if distance > 0 else "out of"
+        notes.append(
+            f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
+            f"{other}, on which it leans"
+        )
+    return scene, tuple(notes)
+
+
+def kept_on_level(
+    scene: SceneSpec, composed: SceneSpec, gap: float
+) -> tuple[SceneSpec, dict[str, float]]:
+    """Return objects that the alignment moved off their level to their composed places.
+
+    The alignment sees contours, not what is under an object: a millimetre puts a tube onto the rim
+    of its rack. Sideways moves do not change what an object rests on, so one whose height above its
+    support changes by more than the bounds of `settled_by` is refused.
+
+    Args:
+        scene: the aligned scene.
+        composed: the scene before, with the same objects.
+        gap: clearance of snapped objects [m].
+
+    Returns:
+        The scene, and the refused change of height [m] of each object concerned, by name.
+    """
+    objects, kept = [], dict[str, float]()
+    for item, level, before in zip(
+        scene.objects, snap(scene, gap).objects, composed.objects, strict=True
+    ):
+        rise = level.z - before.z
+        size = float(np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state))))
+        if item.parent is not None and not item.static and abs(rise) > DOWN[0] * size + DOWN[1]:
+            kept[item.name] = rise
+            # The support may have been scaled.
+            ends = (bounds(s.object(item.parent).spec) for s in (scene, composed))
+            after, first = (float(np.linalg.norm(np.subtract(*end))) for end in ends)
+            xy = np.array(before.xy) * after / first
+            item = item.model_copy(update={"xy": tuple(xy.tolist()), "yaw": before.yaw})
+        objects.append(item)
+    return scene.model_copy(update={"objects": tuple(objects)}), kept
+
+
+def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
+    """Place every object on the surface under its footprint, with a clearance of `gap` [m]."""
+    arrangement = arrange(scene, gap=gap)
+    z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))[0]
+    objects = [
+        obj.model_copy(update={"z": float(h)}) if flag else obj
+        for obj, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
+    ]
+    return scene.model_copy(update={"objects": tuple(objects)})

@@ -1,0 +1,61 @@
+"""Objects keep the level at which they were composed, whatever the alignment saw."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.compose.on_supports import in_contact, snap
+from neoworld_mjx.spec import Box, Cylinder, Extrusion, SceneObject, SceneSpec
+from tests.support import scenes
+
+HALF, HOLE = 0.05, 0.02
+"""Half the width of a rack, and of the hole in its upper plate [m]."""
+
+
+def square(half):
+    return ((-half, -half), (half, -half), (half, half), (-half, half))
+
+
+def rack_and_peg(xy=(0.0, 0.0), scale=1.0):
+    """A peg on the lower plate of a rack, 1 mm from the rim of the upper plate's hole."""
+    upper = Extrusion(outline=square(HALF), holes=(square(HOLE),), height=0.005)
+    rack = scenes.single(
+        "rack",
+        (Box(size=(2 * HALF, 2 * HALF, 0.005)), (0, 0, 0.0025)),
+        (upper, (0, 0, 0.0425)),
+        *((Box(size=(2 * HALF, 0.004, 0.045)), (0, side * HALF, 0.0225)) for side in (-1, 1)),
+    ).scaled(scale)
+    peg = scenes.single("peg", (Cylinder(radius=0.019, height=0.12), (0, 0, 0.06))).scaled(scale)
+    items = (
+        SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04),
+        SceneObject(name="rack", spec=rack, parent="table"),
+        SceneObject(name="peg", spec=peg, parent="rack", relation="in", xy=xy, yaw=xy[0]),
+    )
+    return snap(SceneSpec(objects=items))
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.1])
+def test_a_move_onto_the_rim_is_refused(scale):
+    composed = rack_and_peg((0.0005, 0.0))
+    aligned = rack_and_peg((0.004, 0.0), scale)
+    assert aligned.object("peg").z > composed.object("peg").z + 0.03  # it stands on the rim
+    scene, notes = in_contact(aligned, composed=composed)
+    peg = scene.object("peg")
+    assert peg.z == pytest.approx(0.005 * scale, abs=1e-3)
+    assert np.allclose(peg.xy, (0.0005 * scale, 0.0), atol=1e-6)
+    assert math.isclose(peg.yaw, 0.0005)
+    assert any("peg" in note and "off what it rests on" in note for note in notes)
+
+
+def test_a_move_on_the_same_level_is_kept():
+    composed, aligned = rack_and_peg(), rack_and_peg((0.0003, 0.0))
+    scene, notes = in_contact(aligned, composed=composed)
+    assert scene.object("peg").xy == (0.0003, 0.0)
+    assert not notes
+
+
+def test_without_the_composed_scene_nothing_is_refused():
+    aligned = rack_and_peg((0.004, 0.0))
+    scene, _ = in_contact(aligned)
+    assert scene.object("peg").xy == (0.004, 0.0)
