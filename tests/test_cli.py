@@ -262,6 +262,37 @@ def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
     assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
 
 
+LONG_NATIVE_CALL = """
+import hashlib, sys
+from neoworld_mjx import cli
+from neoworld_mjx.commands.doctor_command import DoctorCommand
+
+def work(command):
+    print("started", file=sys.stderr, flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 1 << 30)
+
+DoctorCommand.run = work
+cli.main(["doctor", "--json"])
+"""
+
+
+def test_a_ctrl_c_during_native_code_is_obeyed():
+    """Python's own handler would run after the call, in an hour."""
+    command = [sys.executable, "-c", LONG_NATIVE_CALL]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as running:
+        try:
+            assert running.stderr is not None and running.stdout is not None
+            assert running.stderr.readline() == "started\n"
+            running.send_signal(signal.SIGINT)
+            assert running.wait(60) == 130
+        finally:
+            running.kill()
+        message = "interrupted; continue with --resume"
+        assert running.stderr.read() == f"error: {message}\n"
+        assert json.loads(running.stdout.read()) == {"error": message}
+
+
 @pytest.mark.parametrize(
     ("raised", "code"), [(KeyboardInterrupt(), 130), (ConfigError("bad"), 2), (ValueError(), 70)]
 )
