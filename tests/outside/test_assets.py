@@ -78,18 +78,21 @@ def test_a_reader_ends_with_its_caller(tmp_path, end):
         "from neoworld_mjx.io import bounded_by\n"
         "from neoworld_mjx.io.limited_worker import call_limited\n"
         "from tests.outside.test_assets import _spin_and_tell\n"
-        "with bounded_by(FileOptions(timeout_s=500.0)):\n"
+        "with bounded_by(FileOptions(timeout_s=90.0)):\n"
         "    call_limited(_spin_and_tell, Path(sys.argv[1]))\n"
     )
     note = tmp_path / "reader"
     command = [sys.executable, "-c", code, str(note)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as caller:
-        while not note.exists() or not note.read_text():
-            time.sleep(0.02)
-            assert caller.poll() is None
-        reader = int(note.read_text())
-        caller.send_signal(signal.SIGINT if end == "interrupt" else signal.SIGKILL)
-        assert caller.wait(60) < 0
+        try:
+            while not note.exists() or not note.read_text():
+                time.sleep(0.02)
+                assert caller.poll() is None
+            reader = int(note.read_text())
+            caller.send_signal(signal.SIGINT if end == "interrupt" else signal.SIGKILL)
+            assert caller.wait(60) < 0
+        finally:
+            caller.kill()
     for _ in range(500):
         state = Path(f"/proc/{reader}/stat")
         if not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z":
