@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.commands import COMMANDS
+from neoworld_mjx.commands import COMMANDS, interrupts
 from neoworld_mjx.commands.doctor_command import COMPONENTS, DoctorCommand
 from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
@@ -256,6 +256,8 @@ def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
         return {"passed": True}
 
     monkeypatch.setattr(DoctorCommand, "run", works)
+    # A process that ended itself would take the tests along.
+    monkeypatch.setattr(interrupts, "GRACE_S", 60.0)
     hook = sys.unraisablehook
     assert cli.run(DoctorCommand(json=True)) == 130
     assert sys.unraisablehook is hook
