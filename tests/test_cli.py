@@ -264,6 +264,20 @@ def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
     assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
 
 
+def test_a_ctrl_c_that_becomes_another_error(monkeypatch, capfd):
+    """Modules of USD raise a TypeError if Ctrl-C strikes while they are imported."""
+
+    def work(command):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise TypeError("no converter found") from None
+
+    monkeypatch.setattr(DoctorCommand, "run", work)
+    assert cli.run(DoctorCommand()) == 130
+    assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
+
+
 LONG_NATIVE_CALL = """
 import hashlib, sys, threading
 from neoworld_mjx import cli

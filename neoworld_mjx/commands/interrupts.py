@@ -32,21 +32,28 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
         if report is None or threading.current_thread() is not threading.main_thread():
             yield
             return
-        ended = threading.Event()
+        seen, ended = threading.Event(), threading.Event()
         signals, wakeup = socket.socketpair()
         wakeup.setblocking(False)
 
         def watch() -> None:
             while numbers := signals.recv(64):
-                if signal.SIGINT in numbers and not ended.wait(GRACE_S):
-                    report()
-                    os._exit(INTERRUPTED)
+                if signal.SIGINT in numbers:
+                    seen.set()
+                    if not ended.wait(GRACE_S):
+                        report()
+                        os._exit(INTERRUPTED)
 
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         previous = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
         try:
             yield
+        except Exception as error:
+            # An extension module that is being imported replaces the exception, as USD's do.
+            if seen.wait(0.05):
+                raise KeyboardInterrupt from error
+            raise
         finally:
             ended.set()
             signal.set_wakeup_fd(previous)
