@@ -3,7 +3,6 @@
 Exit codes: 0 success, 1 the scene or object fails its checks, 2 invalid input.
 """
 
-import _thread
 import contextlib
 import difflib
 import json
@@ -12,13 +11,13 @@ import os
 import shutil
 import sys
 import textwrap
-import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
+from .commands.interrupts import INTERRUPTED, MESSAGE, prompt_interrupts
 from .errors import NeoWorldError, system_refusal
 from .progress import LOGGER
 
@@ -29,7 +28,7 @@ REPORT = (
     "This is a bug in neoworld. A run can continue with --resume. To report the bug, repeat the "
     "command with --debug and send its output with that of neoworld doctor"
 )
-BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
+BAD_INPUT, FAILED, BUG = 2, 1, 70
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -43,6 +42,19 @@ def main(args: Sequence[str] | None = None) -> None:
     if list(args) in (["--help"], ["-h"]):
         print(help_text())
         sys.exit(0)
+    try:
+        code = _run_words(args)
+    except KeyboardInterrupt:  # While modules are imported.
+        print(f"error: {MESSAGE}", file=sys.stderr)
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        sys.stderr.flush()
+        os._exit(code)  # Threads and exit functions of libraries may take seconds.
+    sys.exit(code)
+
+
+def _run_words(args: Sequence[str]) -> int:
+    """Run the command of some arguments and return the exit code; invalid ones end the process."""
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -51,7 +63,7 @@ def main(args: Sequence[str] | None = None) -> None:
     if reason is not None:
         print(f"error: {reason}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    sys.exit(run(parse(args[0], args[1:])))
+    return run(parse(args[0], args[1:]))
 
 
 def help_text() -> str:
@@ -112,12 +124,19 @@ def run(command: "Runnable") -> int:
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] It was closed by the caller.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
-    with _reserved_stdout() as out, _log_on_stderr(command), _repeated_interrupts():
+    with _reserved_stdout() as out, _log_on_stderr(command):
+
+        def report() -> None:
+            os.write(2, f"error: {MESSAGE}\n".encode())
+            if command.json:
+                os.write(out.fileno(), f"{json.dumps({'error': MESSAGE})}\n".encode())
+
         try:
-            result = command.run()
+            with prompt_interrupts(None if command.ends_by_interrupt else report):
+                result = command.run()
             code = FAILED if result.get("passed") is False else 0
         except KeyboardInterrupt:
-            result, code = {"error": "interrupted; continue with --resume"}, INTERRUPTED
+            result, code = {"error": MESSAGE}, INTERRUPTED
         except Exception as error:
             if command.debug:
                 traceback.print_exc()
@@ -156,28 +175,6 @@ def _describe(error: Exception) -> tuple[str, int]:
     if (refusal := system_refusal(error)) is not None:
         return refusal, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
-
-
-@contextlib.contextmanager
-def _repeated_interrupts() -> Iterator[None]:
-    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback."""
-    report, timers = sys.unraisablehook, list[threading.Timer]()
-
-    def repeat(ignored: Any) -> None:
-        if not issubclass(ignored.exc_type, KeyboardInterrupt):
-            report(ignored)
-            return
-        # Not at once: the callback is still running.
-        timers.append(threading.Timer(0.02, _thread.interrupt_main))
-        timers[-1].start()
-
-    sys.unraisablehook = repeat
-    try:
-        yield
-    finally:
-        sys.unraisablehook = report
-        for timer in timers:
-            timer.cancel()
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.commands import COMMANDS
+from neoworld_mjx.commands import COMMANDS, interrupts
 from neoworld_mjx.commands.doctor_command import COMPONENTS, DoctorCommand
 from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
@@ -256,10 +256,57 @@ def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
         return {"passed": True}
 
     monkeypatch.setattr(DoctorCommand, "run", works)
+    # A process that ended itself would take the tests along.
+    monkeypatch.setattr(interrupts, "GRACE_S", 60.0)
     hook = sys.unraisablehook
     assert cli.run(DoctorCommand(json=True)) == 130
     assert sys.unraisablehook is hook
     assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
+
+
+def test_a_ctrl_c_that_becomes_another_error(monkeypatch, capfd):
+    """Modules of USD raise a TypeError if Ctrl-C strikes while they are imported."""
+
+    def work(command):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise TypeError("no converter found") from None
+
+    monkeypatch.setattr(DoctorCommand, "run", work)
+    assert cli.run(DoctorCommand()) == 130
+    assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
+
+
+LONG_NATIVE_CALL = """
+import hashlib, sys, threading
+from neoworld_mjx import cli
+from neoworld_mjx.commands.doctor_command import DoctorCommand
+
+def work(command):
+    # By then the main thread is in the call, which Python's handler would wait for.
+    threading.Timer(0.5, print, ["started"], {"file": sys.stderr, "flush": True}).start()
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 1 << 30)
+
+DoctorCommand.run = work
+cli.main(["doctor", "--json"])
+"""
+
+
+def test_a_ctrl_c_during_native_code_is_obeyed():
+    command = [sys.executable, "-c", LONG_NATIVE_CALL]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as running:
+        try:
+            assert running.stderr is not None and running.stdout is not None
+            assert running.stderr.readline() == "started\n"
+            running.send_signal(signal.SIGINT)
+            assert running.wait(60) == 130
+        finally:
+            running.kill()
+        message = "interrupted; continue with --resume"
+        assert running.stderr.read() == f"error: {message}\n"
+        assert json.loads(running.stdout.read()) == {"error": message}
 
 
 @pytest.mark.parametrize(

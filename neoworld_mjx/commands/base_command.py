@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 from tyro.conf import UseAppendAction, arg
 
@@ -18,6 +18,9 @@ CommandResult = dict[str, Any]
 @runtime_checkable
 class Runnable(Protocol):
     """A command, or a group of nested commands."""
+
+    ends_by_interrupt: ClassVar[bool]
+    """True if Ctrl-C is how the command ends, with a result."""
 
     @property
     def json(self) -> bool:
@@ -51,6 +54,8 @@ class Runnable(Protocol):
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Options of all commands."""
+
+    ends_by_interrupt: ClassVar[bool] = False
 
     json: bool = False
     """Print the result as one JSON object on stdout, and everything else on stderr."""

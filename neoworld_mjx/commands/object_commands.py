@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -75,6 +75,8 @@ class CheckCommand(ConfiguredCommand):
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(ConfiguredCommand):
     """Convert an object's program, URDF, MJCF or USD file into every format and images."""
+
+    ends_by_interrupt: ClassVar[bool] = True
 
     program: Positional[Path]
     """The program (.py), or a URDF, MJCF or USD file with one object."""

@@ -4,7 +4,7 @@ import logging
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -17,6 +17,8 @@ _log = logging.getLogger(__name__)
 @dataclass(frozen=True, kw_only=True)
 class PageCommand(ConfiguredCommand):
     """Options of the commands that serve a page."""
+
+    ends_by_interrupt: ClassVar[bool] = True
 
     host: str = "127.0.0.1"
     """Address to listen on, by default this machine only; users of the page can change files."""

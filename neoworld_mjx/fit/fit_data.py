@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from .priors import (
 )
 from .projection import Silhouette
 from .visible_sides import hidden_sides
-from .wireframe import CutSurfaces, Wireframe, stacked
+from .wireframe import CutSurfaces, Wireframe, repeated_surfaces, stacked
 
 CAMERA = 2
 """Number of unknowns of the camera; each object has seven."""
@@ -103,6 +103,24 @@ class FitData:
         off = np.sum((values[:, :3] - self.values[:, :3]) * self.normals, axis=1, keepdims=True)
         values[:, :3] -= off * self.normals
         return moved, values
+
+    def repeated(self, count: int) -> "FitData":
+        """Return the objects `count` times over, each copy with its own parents, and one camera."""
+        n = len(self.objects)
+        arrays = {
+            field.name: np.concatenate([value] * count)
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+            and field.name != "camera_sd"
+        }
+        shift = np.arange(count).repeat(n) * n
+        arrays["parents"] = np.where(arrays["parents"] >= 0, arrays["parents"] + shift, -1)
+        return replace(
+            self,
+            objects=self.objects * count,
+            cut=tuple(repeated_surfaces(surfaces, count, n) for surfaces in self.cut),
+            **arrays,
+        )
 
 
 def object_data(

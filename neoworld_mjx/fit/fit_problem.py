@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -87,22 +88,26 @@ class FitProblem:
         """Return the derivative of the residuals by forward differences.
 
         An object's residuals depend only on its unknowns, its parent's and the camera's. One
-        difference therefore serves all objects whose depths in the tree have the same parity.
+        difference therefore serves all objects whose depths in the tree have the same parity. The
+        differences are evaluated together, as copies of the objects.
         """
         residuals = self.residuals(x)
         jacobian = np.zeros((len(residuals), len(x)))
-
-        def difference(columns: Int[np.ndarray, " k"]) -> Float[np.ndarray, " r"]:
-            ahead = x.copy()
-            ahead[columns] += STEP
-            return (self.residuals(ahead) - residuals) / STEP
-
         for k in range(CAMERA):
-            jacobian[:, k] = difference(np.array([k]))
-        index, owners = np.arange(len(self.data.objects)), self._owners()
+            ahead = x.copy()
+            ahead[k] += STEP
+            jacobian[:, k] = (self.residuals(ahead) - residuals) / STEP
+        owners = self._owners()
         parents = np.where(owners >= 0, self.data.parents[owners], -1)
-        for parity in (0, 1):
-            group = self.data.levels % 2 == parity
+        groups = [self.data.levels % 2 == parity for parity in (0, 1)]
+        copies = np.tile(x[CAMERA:].reshape(-1, 7), (2, 7, 1, 1))
+        for parity, group in enumerate(groups):
+            for k in range(7):
+                copies[parity, k, group, k] += STEP
+        problem, rows_of_copies = self._repeated
+        ahead = problem.residuals(np.concatenate([x[:CAMERA], copies.ravel()]))[rows_of_copies]
+        changes = ((ahead - residuals) / STEP).reshape(2, 7, -1)
+        for group, change in zip(groups, changes, strict=True):
             moved = np.where(
                 (owners >= 0) & group[owners],
                 owners,
@@ -110,9 +115,22 @@ class FitProblem:
             )
             rows = np.flatnonzero(moved >= 0)
             for k in range(7):
-                change = difference(CAMERA + 7 * index[group] + k)
-                jacobian[rows, CAMERA + 7 * moved[rows] + k] = change[rows]
+                jacobian[rows, CAMERA + 7 * moved[rows] + k] = change[k, rows]
         return jacobian
+
+    @cached_property
+    def _repeated(self) -> "tuple[FitProblem, Int[np.ndarray, '14 r']]":
+        """Return a copy of all objects for each difference, and the copies' rows."""
+        count, n = 14, len(self.data.objects)
+        problem = FitProblem(
+            self.data.repeated(count),
+            np.tile(self.follow, (count, 1)),
+            np.tile(self.offsets, (count, 1)),
+        )
+        owners = problem._owners()
+        return problem, np.array(
+            [np.flatnonzero((owners < 0) | (owners // n == copy)) for copy in range(count)]
+        )
 
     def _owners(self) -> Int[np.ndarray, " r"]:
         """Return the object of each residual, in the order of `residuals`; -1 for the camera's."""

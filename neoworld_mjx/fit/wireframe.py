@@ -67,6 +67,18 @@ def stack_surfaces(frames: Mapping[int, Wireframe]) -> CutSurfaces:
     )
 
 
+def repeated_surfaces(surfaces: CutSurfaces, count: int, objects: int) -> CutSurfaces:
+    """Return surfaces `count` times over, those of a copy with the next `objects` objects."""
+    copies = np.arange(count)
+    number, corners = surfaces.points.shape[:2]
+    return CutSurfaces(
+        (copies[:, None] * objects + surfaces.rows).ravel(),
+        np.concatenate([surfaces.points] * count),
+        (copies[:, None, None] * number * corners + surfaces.edges).reshape(-1, 2),
+        (copies[:, None] * number + surfaces.owners).ravel(),
+    )
+
+
 def stacked(points: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
     """Stack point sets; shorter sets repeat points, which does not change their extents."""
     longest = max((len(p) for p in points), default=0)
@@ -142,7 +154,8 @@ def _covered_corners(
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
     near = ((low[:, None] <= corners) & (corners <= high[:, None])).all(axis=2)
     for surface, corner in zip(*np.nonzero(near), strict=True):
-        if _surrounds(pixels[owners == surface].reshape(-1, 2), corners[corner]):
+        own = slice(*np.searchsorted(owners, [surface, surface + 1]))
+        if _surrounds(pixels[own].reshape(-1, 2), corners[corner]):
             yield int(surface), corners[corner]
 
 

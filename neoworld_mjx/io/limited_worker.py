@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -116,6 +117,7 @@ def _server(pid: int) -> "subprocess.Popen[bytes]":
         # Libraries print texts from files, which may control the terminal.
         stderr=subprocess.DEVNULL,
         env=os.environ | _ONE_THREAD | {"PYTHONPATH": path},
+        process_group=0,
     )
 
 
@@ -127,10 +129,11 @@ def _exchange(server: "subprocess.Popen[bytes]", call: bytes) -> tuple[int, byte
 
 @atexit.register
 def _stop() -> None:
-    """End the server if this process has one."""
+    """End the server, and its worker, if this process has one."""
     if _server.cache_info().currsize:
         server = _server(os.getpid())
-        server.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(server.pid, signal.SIGKILL)
         server.communicate()
     _server.cache_clear()
 
@@ -176,8 +179,11 @@ def _serve() -> None:
                 set_file_bounds(bounds)
                 _work(output, arguments[0], partial(function, *arguments))
             os.close(held)
-            # The pipe ends with the worker.
-            if not select.select([alive], [], [], bounds.timeout_s * _WALL_FACTOR)[0]:
+            # The pipe ends with the worker, the calls with the caller.
+            if (
+                alive
+                not in select.select([alive, calls], [], [], bounds.timeout_s * _WALL_FACTOR)[0]
+            ):
                 os.kill(pid, signal.SIGKILL)
             os.close(alive)
             status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])

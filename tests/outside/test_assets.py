@@ -1,6 +1,10 @@
 """Assets of few bytes that ask for gigabytes or hours, or that name files outside their folder."""
 
+import os
 import resource
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -60,6 +64,42 @@ def _crash(path: Path) -> None:
 def test_the_death_of_a_reader_is_one_message(tmp_path, function, said):
     with bounded_by(FileOptions(timeout_s=0.5)), pytest.raises(SpecError, match=said):
         call_limited(function, tmp_path / "a")
+
+
+def _spin_and_tell(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+    _spin(path)
+
+
+@pytest.mark.parametrize("end", ["interrupt", "kill"])
+def test_a_reader_ends_with_its_caller(tmp_path, end):
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom neoworld_mjx.config import FileOptions\n"
+        "from neoworld_mjx.io import bounded_by\n"
+        "from neoworld_mjx.io.limited_worker import call_limited\n"
+        "from tests.outside.test_assets import _spin_and_tell\n"
+        "with bounded_by(FileOptions(timeout_s=90.0)):\n"
+        "    call_limited(_spin_and_tell, Path(sys.argv[1]))\n"
+    )
+    note = tmp_path / "reader"
+    command = [sys.executable, "-c", code, str(note)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as caller:
+        try:
+            while not note.exists() or not note.read_text():
+                time.sleep(0.02)
+                assert caller.poll() is None
+            reader = int(note.read_text())
+            caller.send_signal(signal.SIGINT if end == "interrupt" else signal.SIGKILL)
+            assert caller.wait(60) < 0
+        finally:
+            caller.kill()
+    for _ in range(500):
+        state = Path(f"/proc/{reader}/stat")
+        if not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z":
+            return
+        time.sleep(0.02)
+    os.kill(reader, signal.SIGKILL)
+    raise AssertionError("the reader runs on")
 
 
 def test_a_reader_after_a_dead_one(tmp_path):

@@ -1,0 +1,84 @@
+"""Ctrl-C: repeated where Python drops it, and obeyed within a second while native code runs."""
+
+import _thread
+import contextlib
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ended."""
+MESSAGE = "interrupted; continue with --resume"
+GRACE_S = 1.0
+"""Time in which a command may end by itself. After it, the process ends as by a kill, which a run
+folder survives."""
+
+
+@contextlib.contextmanager
+def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
+    """End the process, with exit code 130, if a Ctrl-C does not end the block within `GRACE_S`.
+
+    Python handles a signal between its own operations: not while XLA compiles, nor while an
+    executor waits for its threads. It drops the exception in destructors and JAX's gc callback.
+
+    Args:
+        report: called before the process ends; None lets the block take its time.
+    """
+    with _repeated_interrupts():
+        if report is None or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        seen, ended = threading.Event(), threading.Event()
+        signals, wakeup = socket.socketpair()
+        wakeup.setblocking(False)
+
+        def watch() -> None:
+            while numbers := signals.recv(64):
+                if signal.SIGINT in numbers:
+                    seen.set()
+                    if not ended.wait(GRACE_S):
+                        report()
+                        os._exit(INTERRUPTED)
+
+        watcher = threading.Thread(target=watch, daemon=True)
+        watcher.start()
+        previous = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
+        try:
+            yield
+        except Exception as error:
+            # An extension module that is being imported replaces the exception, as USD's do.
+            if seen.wait(0.05):
+                raise KeyboardInterrupt from error
+            raise
+        finally:
+            ended.set()
+            signal.set_wakeup_fd(previous)
+            wakeup.close()
+            watcher.join()
+            signals.close()
+
+
+@contextlib.contextmanager
+def _repeated_interrupts() -> Iterator[None]:
+    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback."""
+    report, timers = sys.unraisablehook, list[threading.Timer]()
+
+    def repeat(ignored: Any) -> None:
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            report(ignored)
+            return
+        # Not at once: the callback is still running.
+        timers.append(threading.Timer(0.02, _thread.interrupt_main))
+        timers[-1].start()
+
+    sys.unraisablehook = repeat
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report
+        for timer in timers:
+            timer.cancel()

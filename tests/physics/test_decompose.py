@@ -1,0 +1,61 @@
+"""Convex decomposition of meshes that are more detailed than their collider needs to be."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from neoworld_mjx.cache import VARIABLE
+from neoworld_mjx.config import FileOptions
+from neoworld_mjx.io import bounded_by
+from neoworld_mjx.physics.decompose import _simplified, convex_pieces, installed
+
+pytestmark = pytest.mark.skipif(not installed(), reason="CoACD is not installed")
+OUTER, INNER = 0.1, 0.085
+
+
+def bowl(corners: int, sections: int) -> trimesh.Trimesh:
+    """Return a closed bowl, half a sphere with a wall."""
+    angle = np.linspace(0, np.pi / 2, corners)
+    profile = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    inner = INNER * profile[::-1] + [0, OUTER - INNER]
+    return trimesh.creation.revolve(np.concatenate([OUTER * profile, inner]), sections=sections)
+
+
+def agreement(pieces: list[np.ndarray]) -> float:
+    """Return the intersection over union of the volumes of pieces and bowl."""
+    points = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.1], (20_000, 3))
+    radius = np.linalg.norm(points - [0, 0, OUTER], axis=1)
+    true = (radius <= OUTER) & (radius >= INNER)
+    within = np.zeros(len(points), bool)
+    for piece in pieces:
+        planes = ConvexHull(piece).equations
+        within |= (points @ planes[:, :3].T + planes[:, 3] <= 1e-9).all(axis=1)
+    return float((true & within).sum() / (true | within).sum())
+
+
+@pytest.mark.slow
+def test_a_bowl_of_many_faces_stays_hollow(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    mesh = bowl(50, 200)
+    assert len(mesh.faces) > 19_000
+    with bounded_by(FileOptions(decompose_s=40.0)):
+        pieces = convex_pieces(mesh.vertices, mesh.faces)
+    assert len(pieces) > 1
+    assert agreement(pieces) > 0.75 > 0.5 > agreement([np.asarray(mesh.vertices)])
+
+
+def test_simplification_moves_the_surface_by_a_few_thousandths_of_the_size():
+    mesh = bowl(50, 200)
+    vertices, faces = _simplified(mesh)
+    coarse = trimesh.Trimesh(vertices, faces)
+    assert coarse.is_watertight
+    assert len(faces) < len(mesh.faces) / 4
+    assert coarse.volume == pytest.approx(mesh.volume, rel=0.05)
+
+
+def test_a_surface_that_is_not_orientable_is_left_as_it_is():
+    mesh = trimesh.creation.box()
+    flipped = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces[:6], mesh.faces[6:, ::-1]]))
+    vertices, faces = _simplified(flipped)
+    assert len(faces) == len(flipped.faces) and len(vertices) == len(flipped.vertices)
