@@ -240,6 +240,19 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     return {**found, "paper": paper, "rows": plain(rows)}
 
 
+def run_rescue(o: suites.Rescues) -> dict[str, Any]:
+    """Rescue disturbed scenes of meshes."""
+    from neoworld_mjx.cache import keep_compilations
+
+    from .rescues.rescue_rows import rescue_figures, rescue_rows
+
+    keep_compilations()
+    jobs = {str(seed): partial(rescue_rows, seed, photo=o.photo) for seed in range(o.scenes)}
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
+    return {**rescue_figures(rows), "machine": machine(), "rows": plain(rows)}
+
+
 def run_tasks(o: suites.Tasks) -> dict[str, Any]:
     """Check tasks on the ground truth."""
     from .tasks.catalogue import find_tasks

@@ -218,6 +218,18 @@ class RealPoses:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rescues:
+    """Rescue generated scenes of meshes whose objects have wrong sizes (up to 10 %), are 2 cm too
+    low and tilted by 5 degrees, and compare the results with the undisturbed scenes.
+    """
+
+    scenes: int = 60
+    """Number of scenes."""
+    photo: bool = False
+    """Give each rescue a rendered photograph of the undisturbed scene, with its exact camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ObjectSuite:
     """Compare joints and surfaces of reconstructed objects with those of your copy of
     PartNet-Mobility or with ground-truth files, alongside the paper's 245 joints.
@@ -349,6 +361,7 @@ SUITES = {
         ("examples", Examples, True),
         ("refine", Refine, True),
         ("real-poses", RealPoses, True),
+        ("rescue", Rescues, False),
         ("joints", ObjectSuite, True),
         ("tasks", Tasks, False),
         ("task-success", TaskSuccess, True),
