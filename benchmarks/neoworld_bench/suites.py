@@ -289,14 +289,23 @@ class Plans(ModelRequests):
 
     task: tuple[str, ...] = ()
     """Names of tasks; all by default."""
+    method: tuple[MethodName, ...] = ()
+    """Methods that reconstruct the scene that the model sees, as in `bench run task-success`; by
+    default it sees the true scene, or a displaced one."""
+    starts: int = 1
+    """Initial scenes of each task and method."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes."""
+    sees: Literal["numbers", "picture", "both"] = "both"
+    """What the model sees of the scene: poses and boxes as numbers, a rendered picture, or both."""
     rounds: int = 2
     """Maximum number of revisions of a plan."""
     offset: float = 0.0
-    """Displacement of the named objects in the scene that the model sees [m]."""
+    """Without --method: displacement of the named objects in the scene that the model sees [m]."""
     feedback: bool = False
-    """Let a plan that fails refine the layout that it was made for."""
+    """Add a row METHOD+feedback: a plan that fails refines the layout that it was made for."""
     seed: int = 0
-    """Seed of the displacements and the refinement."""
+    """Seed of the noise, the displacements, the searches and the refinement."""
 
 
 @dataclass(frozen=True, kw_only=True)
