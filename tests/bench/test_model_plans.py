@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from neoworld_bench.methods.method_runs import RunSettings
-from neoworld_bench.tasks import execute, find_task
+from neoworld_bench.tasks import execute, find_task, model_plans
 from neoworld_bench.tasks.model_plans import plan_figures, plan_rows, scene_rows
-from neoworld_bench.tasks.outcome_feedback import refine_by_outcome
+from neoworld_bench.tasks.outcome_feedback import FeedbackResult, refine_by_outcome
 from neoworld_bench.tasks.plan_asking import PlanAttempt, plan_request
 from neoworld_bench.tasks.planned_scenes import displaced_layout, reconstructed_scene, true_scene
 from neoworld_bench.tasks.predicates import named_objects
@@ -158,6 +158,28 @@ def test_plans_of_a_served_model_in_a_reconstruction_have_both_columns(monkeypat
     for figures in result["methods"].values():
         assert figures["success_in_scene"] == figures["success_on_truth"] == 1.0
     assert [row["executions"] for row in result["rows"]] == [0, 0]
+
+
+def test_feedback_is_a_row_of_its_own(monkeypatch):
+    """The plan fails in the displaced scene, and succeeds in the layout that feedback finds."""
+    tape = Tape(made="written by hand: the reference plan")
+    wrong = true_scene(TASK, 0.03, 0, "numbers")
+    tape.put(plan_request(TASK, wrong), answer(TASK.plan), "hand")
+    outcome = execute(TASK.scene, TASK.plan, TASK.predicate)
+    calls = []
+
+    def refined(scene, plan, predicate, *, seed):
+        calls.append((scene, plan, predicate, seed))
+        return FeedbackResult(TASK.scene, outcome, 2, 40)
+
+    monkeypatch.setattr(model_plans, "refine_by_outcome", refined)
+    before, after = rows_of(tape, rounds=0, offset_m=0.03, feedback=True)
+    assert calls == [(wrong.scene, TASK.plan, TASK.predicate, 0)]
+    assert (before.method, after.method) == ("displaced", "displaced+feedback")
+    assert not before.in_scene and before.executions == 0 and "upper" in before.scene_reason
+    assert after.in_scene and after.on_truth and after.executions == 40
+    shares = plan_figures([before, after])["methods"]
+    assert [shares[name]["success_in_scene"] for name in shares] == [0.0, 1.0]
 
 
 def test_scene_without_a_named_object_counts_as_a_failure_of_both_rows():

@@ -108,9 +108,7 @@ def _pictured(
         return PlannedScene(method, start, scene, None, None, in_numbers=True)
     assert photo.scene.camera is not None
     taken, back = View.of(photo.scene.camera), photo.placed.inverse()
-    view = taken._replace(
-        eye=back.apply(taken.eye), axes=np.stack(rotate(back.quat, taken.axes.T), axis=1)
-    )
+    view = taken._replace(eye=back.apply(taken.eye), axes=rotate(back.quat, taken.axes.T).T)
     picture = render(scene, view).color
     return PlannedScene(method, start, scene, picture, view, in_numbers=sees == "both")
 
