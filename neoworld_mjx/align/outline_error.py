@@ -5,7 +5,7 @@ from jaxtyping import UInt8
 
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
-from .colors import LabImage, color_models
+from .colors import LabImage, color_model, color_models
 from .contours import contour, displacements
 from .normal_equations import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_PX
 from .rasterize import draw_scene, height_of
@@ -22,8 +22,9 @@ def outline_errors(
     """Return the median distance of each object's visible outline from the photograph's.
 
     Along the outline's normals, the colors inside the object and behind it say where the edge is,
-    as in the alignment. Distances are at most REACH_PX, and from the scene alone: an object that is
-    farther off than its own size may find another edge there.
+    as in the alignment. Distances are at most REACH_PX and rather too small from about 6 px on, as
+    the colors are those that the scene shows; an object that is off by more than its own size may
+    find another edge.
 
     Args:
         scene: the scene, with a camera.
@@ -48,6 +49,8 @@ def outline_errors(
             models = color_models(drawn.owner, image.bins, k, round(MARGIN_PX))
         if points is None or models is None:
             continue
+        # Of the whole object, as a wrong outline may have only background within.
+        models = models._replace(inside=color_model(image.bins[drawn.owner == k]))
         moved = displacements(
             image.lab, points, models, reach=REACH_PX, step=STEP_PX, noise=CONTOUR_PX, unit=1.0
         )

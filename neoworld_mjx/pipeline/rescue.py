@@ -38,11 +38,12 @@ from ..spec.scene import moved_whole
 from .reconstruction import finish
 from .scene_pictures import Pictures
 from .scene_steps import aligned, export_files, refine_layout
-from .step_context import COMPOSED, OUTLINES, SCENE, StepContext
+from .step_context import COMPOSED, SCENE, StepContext
 
 REPORT = "rescue.json"
 GIVEN = "compose/given.json"
 GIVEN_PICTURE = "pictures/given.png"
+OUTLINE_PICTURE = "pictures/rescued.png"
 PHOTO = "photo.png"
 
 
@@ -89,7 +90,7 @@ class Rescued:
 
 
 @dataclass(frozen=True)
-class Supported:
+class GivenScene:
     """A given scene on its supports, before the search."""
 
     given: SceneSpec
@@ -213,13 +214,13 @@ def rescue_file(
             rescued = _rescued(start, scene, c.refine, picture, notes, seconds)
             if picture is not None:
                 outlines = outline_picture(picture.rgb, start.given, scene)
-                write_output(out / OUTLINES, to_png(outlines), RunError)
+                write_output(out / OUTLINE_PICTURE, to_png(outlines), RunError)
             write_output(out / REPORT, json.dumps(rescued.to_json(), indent=1) + "\n", RunError)
             finish(run, None)
     return rescued
 
 
-def _supported(read: ImportedScene, photo: Photographed | None) -> Supported:
+def _supported(read: ImportedScene, photo: Photographed | None) -> GivenScene:
     """Put the objects of a scene onto supports, before the camera of the photograph."""
     given = read.spec
     if photo is not None:
@@ -235,7 +236,7 @@ def _supported(read: ImportedScene, photo: Photographed | None) -> Supported:
             moved_whole(scene, down).model_copy(update={"camera": camera})
             for scene in (given, composed)
         )
-    return Supported(given, composed, (*read.notes, *supported.notes))
+    return GivenScene(given, composed, (*read.notes, *supported.notes))
 
 
 def _main_top(scene: SceneSpec) -> float:
@@ -252,7 +253,7 @@ def _layout_alone(options: ComposeOptions) -> AlignOptions:
 
 
 def _compose(
-    context: StepContext, file: Path, start: Supported, photo: Photographed | None
+    context: StepContext, file: Path, start: GivenScene, photo: Photographed | None
 ) -> None:
     """Write the given and the composed scene of a rescue, as the step `compose`."""
     run, c = context.run, context.config
@@ -279,7 +280,7 @@ def _compose(
 
 
 def _rescued(
-    start: Supported,
+    start: GivenScene,
     scene: SceneSpec,
     o: RefineOptions,
     photo: Photographed | None,

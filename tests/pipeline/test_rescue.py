@@ -26,6 +26,7 @@ from neoworld_mjx.compose.mesh_supports import with_supports
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import rescue, rescue_file
 from neoworld_mjx.render import visible_surface
@@ -208,8 +209,12 @@ def test_report_of_a_rescue_says_what_was_checked(photographed_meshes, tmp_path,
         pair["rescued"] < pair["given"] for pair in stored["outlines_px"].values()
     )
     assert read_scene(tmp_path / "out").camera is not None
-    with Image.open(tmp_path / "out" / "pictures" / "given.png") as image:
-        assert image.width > image.height
+    with Image.open(tmp_path / "out" / "pictures" / "rescued.png") as both:
+        assert both.width > 2 * 640 and both.height == 480
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    for step in run["steps"].values():  # Nothing that a step wrote was changed afterwards.
+        for file, digest in step["outputs"].items():
+            assert content_hash(tmp_path / "out" / file) == digest, file
     with pytest.raises(SystemExit, match="0"):  # It is a run: its search can be repeated.
         cli.main(["refine", str(tmp_path / "out"), "--seed", "1", "--json"])
     assert json.loads(capfd.readouterr().out)["passed"]

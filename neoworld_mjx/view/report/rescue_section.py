@@ -18,7 +18,7 @@ CHECKED = (
 )
 _OUTLINES = (
     "Outline off: median distance of the object's outline from the nearest edge of its colors in "
-    "the photograph, in pixels of an image 640 px wide, at most 24; unknown where its colors do "
+    "the photograph, in pixels of an image 640 px wide, at most 24 and above 6 rather too small; unknown where its colors do "
     "not tell it from what is behind it."
 )
 _CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
@@ -47,7 +47,7 @@ def rescue_section(folder: Path) -> Markup:
         (folder / "photo.png", "Photograph"),
         (folder / "pictures" / "given.png", "As given, through the same camera"),
         (folder / "pictures" / "after.png", "Rescued, through the same camera"),
-        (folder / "pictures" / "outlines.png", _CAPTION),
+        (folder / "pictures" / "rescued.png", _CAPTION),
     ]
     shown = [picture(path, caption) for path, caption in pictures] if outlines else []
     return elements.section(
