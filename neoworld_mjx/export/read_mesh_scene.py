@@ -162,6 +162,17 @@ def _mechanism(file: Path) -> Mechanism:
     raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF, MJCF or USD files")
 
 
+def _gltf_camera(loaded: Any) -> FileCamera | None:
+    """Return the camera of a glTF scene; None for one whose node mirrors or is singular."""
+    pose = Z_UP @ np.asarray(loaded.camera_transform, float) @ TO_OPENCV
+    u, scales, v = np.linalg.svd(pose[:3, :3])
+    # Scales of the nodes above the camera have no effect on what it sees.
+    pose[:3, :3] = u @ v
+    if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
+        return None
+    return FileCamera(pose=_rows(pose), fovy=float(np.radians(loaded.camera.fov[1])))
+
+
 def _gltf_scene(path: Path) -> MeshScene:
     import trimesh
 
@@ -179,11 +190,7 @@ def _gltf_scene(path: Path) -> MeshScene:
         nodes = list(loaded.graph.nodes_geometry)
         posed = [(str(node), *loaded.graph[node]) for node in nodes[: MAX_NODES + 1]]
         meshes = {key: mesh for key, mesh in loaded.geometry.items() if hasattr(mesh, "faces")}
-        camera = None
-        if loaded.has_camera:
-            pose = Z_UP @ np.asarray(loaded.camera_transform, float) @ TO_OPENCV
-            fovy = float(np.radians(loaded.camera.fov[1]))
-            camera = FileCamera(pose=_rows(pose), fovy=fovy)
+        camera = _gltf_camera(loaded) if loaded.has_camera else None
     except SpecError:
         raise
     except Exception as error:  # trimesh raises errors of many types

@@ -72,12 +72,14 @@ def test_poses_in_the_frame_of_a_camera(tmp_path):
     assert shown.camera.pitch == pytest.approx(0.6) and shown.camera.roll == pytest.approx(0)
 
 
-def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path):
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path, scale):
+    """A camera below a node with a scale is rigid all the same."""
     given = desk()
     camera = given.camera.model_copy(update={"roll": 0.05})
     by = pose((0.3, -0.2, 0.1), from_yaw(0.7))
     turned = moved_whole(given, by)
-    file = write_glb(tmp_path / "desk.glb", turned, camera=(camera, by))
+    file = write_glb(tmp_path / "desk.glb", turned, camera=(camera, by), camera_scale=scale)
     read = import_file(file)
     shown = viewpoint(read.camera, 160, 120)
     back = moved_whole(read.spec, shown.placed)

@@ -18,8 +18,8 @@ CHECKED = (
 )
 _OUTLINES = (
     "Outline off: median distance of the object's outline from the nearest edge of its colors in "
-    "the photograph, in pixels of an image 640 px wide, at most 24 and above 6 rather too small; unknown where its colors do "
-    "not tell it from what is behind it."
+    "the photograph, in pixels of an image 640 px wide, at most 24, and above 6 rather too small; "
+    "unknown where its colors do not tell it from what is behind it."
 )
 _CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
 
