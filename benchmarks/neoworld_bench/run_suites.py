@@ -240,6 +240,19 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     return {**found, "paper": paper, "rows": plain(rows)}
 
 
+def run_rescue(o: suites.Rescues) -> dict[str, Any]:
+    """Rescue disturbed scenes of meshes."""
+    from neoworld_mjx.cache import keep_compilations
+
+    from .rescues.rescue_rows import rescue_figures, rescue_rows
+
+    keep_compilations()
+    jobs = {str(seed): partial(rescue_rows, seed, photo=o.photo) for seed in range(o.scenes)}
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
+    return {**rescue_figures(rows), "machine": machine(), "rows": plain(rows)}
+
+
 def run_tasks(o: suites.Tasks) -> dict[str, Any]:
     """Check tasks on the ground truth."""
     from .tasks.catalogue import find_tasks
@@ -275,6 +288,7 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
     """Request plans from a model, and execute them."""
+    from .methods.method_runs import RunSettings
     from .tasks.catalogue import find_tasks
     from .tasks.model_plans import plan_figures, plan_rows
 
@@ -282,6 +296,8 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
         raise ConfigError(
             f"--offset takes 0 to 1 m and --rounds 0 to 20, got {o.offset:g} and {o.rounds}"
         )
+    if o.offset and o.method:
+        raise ConfigError("--offset displaces the true scene: give it without --method")
     tasks = find_tasks(o.task)
     with unfinished(o, config) as folder, _panel(o, config, folder) as models:
         plan = partial(
@@ -291,6 +307,10 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
             offset_m=o.offset,
             feedback=o.feedback,
             seed=o.seed,
+            sees=o.sees,
+            methods=o.method,
+            starts=o.starts,
+            settings=RunSettings(o.seed, config.refine, config.compose, o.noise),
         )
         rows = KeptRows(folder).all({task.name: partial(plan, [task]) for task in tasks})
     return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}

@@ -218,6 +218,18 @@ class RealPoses:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rescues:
+    """Rescue generated scenes of meshes whose objects have wrong sizes (up to 10 %), are 2 cm too
+    low and tilted by 5 degrees, and compare the results with the undisturbed scenes.
+    """
+
+    scenes: int = 60
+    """Number of scenes."""
+    photo: bool = False
+    """Give each rescue a rendered photograph of the undisturbed scene, with its exact camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ObjectSuite:
     """Compare joints and surfaces of reconstructed objects with those of your copy of
     PartNet-Mobility or with ground-truth files, alongside the paper's 245 joints.
@@ -277,14 +289,23 @@ class Plans(ModelRequests):
 
     task: tuple[str, ...] = ()
     """Names of tasks; all by default."""
+    method: tuple[MethodName, ...] = ()
+    """Methods that reconstruct the scene that the model sees, as in `bench run task-success`; by
+    default it sees the true scene, or a displaced one."""
+    starts: int = 1
+    """Initial scenes of each task and method."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes."""
+    sees: Literal["numbers", "picture", "both"] = "both"
+    """What the model sees of the scene: poses and boxes as numbers, a rendered picture, or both."""
     rounds: int = 2
     """Maximum number of revisions of a plan."""
     offset: float = 0.0
-    """Displacement of the named objects in the scene that the model sees [m]."""
+    """Without --method: displacement of the named objects in the scene that the model sees [m]."""
     feedback: bool = False
-    """Let a plan that fails refine the layout that it was made for."""
+    """Add a row METHOD+feedback: a plan that fails refines the layout that it was made for."""
     seed: int = 0
-    """Seed of the displacements and the refinement."""
+    """Seed of the noise, the displacements, the searches and the refinement."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,6 +370,7 @@ SUITES = {
         ("examples", Examples, True),
         ("refine", Refine, True),
         ("real-poses", RealPoses, True),
+        ("rescue", Rescues, False),
         ("joints", ObjectSuite, True),
         ("tasks", Tasks, False),
         ("task-success", TaskSuccess, True),

@@ -107,13 +107,18 @@ class RefineCommand(ConfiguredCommand):
     """Refine the composed scene of a run again, and export it; earlier steps are reused.
 
     Without --config and --set the options are those of the run. With --from, FOLDER is new: meshes
-    of another method are put on what carries them, settled, and exported with colliders.
+    of another method are put on what carries them, aligned with the photograph if --photo gives it,
+    settled, and exported with colliders.
     """
 
     folder: Positional[Path]
     """The run folder; with --from, a new folder to write."""
     source: Annotated[Path | None, arg(name="from")] = None
     """Scene of another method: a glTF file, or a poses.json next to its meshes."""
+    photo: Path | None = None
+    """With --from: the photograph of the scene."""
+    camera: Path | None = None
+    """With --photo: camera.json of the photograph; by default the camera of the scene's file."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -127,6 +132,9 @@ class RefineCommand(ConfiguredCommand):
         keep_compilations()
         if self.source is not None:
             return self._rescue(self.source)
+        for flag, value in {"--photo": self.photo, "--camera": self.camera}.items():
+            if value is not None:
+                raise ConfigError(f"{flag} belongs to --from: {self.folder} has its photograph")
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -141,8 +149,13 @@ class RefineCommand(ConfiguredCommand):
         from ..pipeline.rescue import rescue_file
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
-        rescued = rescue_file(source, self.folder, config.refine, seed=config.seed)
-        return {"rescued": str(self.folder), "scene": rescued.scene.name, **rescued.to_json()}
+        rescued = rescue_file(source, self.folder, config, photo=self.photo, camera=self.camera)
+        return {
+            "rescued": str(self.folder),
+            "report": str(self.folder / "report.html"),
+            "scene": rescued.scene.name,
+            **rescued.to_json(),
+        }
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""

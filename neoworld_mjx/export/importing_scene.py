@@ -1,6 +1,6 @@
 """Import URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,10 @@ from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
 from .checked_usd import SUFFIXES, open_usd
 from .checked_xml import read_xml
+from .file_camera import FileCamera
 from .importing import MESH_READERS, Imported, to_object
 from .mechanism import Assembly, transformed
-from .read_mesh_scene import GLTF, POSES, read_mesh_scene
+from .read_mesh_scene import GLTF, POSES, MeshScene, read_mesh_scene
 from .read_mjcf import read_mjcf_scene
 from .read_urdf import read_urdf
 from .read_usd import gravity_of, read_assemblies
@@ -35,6 +36,10 @@ class ImportedScene:
     spec: SceneSpec
     notes: tuple[str, ...]
     """Omissions and assumptions."""
+    camera: FileCamera | None = None
+    """Camera of the photograph, if a scene of meshes states one."""
+    in_camera: bool = False
+    """True if the file's poses are in the frame of that camera; the scene is leveled."""
 
 
 def import_file(path: Path) -> Imported | ImportedScene:
@@ -49,15 +54,17 @@ def import_file(path: Path) -> Imported | ImportedScene:
     path = Path(path)
     try:
         read = call_limited(_read, path, needs=MESH_READERS)
-        always = path.suffix.lower() in GLTF or path.name == POSES
-        return scene_of_assemblies(path, *read) if always else _imported(path, *read)
+        if isinstance(read, MeshScene):
+            scene = scene_of_assemblies(path, read.objects, None)
+            return replace(scene, camera=read.camera, in_camera=read.in_camera)
+        return _imported(path, *read)
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> tuple[list[Assembly], Vec3 | None]:
-    """Read all objects of a file, and the gravity that it states."""
+def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
+    """Read all objects of a file, with the camera or the gravity that it states."""
     if path.suffix.lower() in GLTF or path.name == POSES:
         return read_mesh_scene(path)
     if path.suffix.lower() in SUFFIXES:

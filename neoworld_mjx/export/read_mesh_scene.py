@@ -2,15 +2,16 @@
 
     SCENE.glb, SCENE.gltf    a node with a mesh is an object; meters, Y up (glTF 2.0)
     poses.json               {"frame": "world", "objects": {"mug": {"file": "mug.obj",
-                              "pose": [[4x4]], "fixed": false}}}
+                              "pose": [[4x4]], "fixed": false}}, "camera": {...}}
 
 Poses map the frame of an object's file to the world (Z up), or with "frame": "camera" to that of a
-camera (OpenCV: x right, y down, z ahead); "up" then gives the vertical in it.
+camera (OpenCV: x right, y down, z ahead); "up" then gives the vertical in it, by which the scene is
+leveled. The camera of the photograph is that frame, "camera" (`FileCamera`), or glTF's camera.
 """
 
 import io
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,9 @@ from pydantic import Field
 from ..errors import SpecError
 from ..io import read_model
 from ..spec import Spec
-from ..spec.base import Number, Vec3
+from ..spec.base import Vec3
 from .checked_xml import inside
+from .file_camera import FileCamera, Row, leveled
 from .load_mesh import (
     SUFFIXES,
     check_claims,
@@ -36,10 +38,18 @@ POSES = "poses.json"
 MAX_NODES = 500
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """Transform from glTF's axes (Y up) to those with Z up."""
-CAMERA_TO_WORLD = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Transform from OpenCV's camera axes to x ahead, y to the left, z up."""
-GRAVITY = 9.81
-Row = tuple[Number, Number, Number, Number]
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Transform from OpenCV's camera axes to glTF's (x right, y up, z back), and back."""
+
+
+class MeshScene(NamedTuple):
+    """Objects of a scene file, at their poses in its world, Z up."""
+
+    objects: list[Assembly]
+    camera: FileCamera | None = None
+    """Camera of the photograph, if the file states one."""
+    in_camera: bool = False
+    """True if the poses were in the camera's frame: the world is that of the leveled camera."""
 
 
 class PosedFile(Spec):
@@ -59,31 +69,36 @@ class PosedFiles(Spec):
     frame: Literal["world", "camera"] = "world"
     up: Vec3 = (0.0, -1.0, 0.0)
     """The vertical in the camera's frame; of no effect in the world."""
+    camera: FileCamera | None = None
     objects: dict[str, PosedFile] = Field(min_length=1, max_length=MAX_NODES)
 
 
-def read_mesh_scene(path: Path) -> tuple[list[Assembly], Vec3 | None]:
+def read_mesh_scene(path: Path) -> MeshScene:
     """Read a glTF scene or a poses.json.
-
-    Returns:
-        The objects, and the gravity [m/s^2] where the file states the vertical.
 
     Raises:
         SpecError: the file is broken or hostile, or names a file that is missing or lies outside
             its folder.
     """
     if path.suffix.lower() in GLTF:
-        return _gltf_objects(path), None
+        return _gltf_scene(path)
     posed = read_model(path, PosedFiles, SpecError, "a list of posed files")
-    into = CAMERA_TO_WORLD if posed.frame == "camera" else np.eye(4)
+    in_camera, camera, into = posed.frame == "camera", posed.camera, np.eye(4)
+    if in_camera:
+        if camera is not None and camera.pose is not None:
+            raise SpecError(f'{path}: poses with "frame": "camera" leave the camera no "pose"')
+        try:
+            into = leveled(np.array(posed.up))
+        except SpecError as error:
+            raise SpecError(f"{path}: {error}") from None
+        camera = FileCamera(pose=_rows(into)).completed_by(camera)
     objects = [_posed(path, name, item, into) for name, item in posed.objects.items()]
-    if posed.frame == "world":
-        return objects, None
-    up = CAMERA_TO_WORLD[:3, :3] @ np.array(posed.up)
-    if np.linalg.norm(up) < 1e-6:
-        raise SpecError(f"{path}: up must not be zero")
-    down = -GRAVITY * up / np.linalg.norm(up)
-    return objects, (float(down[0]), float(down[1]), float(down[2]))
+    return MeshScene(objects, camera, in_camera)
+
+
+def _rows(matrix: NDArray) -> tuple[Row, Row, Row, Row]:
+    a, b, c, d = (tuple(row) for row in np.asarray(matrix, float).tolist())
+    return a, b, c, d
 
 
 def mesh_object(
@@ -147,7 +162,18 @@ def _mechanism(file: Path) -> Mechanism:
     raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF, MJCF or USD files")
 
 
-def _gltf_objects(path: Path) -> list[Assembly]:
+def _gltf_camera(loaded: Any) -> FileCamera | None:
+    """Return the camera of a glTF scene; None for one whose node mirrors or is singular."""
+    pose = Z_UP @ np.asarray(loaded.camera_transform, float) @ TO_OPENCV
+    u, scales, v = np.linalg.svd(pose[:3, :3])
+    # Scales of the nodes above the camera have no effect on what it sees.
+    pose[:3, :3] = u @ v
+    if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
+        return None
+    return FileCamera(pose=_rows(pose), fovy=float(np.radians(loaded.camera.fov[1])))
+
+
+def _gltf_scene(path: Path) -> MeshScene:
     import trimesh
 
     data = mesh_bytes(path)
@@ -164,6 +190,7 @@ def _gltf_objects(path: Path) -> list[Assembly]:
         nodes = list(loaded.graph.nodes_geometry)
         posed = [(str(node), *loaded.graph[node]) for node in nodes[: MAX_NODES + 1]]
         meshes = {key: mesh for key, mesh in loaded.geometry.items() if hasattr(mesh, "faces")}
+        camera = _gltf_camera(loaded) if loaded.has_camera else None
     except SpecError:
         raise
     except Exception as error:  # trimesh raises errors of many types
@@ -181,4 +208,4 @@ def _gltf_objects(path: Path) -> list[Assembly]:
         )
         turned = Z_UP @ np.asarray(transform, float) @ Z_UP.T
         objects.append(mesh_object(name, vertices @ Z_UP[:3, :3].T, faces, turned))
-    return objects
+    return MeshScene(objects, camera)

@@ -12,10 +12,11 @@ from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..parse.photo import Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
+from ..spec import read_scene
 from ..step_names import Step
 from .scene_pictures import Pictures
 from .scene_steps import write_metrics
-from .step_context import COMPOSED, TAPE, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
 from .steps import STEP_FUNCTIONS
 
 
@@ -239,6 +240,12 @@ def models_of_run(
     return None
 
 
+def _object_names(run: RunFolder) -> list[str]:
+    if (run.path / TREE).is_file():
+        return [node.name for node in read_tree(run).nodes]
+    return [item.name for item in read_scene(run.path / COMPOSED).objects]  # A rescue.
+
+
 def _path(value: object, name: str) -> Path:
     if isinstance(value, str | Path):
         return Path(value)
@@ -298,7 +305,7 @@ def finish(run: RunFolder, until: str | None) -> Result:
         waiting=run.waiting(),
         fallbacks=run.data["fallbacks"],
         notes=run.data["notes"],
-        objects=[node.name for node in read_tree(run).nodes],
+        objects=_object_names(run),
         passed=run.data["metrics"].get("passed"),
         cost=run.data["mllm"],
     )

@@ -1,17 +1,20 @@
 """Steps 4 and 5 of a run, and the export: compose, refine and export the scene."""
 
 import json
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 
 from .. import progress
+from ..config import AlignOptions
 from ..errors import RunError
 from ..io import read_object
 from ..mllm import Picture
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
-from ..spec import SceneSpec, SceneTree, read_scene
+from ..spec import SceneSpec, read_scene
 from .program_inputs import with_corrected_sizes
 from .step_context import (
     ALIGNED,
@@ -85,7 +88,10 @@ def compose_scene(context: StepContext) -> None:
             composed = compose(tree, objects, config.compose)
             scene, notes, shortfalls = composed.scene, composed.notes, composed.shortfalls
             if config.compose.align.enabled:
-                scene = _aligned(context, scene, tree, out)
+                photo = load_photo(run.path / "photo.png").rgb
+                scene = aligned(
+                    run, scene, photo, config.compose.align, out, measured=tree.camera_measured
+                )
                 scene, moved = in_contact(scene, config.compose, composed=composed.scene)
                 notes = (*notes, *moved)
             scene, stale = apply_layout(scene, patch, config.compose.gap_m)
@@ -108,25 +114,39 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def _aligned(context: StepContext, scene: SceneSpec, tree: SceneTree, out: Path) -> SceneSpec:
-    """Align a composed scene with the photograph, and write the report of the alignment."""
+def aligned(
+    run: RunFolder,
+    scene: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    options: AlignOptions,
+    out: Path,
+    *,
+    measured: Collection[str] = (),
+) -> SceneSpec:
+    """Align a composed scene with the photograph, and write the report of the alignment.
+
+    Args:
+        run: the run, which notes large changes.
+        scene: the composed scene.
+        photo: the photograph (sRGB).
+        options: of the alignment.
+        out: folder of the step's files.
+        measured: as for `align`.
+    """
     from ..align.align import align
     from ..align.outline_picture import outline_picture
     from ..render import to_png
 
-    photo = load_photo(context.run.path / "photo.png").rgb
-    aligned = align(scene, photo, context.config.compose.align, measured=tree.camera_measured)
-    (out / ALIGNED).write_text(json.dumps(aligned.to_json(), indent=1) + "\n", encoding="utf-8")
-    if aligned.scene.camera is not None:
+    result = align(scene, photo, options, measured=measured)
+    (out / ALIGNED).write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
+    if result.scene.camera is not None:
         (out / OUTLINES).parent.mkdir(exist_ok=True)
-        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned.scene)))
-    if aligned.failure:
-        context.run.fallback(
-            "compose", "the scene is not aligned with the photograph", aligned.failure
-        )
-    for outcome, reason in aligned.notes(scene):
-        context.run.note("compose", outcome, reason)
-    return aligned.scene
+        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, result.scene)))
+    if result.failure:
+        run.fallback("compose", "the scene is not aligned with the photograph", result.failure)
+    for outcome, reason in result.notes(scene):
+        run.note("compose", outcome, reason)
+    return result.scene
 
 
 def _check_composed(context: StepContext) -> None:
@@ -214,8 +234,9 @@ def refine_layout(context: StepContext) -> None:
             },
             "after": refined.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
-            "box_iou": box_iou(read_tree(run), composed, refined.scene),
         }
+        if (run.path / TREE).is_file():  # A rescue has none.
+            summary["box_iou"] = box_iou(read_tree(run), composed, refined.scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=refined.seconds)
         for note in refined.fallbacks:

@@ -18,7 +18,7 @@ from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
-from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
+from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale, scaled_state
 from .semantics import semantics_of
 from .surface_pattern import Share
@@ -210,6 +210,37 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
         yaw = quat_mul(frame.quat, from_yaw(obj.yaw))
         poses[obj.name] = pose(pos, quat_mul(yaw, obj.base_tilt))
     return poses
+
+
+def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
+    """Move a scene by a rigid transform of the world; its camera stays as it is.
+
+    Args:
+        scene: the scene.
+        by: the transform [m]; one that is not about the vertical tilts what has no parent, and
+            needs a scene without parents.
+
+    Raises:
+        SpecError: the transform tilts a scene with parents.
+    """
+    turn = yaw_of(by.quat)
+    level = from_yaw(turn)
+    tilts = abs(float(level @ by.quat)) < 1 - 1e-12
+    if tilts and any(item.parent is not None for item in scene.objects):
+        raise SpecError(f"scene {scene.name} has objects with parents, which cannot be tilted")
+    objects = []
+    for item in scene.objects:
+        if item.parent is None:
+            x, y, z = by.apply(np.array([*item.xy, item.z])).tolist()
+            update: dict[str, object] = {"xy": (x, y), "z": z, "yaw": item.yaw + turn}
+            if tilts:
+                quat = quat_mul(by.quat, quat_mul(from_yaw(item.yaw), np.array(item.base_tilt)))
+                yaw = yaw_of(quat)
+                tilt = quat_mul(conjugate(from_yaw(yaw)), quat)
+                update |= {"yaw": yaw, "base_tilt": tuple((tilt / np.linalg.norm(tilt)).tolist())}
+            item = item.model_copy(update=update)
+        objects.append(item)
+    return scene.model_copy(update={"objects": tuple(objects)})
 
 
 def rearranged(

@@ -122,6 +122,21 @@ def test_copies_of_a_model_have_a_number(tmp_path):
     assert [item.name for item in view.objects] == ["block", "block_2"]
 
 
+def test_objects_of_unknown_visibility_are_not_seen(tmp_path):
+    """Recordings have lines without a number where an object is out of view."""
+    data = write_recording(tmp_path / "Apartment_seq1", desk())
+    file = data / "2d_bounding_box.csv"
+    lines = file.read_text().splitlines()
+    uid = next(line.split(",")[1] for line in lines[1:] if line.endswith("0.9"))
+    for text in ("", "None"):
+        changed = [
+            f"{line.rpartition(',')[0]},{text}" if f",{uid}," in line else line for line in lines
+        ]
+        file.write_text("\n".join(changed) + "\n")
+        (view,) = aria_views(tmp_path, ["Apartment_seq1_1000"])
+        assert len(view.objects) == 1
+
+
 def test_boxes_of_a_recording_are_those_of_the_scene(tmp_path):
     data = write_recording(tmp_path / "Apartment_seq1", desk())
     (data / "2d_bounding_box.csv").unlink()

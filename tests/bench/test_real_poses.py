@@ -9,7 +9,7 @@ import pytest
 from neoworld_bench.measures.depth_measure import Intrinsics
 from neoworld_bench.real_poses.bop import bop_views
 from neoworld_bench.real_poses.depth_folder import depth_views
-from neoworld_bench.real_poses.made_views import MadeView
+from neoworld_bench.real_poses.made_views import MadeView, submitted_view
 from neoworld_bench.real_poses.pose_estimates import estimate_figures, estimate_rows
 from neoworld_bench.real_poses.pose_rows import posed_meshes, real_rows
 from neoworld_bench.real_poses.real_views import score_real_views, stored_real_rows
@@ -198,6 +198,28 @@ def test_meshes_in_the_views_camera_frame_are_scored(sample, tmp_path):
     assert head.matched == 3
     for name in NAMES.values():
         assert rows[name].add_s < 1e-5 and rows[name].error_mm < 0.1
+
+
+def test_leveled_meshes_in_the_views_camera_frame_are_scored(sample, tmp_path):
+    """With its vertical, the scene stands level, and is where the view sees it."""
+    view = view_of(sample, "000007_000004")
+    scene = desk(OTHER)
+    axes = scene.camera.axes()
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ scene.camera.position()
+    up = (axes.T @ [0, 0, 1]).tolist()
+    names = [*NAMES, "table"]
+    write_poses(tmp_path / view.name, scene, into=into, names=names, frame="camera", up=up)
+    (tmp_path / view.name / "matches.json").write_text(json.dumps({"matches": NAMES}))
+    made = submitted_view(tmp_path, view.name)
+    assert made.scene.gravity == (0, 0, -9.81)
+    for item in made.scene.objects:
+        assert item.base_tilt == pytest.approx((1, 0, 0, 0), abs=1e-9)
+    head, rows = real_rows(view, made, "none", QUICK, volumes=False)
+    assert head.matched == 3 and head.max_tilt_deg < 1
+    by_name = {row.true_object: row for row in rows}
+    for name in NAMES.values():
+        assert by_name[name].add_s < 1e-5 and by_name[name].error_mm < 0.1
 
 
 def test_intrinsics_of_a_scene_camera_are_opencvs():

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from neoworld_bench.dataset.declaration import declarations
 from neoworld_bench.dataset.truth_scene import truth_scene
@@ -66,6 +67,21 @@ def test_ground_truth_as_json_and_mjcf_scores_perfectly(tmp_path, truth: SceneSp
     assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
     assert max(layout_errors(read.scene, truth).values()) < 1e-6
     assert read.measure.max_drift_m == pytest.approx(own.measure.max_drift_m, abs=1e-5)
+
+
+@pytest.mark.parametrize("leveled", [True, False])
+def test_poses_in_the_frame_of_the_camera_are_put_into_the_world(tmp_path, leveled):
+    """With the vertical or without, the ground truth's camera says where the scene is."""
+    truth = desk()
+    axes, eye = truth.camera.axes(), truth.camera.position()
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ eye
+    up = {"up": (axes.T @ [0, 0, 1]).tolist()} if leveled else {}
+    write_poses(tmp_path / "desk", truth, into=into, frame="camera", **up)
+    read = submitted(tmp_path, 0, truth, QUICK)
+    assert max(layout_errors(read.scene, truth).values()) < 1e-5
+    assert validity(read.scene, read.measure, truth, QUICK).valid
+    assert read.scene.gravity == truth.gravity
 
 
 def test_ground_truth_as_meshes_scores_perfectly(tmp_path):

@@ -13,12 +13,13 @@ from neoworld_bench.tasks.plan_format import rotation
 from neoworld_bench.tasks.reconstructed_plans import planned_there
 from neoworld_bench.tasks.success_runs import SuccessRow, known_successes, run_successes
 from neoworld_bench.tasks.success_summary import success_interval, success_summary
-from neoworld_bench.tasks.task_photo import moved_whole, photographed_task
+from neoworld_bench.tasks.task_photo import photographed_task
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import scale
 from neoworld_mjx.spec.pose import from_yaw, pose, rotate
+from neoworld_mjx.spec.scene import moved_whole
 
 ONE_OF_EACH = (
     *("cup_on_plate", "tight_peg", "third_cube", "push_block", "ball_through_gate", "tip_book"),

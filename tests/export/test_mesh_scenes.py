@@ -1,18 +1,22 @@
 """Scenes of posed meshes: glTF, and poses.json next to meshes and models."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from neoworld_mjx.errors import SpecError
+from neoworld_mjx.errors import PhotoError, SpecError
+from neoworld_mjx.export.file_camera import FileCamera, read_camera, viewpoint
 from neoworld_mjx.export.importing_scene import ImportedScene, import_file
 from neoworld_mjx.export.read_mesh_scene import mesh_object, read_mesh_scene
 from neoworld_mjx.export.write_files import object_files
 from neoworld_mjx.render import visible_surface
-from neoworld_mjx.spec import SceneSpec, world_poses
-from tests.support.bop_sample import camera_pose, desk
+from neoworld_mjx.spec import Camera, SceneSpec, world_poses
+from neoworld_mjx.spec.pose import from_yaw, pose
+from neoworld_mjx.spec.scene import moved_whole
+from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import object_matrices, write_glb, write_poses
 
 
@@ -35,9 +39,9 @@ def test_gltf_scene_keeps_names_places_and_headings(tmp_path, scale):
     read = import_file(write_glb(tmp_path / "desk.glb", desk(), scale))
     assert isinstance(read, ImportedScene)
     assert_same_surfaces(read.spec, desk())
-    for name, pose in world_poses(desk()).items():
-        assert np.allclose(world_poses(read.spec)[name].pos, pose.pos, atol=1e-6)
-        assert abs(np.dot(world_poses(read.spec)[name].quat, pose.quat)) == pytest.approx(1)
+    for name, at in world_poses(desk()).items():
+        assert np.allclose(world_poses(read.spec)[name].pos, at.pos, atol=1e-6)
+        assert abs(np.dot(world_poses(read.spec)[name].quat, at.quat)) == pytest.approx(1)
     assert sum("has no colliders: derived from its visuals" in note for note in read.notes) == 4
     assert not any(item.static for item in read.spec.objects)
 
@@ -58,13 +62,81 @@ def test_poses_in_the_frame_of_a_camera(tmp_path):
     up = (axes.T @ [0, 0, 1]).tolist()
     file = write_poses(tmp_path, scene, into=into, frame="camera", up=up)
     read = import_file(file)
+    # Leveled: as in the world, whose origin is below the camera, but for the camera's height.
     for name in ("block", "carton"):
-        x, y, z = camera_pose(scene, name)[:3, 3]
-        # x ahead, y to the left, z up.
-        assert np.allclose(world_poses(read.spec)[name].pos, [z, -x, -y], atol=1e-9)
-    assert np.linalg.norm(read.spec.gravity) == pytest.approx(9.81)
-    # The camera looks down by 0.6 rad: the vertical leans ahead by as much.
-    assert read.spec.gravity == pytest.approx((9.81 * np.sin(0.6), 0, -9.81 * np.cos(0.6)))
+        pos = world_poses(scene)[name].pos - [0, 0, scene.camera.height]
+        assert np.allclose(world_poses(read.spec)[name].pos, pos, atol=1e-9)
+    assert read.spec.gravity == (0, 0, -9.81) and read.in_camera
+    assert np.allclose(np.array(read.camera.pose)[:3, :3], axes)
+    shown = viewpoint(read.camera.model_copy(update={"fovy": 0.7}), 160, 120)
+    assert shown.camera.pitch == pytest.approx(0.6) and shown.camera.roll == pytest.approx(0)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path, scale):
+    """A camera below a node with a scale is rigid all the same."""
+    given = desk()
+    camera = given.camera.model_copy(update={"roll": 0.05})
+    by = pose((0.3, -0.2, 0.1), from_yaw(0.7))
+    turned = moved_whole(given, by)
+    file = write_glb(tmp_path / "desk.glb", turned, camera=(camera, by), camera_scale=scale)
+    read = import_file(file)
+    shown = viewpoint(read.camera, 160, 120)
+    back = moved_whole(read.spec, shown.placed)
+    assert shown.camera.model_dump() == pytest.approx(
+        camera.model_copy(update={"height": camera.height + 0.1}).model_dump(), abs=1e-6
+    )
+    for name, at in world_poses(given).items():
+        assert np.allclose(world_poses(back)[name].pos, at.pos + [0, 0, 0.1], atol=1e-6)
+
+
+@pytest.mark.parametrize("pitch", [-math.pi / 2, -0.4, 0.0, 1.2, math.pi / 2])
+def test_viewpoints_of_all_pitches(pitch):
+    # Straight up and down, a roll is a heading.
+    roll = -0.3 if abs(pitch) < 1.5 else 0.0
+    camera = Camera(width=200, height_px=100, fovy=0.8, height=1.3, pitch=pitch, roll=roll)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = camera.axes(), camera.position()
+    about = np.eye(4)
+    about[:2, :2] = [[0, -1], [1, 0]]
+    stated = FileCamera(pose=(about @ matrix).tolist(), fovy=0.8)
+    shown, placed, left, top = viewpoint(stated, 200, 100)
+    assert (left, top) == (0, 0)
+    assert shown.model_dump() == pytest.approx(camera.model_dump(), abs=1e-9)
+    assert np.allclose(placed.apply([0.0, 1.0, 0.5]), [1, 0, 0.5])
+
+
+def test_photograph_is_cropped_about_its_principal_point():
+    stated = FileCamera(pose=np.eye(4).tolist(), fx=300, fy=300, cx=140, cy=52)
+    shown, _, left, top = viewpoint(stated, 320, 100)
+    assert (shown.width, shown.height_px, left, top) == (280, 96, 0, 4)
+    assert shown.focal == pytest.approx(300)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"fx": 3.0}, "belong together"),
+        ({"fovy": 0.5, "fx": 3, "fy": 3, "cx": 1, "cy": 1}, "not both"),
+        ({"fx": 3, "fy": 4, "cx": 1, "cy": 1}, "square"),
+        ({"pose": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "no rigid"),
+        ({"fov": 0.5}, "fov"),
+    ],
+)
+def test_broken_cameras_give_one_error(tmp_path, fields, message):
+    (tmp_path / "camera.json").write_text(json.dumps(fields))
+    with pytest.raises(SpecError, match=message):
+        read_camera(tmp_path / "camera.json")
+
+
+def test_camera_without_pose_or_view_names_what_is_missing():
+    with pytest.raises(PhotoError, match="has no pose: give it by --camera"):
+        viewpoint(FileCamera(fovy=0.5), 320, 240)
+    with pytest.raises(PhotoError, match="no field of view"):
+        viewpoint(FileCamera(pose=np.eye(4).tolist()), 320, 240)
+    far = FileCamera(pose=np.eye(4).tolist(), fx=900, fy=900, cx=640, cy=360)
+    with pytest.raises(PhotoError, match="not near the middle"):
+        viewpoint(far, 320, 240)
 
 
 def test_models_in_place_of_meshes(tmp_path):

@@ -1,24 +1,37 @@
 """Rescue of posed meshes: supports, resting poses, and the command."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 import trimesh
-from neoworld_bench.measures.pose_measure import add_s, recall
+from neoworld_bench.rescues.disturbed_scenes import (
+    TABLE_Z,
+    disturbed,
+    scene_of_meshes,
+    standing,
+    upright,
+)
+from neoworld_bench.rescues.rescue_rows import (
+    camera_file,
+    photograph_of,
+    rescue_figures,
+    rescue_rows,
+)
+from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.compose.mesh_supports import with_supports
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import RunError, SpecError
+from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import rescue, rescue_file
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, read_scene, world_poses
-from neoworld_mjx.spec.pose import matrix
 from tests.support.bop_sample import desk
-from tests.support.disturbed_scenes import TABLE_Z, disturbed, scene_of_meshes, standing, upright
 from tests.support.mesh_scenes import write_glb, write_poses
 
 
@@ -31,11 +44,10 @@ def without(scene: SceneSpec, name: str) -> SceneSpec:
     return scene.model_copy(update={"objects": objects})
 
 
-def points(scene: SceneSpec, name: str) -> np.ndarray:
-    item = scene.object(name)
-    vertices, faces = visible_surface(item.spec)
-    mesh = trimesh.Trimesh(world_poses(scene)[name].apply(vertices), faces, process=False)
-    return trimesh.sample.sample_surface(mesh, 2000, seed=0)[0]
+def lowest(scene: SceneSpec, name: str) -> float:
+    """Return the height of the lowest point of an object's surface [m]."""
+    vertices, _ = visible_surface(scene.object(name).spec)
+    return float(world_poses(scene)[name].apply(vertices)[:, 2].min())
 
 
 def test_supports_are_what_carries():
@@ -54,7 +66,7 @@ def test_sunk_objects_are_lifted_onto_their_support():
     supported = with_supports(scene_of_meshes(disturbed(standing(2), 2)).spec)
     for item in supported.scene.objects[1:]:
         assert item.parent == "table"
-        assert points(supported.scene, item.name)[:, 2].min() == pytest.approx(TABLE_Z, abs=1e-3)
+        assert lowest(supported.scene, item.name) == pytest.approx(TABLE_Z, abs=1e-3)
     assert sum("is turned upright by 5.0 deg" in note for note in supported.notes) == 5
 
 
@@ -112,70 +124,31 @@ def test_what_states_its_supports_is_refused():
         with_supports(SceneSpec(objects=(fixed,)))
 
 
-def stands_where_it_stood(good: SceneSpec, rescued: SceneSpec) -> bool:
-    """Return whether every object is within 5 mm and 2 degrees of the undisturbed scene.
-
-    What stands on an object of a wrong size is higher or lower by as much, which does not count.
-    """
-    starts, ends = world_poses(good), world_poses(rescued)
-    for item in good.objects:
-        start, end = starts[item.name], ends[item.name]
-        shift = end.pos - start.pos
-        if rescued.object(item.name).parent not in (None, "table"):
-            shift[2] = 0.0
-        turn = matrix(end.quat) @ matrix(start.quat).T
-        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-        if np.linalg.norm(shift) > 5e-3 or angle > 2:
-            return False
-    return True
-
-
-def errors(scene: SceneSpec, good: SceneSpec) -> list[float]:
-    """Return ADD-S over the diameter of every free object."""
-    return [
-        add_s(points(scene, item.name), points(good, item.name))
-        / float(np.linalg.norm(np.ptp(points(good, item.name), axis=0)))
-        for item in good.objects
-        if item.name != "table"
-    ]
-
-
-@pytest.mark.parametrize("seed", [2, 4])
-def test_disturbed_meshes_stand_where_they_stood(seed):
+@pytest.mark.parametrize(("seed", "photo"), [(2, False), (4, True)])
+def test_disturbed_meshes_stand_where_they_stood(seed, photo):
     """10 % wrong, 2 cm in the table and tilted by 5 degrees: the check fails before, not after."""
-    good = scene_of_meshes(standing(seed)).spec
-    given = scene_of_meshes(disturbed(standing(seed), seed))
-    o = RefineOptions()
-    fixed = given.spec.model_copy(
-        update={
-            "objects": tuple(
-                i.model_copy(update={"environment": i.name == "table"}) for i in given.spec.objects
-            )
-        }
-    )
-    assert not passes(measured(fixed, o), o)
-    assert not stands_where_it_stood(good, given.spec)
-    rescued = rescue(given, o)
-    assert rescued.passed and passes(measured(rescued.scene, o), o)
-    assert rescued.before.max_depth_m > 0.015
-    assert stands_where_it_stood(good, rescued.scene)
-    before, after = errors(given.spec, good), errors(rescued.scene, good)
-    assert all(b < a for a, b in zip(before, after, strict=True))
+    rows = list(rescue_rows(seed, photo=photo))
+    assert len(rows) >= 5
+    for row in rows:
+        assert not row.given_passed and row.passed, row
+        assert row.beside and row.add_s < row.given_add_s, row
+    found = rescue_figures(rows)
+    assert found["pass_and_within_but_for_heights"] == found["pass"] == 1
+    if photo:  # Sizes come from the outlines.
+        assert found["size_error"] < 0.4 * found["given_size_error"]
+        assert all(row.outline_px < row.given_outline_px for row in rows)
+        assert found["pass_and_within"] == 1
 
 
 @pytest.mark.slow
-def test_sixty_disturbed_scenes():
+@pytest.mark.parametrize("photo", [False, True])
+def test_sixty_disturbed_scenes(photo):
     """At least 54 are valid and where they were, and no fewer poses are right than before."""
-    stood, before, after = 0, [], []
-    for seed in range(60):
-        good = scene_of_meshes(standing(seed)).spec
-        given = scene_of_meshes(disturbed(standing(seed), seed))
-        rescued = rescue(given)
-        stood += rescued.passed and stands_where_it_stood(good, rescued.scene)
-        before += errors(given.spec, good)
-        after += errors(rescued.scene, good)
-    assert stood >= 54
-    assert recall(after) >= recall(before)
+    rows = [row for seed in range(60) for row in rescue_rows(seed, photo=photo)]
+    found = rescue_figures(rows)
+    key = "pass_and_within" if photo else "pass_and_within_but_for_heights"
+    assert found["scenes"] == 60 and found[key] >= 54
+    assert found["add_s_recall_0.1d"] >= found["given_add_s_recall_0.1d"]
 
 
 def test_command_writes_a_scene_that_passes(tmp_path, capfd):
@@ -205,3 +178,74 @@ def test_gltf_of_a_desk_is_rescued_in_place(tmp_path):
     given = import_file(write_glb(tmp_path / "desk.glb", desk()))
     rescued = rescue(given)
     assert rescued.passed and max(rescued.moves_m.values()) < 1e-3
+
+
+@pytest.fixture
+def photographed_meshes(tmp_path):
+    """A poses.json of disturbed meshes, the photograph of the undisturbed ones, and its camera."""
+    good = scene_of_meshes(standing(2)).spec
+    given = scene_of_meshes(disturbed(standing(2), 2)).spec
+    Image.fromarray(photograph_of(good).rgb).save(tmp_path / "photo.png")
+    (tmp_path / "camera.json").write_text(camera_file().model_dump_json(exclude_none=True))
+    return write_poses(tmp_path / "given", given)
+
+
+def test_report_of_a_rescue_says_what_was_checked(photographed_meshes, tmp_path, capfd):
+    command = ["refine", str(tmp_path / "out"), "--from", str(photographed_meshes)]
+    command += ["--photo", str(tmp_path / "photo.png"), "--camera", str(tmp_path / "camera.json")]
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(command)
+    printed = capfd.readouterr().out
+    assert re.search(r"photo:  outlines \d\.\d px off as given, 0\.\d px now", printed)
+    assert f"report: {tmp_path / 'out' / 'report.html'}" in printed
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "no object test ran" in report and "pass the object tests" not in report
+    for caption in ("Photograph", "As given, through the same camera", "Rescued, through the same"):
+        assert caption in report
+    assert "Of 5 movable objects, 5 have outlines nearer to the photograph" in report
+    assert "Changes from the composed to the aligned scene" in report
+    stored = json.loads((tmp_path / "out" / "rescue.json").read_text())
+    assert stored["passed"] and all(
+        pair["rescued"] < pair["given"] for pair in stored["outlines_px"].values()
+    )
+    assert read_scene(tmp_path / "out").camera is not None
+    with Image.open(tmp_path / "out" / "pictures" / "rescued.png") as both:
+        assert both.width > 2 * 640 and both.height == 480
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    for step in run["steps"].values():  # Nothing that a step wrote was changed afterwards.
+        for file, digest in step["outputs"].items():
+            assert content_hash(tmp_path / "out" / file) == digest, file
+    with pytest.raises(SystemExit, match="0"):  # It is a run: its search can be repeated.
+        cli.main(["refine", str(tmp_path / "out"), "--seed", "1", "--json"])
+    assert json.loads(capfd.readouterr().out)["passed"]
+
+
+@pytest.mark.parametrize(
+    ("camera", "photo", "message"),
+    [
+        (None, True, "states no camera: give it by --camera FILE.json"),
+        ({"fovy": 0.7}, True, "has no pose: give it by --camera"),
+        ({"fovy": 7.0}, True, "fovy"),
+        ({"fovy": 0.7}, False, "give it by --photo"),
+    ],
+)
+def test_wrong_cameras_of_a_photograph_give_one_message(
+    photographed_meshes, tmp_path, camera, photo, message
+):
+    file = tmp_path / "camera.json"
+    if camera is not None:
+        file.write_text(json.dumps(camera))
+    with pytest.raises((PhotoError, SpecError), match=message):
+        rescue_file(
+            photographed_meshes,
+            tmp_path / "out",
+            photo=tmp_path / "photo.png" if photo else None,
+            camera=None if camera is None else file,
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_photograph_of_a_run_is_its_own(tmp_path, capfd):
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["refine", str(tmp_path), "--photo", str(tmp_path / "a.png")])
+    assert "--photo belongs to --from" in capfd.readouterr().err

@@ -29,9 +29,30 @@ def object_mesh(scene: SceneSpec, name: str) -> trimesh.Trimesh:
     return trimesh.Trimesh(*visible_surface(item.spec, item.joint_state), process=False)
 
 
-def write_glb(file: Path, scene: SceneSpec, scale: float = 1.0) -> Path:
-    """Write a scene as glTF; meshes are stored smaller by a scale that their nodes apply."""
+def write_glb(
+    file: Path, scene: SceneSpec, scale: float = 1.0, *, camera=None, camera_scale=1.0
+) -> Path:
+    """Write a scene as glTF; meshes are stored smaller by a scale that their nodes apply.
+
+    Args:
+        file: to write.
+        scene: the scene.
+        scale: of the stored meshes.
+        camera: a camera, and what moved its world to that of the scene.
+        camera_scale: scale of the camera's node.
+    """
     made = trimesh.Scene()
+    if camera is not None:
+        seen, moved = camera
+        at = moved.then(seen.pose())
+        matrix4 = np.eye(4)
+        matrix4[:3, :3], matrix4[:3, 3] = matrix(at.quat), at.pos
+        fov = np.degrees([seen.fovy * seen.width / seen.height_px, seen.fovy])
+        made.camera = trimesh.scene.Camera(
+            name="camera", resolution=(seen.width, seen.height_px), fov=fov
+        )
+        matrix4[:3, :3] *= camera_scale
+        made.camera_transform = TO_GLTF @ matrix4
     for name, pose in object_matrices(scene).items():
         mesh = object_mesh(scene, name)
         mesh.apply_transform(TO_GLTF)

@@ -502,3 +502,15 @@ def test_changes_by_each_step_are_listed(tmp_path):
     assert "2.0 cm, +0.0 %, +0.0°" in table
     assert "1.0 cm, +0.0 %, +5.7°" in table
     assert ">top<" in table
+
+
+def test_objects_that_were_not_tested_do_not_pass(finished):
+    """The report counts as passing only objects that were tested by themselves."""
+    for name in ("cup", "saucer"):
+        (finished / "objects" / name).mkdir(exist_ok=True)
+    words = _words(write_report(finished).read_text())
+    assert "2 of 3 were not tested by themselves" in words and "All 3 pass" not in words
+    (finished / "objects" / "jar" / "verify.json").unlink()
+    words = _words(write_report(finished).read_text())
+    assert "3 of 3 were not tested by themselves" in words
+    assert "the object tests, in which" not in words

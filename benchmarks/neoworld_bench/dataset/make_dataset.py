@@ -1,22 +1,21 @@
 """Write the data set: objects of all categories, and scenes with images and annotations.
 
-    DIR/dataset.json                        counts and the content hash
+    DIR/dataset.json                        version, counts and the content hash
     DIR/scenes.jpg                          the pictures of all scenes on one sheet
     DIR/categories/NAME/program.py, spec.json
     DIR/scenes/NAME/scene.json, scene.usda, objects/, tree.json, joints.json,
                     picture.png, masks.png, depth.npz
 
 Folders with the same content are not written again, so a run continues where it stopped. The hash
-covers programs, objects, poses, cameras and tasks, with numbers rounded to
-six digits; pictures and what is read off them follow from these.
+covers programs, objects, poses, cameras, and scene, condition and reference plan of every task,
+with numbers rounded to six digits; pictures and what is read off them follow from these.
 """
 
 import io
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +39,10 @@ THUMBNAIL, COLUMNS = (320, 240, 14), 5
 """Width, height and caption height of a thumbnail [px]; thumbnails in a row."""
 DIGITS = 6
 """Significant digits of numbers in hashes, so that machines agree."""
-TASKS = "neoworld_bench.tasks"
-"""Module whose `task_names()` lists the tasks."""
+TASKS = "neoworld_bench.tasks.catalogue"
+"""Module of the tasks, which use the scenes of this package."""
+VERSION = 2
+"""Version of the data set. 1: eleven true scenes of tasks did not pass the final check."""
 
 
 def make_dataset(
@@ -53,10 +54,11 @@ def make_dataset(
         out: the folder.
         seed: draws one instance of each category; None takes every program's own parameters.
         workers: processes.
-        scenes: names of the scenes to write, without the categories; all of both by default.
+        scenes: names of the scenes to write, without categories and tasks; all by default.
 
     Returns:
-        "categories", "joints" that move, "scenes", "tabletop", "tasks", "hash", "seconds".
+        "version", "categories", "joints" that move, "scenes", "tabletop", "tasks", "hash",
+        "seconds".
 
     Raises:
         RunError: a file cannot be written.
@@ -67,21 +69,34 @@ def make_dataset(
     categories = [] if scenes else list(templates())
     jobs = [("categories", name, str(out), seed) for name in categories]
     jobs += [("scenes", name, str(out), seed) for name in chosen]
+    jobs += [] if scenes else [("tasks", name, str(out), seed) for name in task_names()]
     done = run_tasks(_write_part, jobs, Place(workers=workers))
     order = {job[:2]: k for k, job in enumerate(jobs)}
     parts = sorted(done, key=lambda part: order[part["kind"], part["name"]])
-    tasks = task_names()
     summary = {
+        "version": VERSION,
         "categories": len(categories),
         "joints": sum(part["joints"] for part in parts if part["kind"] == "categories"),
         "scenes": len(chosen),
         "tabletop": sum(d.tabletop for d in chosen.values()),
-        "tasks": len(tasks),
-        "hash": content_hash([[p["name"] + ":" + p["hash"] for p in parts], sorted(tasks)]),
+        "tasks": sum(part["kind"] == "tasks" for part in parts),
+        "hash": _hash_of(parts),
     }
     _write(out / SUMMARY, json.dumps(summary | {"seed": seed}, indent=1) + "\n")
     _write(out / SHEET, contact_sheet(out, list(chosen)))
     return summary | {"seconds": time.perf_counter() - began}
+
+
+def dataset_hash(*, seed: int | None = None) -> str:
+    """Return the content hash of the whole data set without writing it."""
+    parts = [("categories", name) for name in templates()]
+    parts += [("scenes", name) for name in declarations()]
+    parts += [("tasks", name) for name in task_names()]
+    return _hash_of([_part(kind, name, seed) for kind, name in parts])
+
+
+def _hash_of(parts: Iterable[dict[str, Any]]) -> str:
+    return content_hash([VERSION, *(f"{p['kind']}/{p['name']}:{p['hash']}" for p in parts)])
 
 
 def contact_sheet(out: Path, names: Sequence[str]) -> bytes:
@@ -102,25 +117,40 @@ def contact_sheet(out: Path, names: Sequence[str]) -> bytes:
 
 
 def task_names() -> list[str]:
-    """Return the names of the benchmark's tasks; none where the package has no tasks."""
-    if find_spec(TASKS) is None:
-        return []
+    """Return the names of the benchmark's tasks."""
     return list(import_module(TASKS).task_names())
 
 
 def _write_part(job: tuple[str, str, str, int | None]) -> Iterator[dict[str, Any]]:
     kind, name, out, seed = job
     folder = Path(out) / kind / name
-    part = _category(name, seed) if kind == "categories" else _scene(name)
-    content = {"kind": kind, "name": name, "joints": part["joints"], "hash": part["hash"]}
+    part = _part(kind, name, seed)
+    content = {key: part[key] for key in ("kind", "name", "joints", "hash")}
     text = json.dumps(content, indent=1) + "\n"
     done = folder / DONE
+    if kind == "tasks":
+        yield content  # Tasks are part of the package: the hash alone is told.
+        return
     if not done.is_file() or done.read_text(encoding="utf-8") != text:
         for path, data in part["files"]().items():
             _write(folder / path, data)
         _write(done, text)
         log.info(f"{kind}/{name}")
     yield content
+
+
+def _part(kind: str, name: str, seed: int | None) -> dict[str, Any]:
+    if kind == "categories":
+        part = _category(name, seed)
+    else:
+        part = _scene(name) if kind == "scenes" else _task(name)
+    return {"kind": kind, "name": name, **part}
+
+
+def _task(name: str) -> dict[str, Any]:
+    task = import_module(TASKS).find_task(name)
+    parts = (rounded(p.model_dump(mode="json")) for p in (task.scene, task.predicate, task.plan))
+    return {"joints": 0, "hash": content_hash([task.instruction, *parts])}
 
 
 def _category(name: str, seed: int | None) -> dict[str, Any]:

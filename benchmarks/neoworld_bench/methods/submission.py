@@ -4,12 +4,14 @@
     DIR/SCENE/result.json            optional: {"seconds": 12.5}
     DIR/SCENE/start_0/...            the same for each start, where a method begins at starts
 
-Names of objects are those of the ground truth, and their poses are in the ground truth's world.
+Names of objects are those of the ground truth, and their poses are in the ground truth's world, or
+with "frame": "camera" in a poses.json in the frame of its camera.
 Files are a stranger's: they are read within bounds and nothing in them is run.
 """
 
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field
 
 from neoworld_mjx.config import RefineOptions
@@ -19,6 +21,8 @@ from neoworld_mjx.io import read_model
 from neoworld_mjx.io.names import identifier
 from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
+from neoworld_mjx.spec.pose import from_matrix, pose
+from neoworld_mjx.spec.scene import moved_whole
 
 from ..rows import log
 from .layout_errors import unmatched
@@ -90,7 +94,8 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
     if file is None:
         raise SpecError(f"submission: {place} has none of {', '.join(FILES)}")
     read = read_scene_file(file)
-    scene = _renamed(_with_supports(read.spec, truth) if file.name in MESHES else read.spec, truth)
+    scene = _before_camera(read, truth)
+    scene = _renamed(_with_supports(scene, truth) if file.name in MESHES else scene, truth)
     for note in read.notes:
         log.info(f"{truth.name}: {note}")
     if scene.camera is None:
@@ -130,6 +135,18 @@ def read_scene_file(file: Path) -> ImportedScene:
     if not isinstance(imported, ImportedScene):
         raise SpecError(f"submission: {file} holds one object, not a scene on its supports")
     return imported
+
+
+def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
+    """Return a scene in the ground truth's world; poses in a camera's frame are in its camera's."""
+    if not read.in_camera or read.camera is None or read.camera.pose is None:
+        return read.spec
+    if truth.camera is None:
+        raise SpecError(f"submission: {truth.name} has no camera, so poses must be in the world")
+    given = np.array(read.camera.pose)
+    frame = pose(given[:3, 3], from_matrix(given[:3, :3]))
+    camera = pose(truth.camera.position(), from_matrix(truth.camera.axes()))
+    return moved_whole(read.spec, camera.then(frame.inverse()))
 
 
 def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:

@@ -131,11 +131,19 @@ def _seen(file: Path) -> dict[int, set[str]]:
         try:
             if row["stream_id"] == RGB_STREAM:
                 objects = result.setdefault(int(row["timestamp[ns]"]), set())
-                if float(row["visibility_ratio[%]"]) >= LEAST_VISIBLE:
+                if _ratio(row["visibility_ratio[%]"]) >= LEAST_VISIBLE:
                     objects.add(row["object_uid"])
         except (TypeError, ValueError):
             raise SpecError(f"{file}, line {number}: a value is no number") from None
     return result
+
+
+def _ratio(text: str) -> float:
+    """Return a visibility ratio; projectaria_tools reads what is no number as unknown: not seen."""
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
 
 
 def _visible_at(seen: Mapping[int, set[str]], time: int) -> set[str]:

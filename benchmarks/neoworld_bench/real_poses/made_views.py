@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.file_camera import FileCamera
 from neoworld_mjx.io import read_model
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
 from neoworld_mjx.spec.base import Name
@@ -46,6 +47,8 @@ class MadeView:
     """Name of the true object by that of the scene's; empty where names or the image decide."""
     notes: tuple[str, ...] = ()
     """Additions and omissions of the reader, such as colliders that it made."""
+    camera: FileCamera | None = None
+    """Camera in the scene's world, if the file of a scene without one states it."""
 
 
 def run_views(runs: Sequence[Path], name: str) -> Iterator[MadeView]:
@@ -81,7 +84,7 @@ def submitted_view(submission: Path, name: str) -> MadeView | None:
     if file is None:
         raise SpecError(f"submission: {folder} has none of {', '.join(FILES)}")
     read, label = read_scene_file(file), submission_name(submission)
-    return MadeView(label, SUBMITTED, read.spec, _matches(folder), read.notes)
+    return MadeView(label, SUBMITTED, read.spec, _matches(folder), read.notes, read.camera)
 
 
 def folder_names(roots: Sequence[Path]) -> list[str]:

@@ -2,15 +2,18 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.file_camera import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
+from neoworld_mjx.spec.scene import moved_whole
 
 from ..measures.collider_measure import collider_gap
 from ..measures.depth_measure import (
@@ -128,7 +131,8 @@ def real_rows(
         SpecError: the reconstruction's camera has another aspect, or it cannot be aligned.
     """
     where = f"{view.name}, {made.method} {made.stage}"
-    camera, intrinsics = _camera_of(made.scene, view, where)
+    made = _before_camera(made, view)
+    camera, intrinsics = _camera_of(made, view, where)
     meshes = posed_meshes(made.scene, camera)
     supports = {item.name for item in made.scene.objects if item.environment}
     free = {name: mesh for name, mesh in meshes.items() if name not in supports}
@@ -174,8 +178,19 @@ def posed_meshes(scene: SceneSpec, camera: Camera | None) -> dict[str, PosedMesh
     return result
 
 
+def _before_camera(made: MadeView, view: TrueView) -> MadeView:
+    """Return a reconstruction with the camera that its file states, with the view's intrinsics."""
+    stated = made.camera
+    if stated is None or stated.pose is None or view.camera is None or view.size is None:
+        return made
+    fovy = 2 * math.atan(view.size[1] / 2 / view.camera.fy)
+    camera, placed, _, _ = viewpoint(FileCamera(pose=stated.pose, fovy=fovy), *view.size)
+    scene = moved_whole(made.scene, placed).model_copy(update={"camera": camera})
+    return replace(made, scene=scene)
+
+
 def _camera_of(
-    scene: SceneSpec, view: TrueView, where: str
+    made: MadeView, view: TrueView, where: str
 ) -> tuple[Camera | None, Intrinsics | None]:
     """Return the pose of the camera in the scene, and the intrinsics of its image.
 
@@ -183,7 +198,7 @@ def _camera_of(
     """
     if view.camera is None or view.size is None:
         return None, None
-    (width, height), camera = view.size, scene.camera
+    (width, height), camera = view.size, made.scene.camera
     if camera is None:
         fovy = 2 * math.atan(height / 2 / view.camera.fy)
         return Camera(width=width, height_px=height, fovy=fovy, height=0, pitch=0), view.camera
@@ -192,7 +207,8 @@ def _camera_of(
             f"{where}: the view has {width} x {height} pixels and the scene's camera "
             f"{camera.width} x {camera.height_px}: expected is the same aspect"
         )
-    return camera, intrinsics_of(camera, width, height)
+    stated = made.camera is not None and made.camera.pose is not None
+    return camera, view.camera if stated else intrinsics_of(camera, width, height)
 
 
 def _drawn(

@@ -40,9 +40,8 @@ def ring_on_post(
     size: dict[str, Value] = {"bore": bore, "height": 0.02, "depth": 0.08, "width": 0.08}
     others = [put("post", (0.14, 0.05), values={"rod": rod, "height": tall})]
     for k in range(rings - 1):
-        others.append(
-            put("ring", name=f"ring_{k + 1}", on="post", z=0.0152 + 0.0203 * k, values=size)
-        )
+        on, z = (f"ring_{k}", 0.02) if k else ("post", 0.015)
+        others.append(put("ring", name=f"ring_{k + 1}", on=on, z=z, values=size))
     ring = put("ring", (-0.12, -0.1), name="ring", yaw=0.2, values=size | {"colour": colour})
     scene = scene_of("ring_on_post", *others, ring)
     height = 0.015 + 0.02 * (rings - 1)

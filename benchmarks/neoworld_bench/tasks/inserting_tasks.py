@@ -2,6 +2,7 @@
 
 import math
 
+from neoworld_mjx.spec import Quat
 from neoworld_mjx.templates.template import Value
 
 from .carrying_tasks import carry, inserted
@@ -11,6 +12,8 @@ from .task import Prepared
 from .task_scenes import put, scene_of
 
 RACK_FLOOR = 0.012
+TUBE_AT_REST: Quat = (0.7086103, 0.0462457, 0.7025625, 0.0462457)
+"""Rotation with which the test tube lies on its rim and foot, on one of its 24 flat sides."""
 
 
 def tube_into_rack(
@@ -46,7 +49,7 @@ def tube_into_rack(
         others.append(put("test_tube", on="stand", z=RACK_FLOOR, values=tube))
         grasp = Grasp((0.0, 0.0, 0.105), across)
     elif start == "lying":
-        others.append(put("test_tube", (-0.25, -0.1), tilt=LYING, values=tube))
+        others.append(put("test_tube", (-0.25, -0.1), tilt=TUBE_AT_REST, values=tube))
         # From above as it lies; the fingers point at the tube's side once it stands.
         grasp = Grasp((0.0, 0.0, 0.1), across - 0.0024, approach=(1.0, 0.0, 0.0))
     else:
@@ -79,7 +82,7 @@ def peg_into_board(
 ) -> Prepared:
     """Put a peg into a hole of a board."""
     across_peg: dict[str, Value] = {
-        "form": form,
+        "form": "faceted" if lying else form,  # A round one would roll.
         "depth": across,
         "width": across,
         "height": height,

@@ -1,57 +1,50 @@
-"""Plans of a model in displaced scenes, with and without feedback."""
+"""Plans of a model in scenes that it sees, carried out there and in the ground truth.
+
+With feedback, each method has a second row: the layout is refined by the outcome of the plan, as in
+Section 4.4 of the paper, and the same plan is carried out in the refined layout and in the truth.
+"""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
-import numpy as np
-
 from neoworld_mjx.mllm import Panel
-from neoworld_mjx.spec import SceneSpec
+from neoworld_mjx.sweeps.intervals import ratio_interval
 
+from ..methods.method_runs import RunSettings
 from ..rows import Row
-from .execution import execute
 from .outcome_feedback import refine_by_outcome
-from .plan_asking import ask_for_plan, named_objects
+from .plan_asking import ask_for_plan
+from .planned_scenes import PlannedScene, Sees, reconstructed_scene, true_scene
+from .reconstructed_plans import described, planned_there
 from .task import ManipulationTask
+
+FEEDBACK = "+feedback"
+"""Ending of a method's name in rows after the refinement by the outcome."""
 
 
 class PlanRow(Row):
-    """Result of one task planned by a model."""
+    """Result of one task planned by a model in one scene."""
 
     task: str
     kind: str
+    method: str
+    """What reconstructed the scene that the model saw, truth or displaced; with FEEDBACK after the
+    refinement of the layout."""
+    start: int
     plans: int
-    """Number of plans."""
-    in_scene: bool
-    """True if one of them succeeds in the scene that the model saw."""
-    after_feedback: bool
-    """True if the best plan succeeds there after refinement by its outcome."""
+    """Number of plans; 0 if there is none, and the row counts as a failure."""
     executions: int
     """Number of executions of the refinement."""
+    in_scene: bool
+    """True if the best plan succeeds in the scene for which it was made."""
     on_truth: bool
-    """True if the best plan succeeds in the true scene."""
+    """True if it succeeds in the ground truth, without the offset that all objects share: task
+    success."""
     reason: str
-
-
-def displaced_layout(task: ManipulationTask, offset_m: float, seed: int) -> SceneSpec:
-    """Return a task's scene with the objects of its predicate displaced in random directions.
-
-    Args:
-        task: the task.
-        offset_m: distance [m]; 0 is the true scene.
-        seed: of the directions.
-    """
-    random = np.random.default_rng([seed, *task.name.encode()])
-    named = named_objects(task.predicate)
-    objects = []
-    for item in task.scene.objects:
-        angle = float(random.uniform(0, 2 * np.pi))
-        if item.name in named and not item.environment and offset_m:
-            x, y = item.xy
-            xy = (x + offset_m * float(np.cos(angle)), y + offset_m * float(np.sin(angle)))
-            item = item.model_copy(update={"xy": xy})
-        objects.append(item)
-    return task.scene.model_copy(update={"objects": tuple(objects)})
+    """Reason of failure in the ground truth; empty on success."""
+    scene_reason: str
+    """Reason of failure in the scene."""
 
 
 def plan_rows(
@@ -62,47 +55,114 @@ def plan_rows(
     offset_m: float,
     feedback: bool,
     seed: int,
+    sees: Sees = "both",
+    methods: Sequence[str] = (),
+    starts: int = 1,
+    settings: RunSettings | None = None,
 ) -> Iterator[PlanRow]:
-    """Request a plan of each task, and execute it."""
+    """Request a plan of each task in each scene, and execute it there and in the ground truth.
+
+    Args:
+        models: provides the reasoner.
+        tasks: the tasks.
+        rounds: most revisions of a plan by its outcome in the scene.
+        offset_m: displacement of the objects of the condition, without methods [m].
+        feedback: True to refine the layout by the outcome of a plan that fails in it.
+        seed: of displacements and refinement.
+        sees: what the model sees of a scene.
+        methods: methods that reconstruct the scenes; none for the true or the displaced scene.
+        starts: number of initial scenes of each task and method.
+        settings: of the methods.
+    """
     for task in tasks:
-        scene = displaced_layout(task, offset_m, seed)
-        asked = models.run(ask_for_plan(models, task, scene, rounds=rounds))
-        best = asked.best
-        if best is None:
-            reason = asked.fallbacks[0][1] if asked.fallbacks else "no plan"
-            yield PlanRow(
-                task=task.name,
-                kind=task.kind,
-                plans=0,
-                in_scene=False,
-                after_feedback=False,
-                executions=0,
-                on_truth=False,
-                reason=reason,
-            )
-            continue
-        refined, executions = best.outcome, 0
-        if feedback and not refined.success:
-            result = refine_by_outcome(scene, best.plan, task.predicate, seed=seed)
-            refined, executions = result.outcome, result.executions
-        truth = execute(task.scene, best.plan, task.predicate)
+        makers = {
+            (method, start): partial(reconstructed_scene, task, method, start, settings, sees)
+            for method in methods
+            for start in range(starts)
+            if settings is not None
+        }
+        rows = partial(scene_rows, models, task, rounds=rounds, feedback=feedback, seed=seed)
+        if not methods:
+            yield from rows(true_scene(task, offset_m, seed, sees))
+        for (method, start), make in makers.items():
+            try:
+                scene = make()
+            except Exception as error:  # An error of one scene must not end the run of all others.
+                reason = f"no layout: {described(error)}"
+                for name in (method, method + FEEDBACK)[: 1 + feedback]:
+                    yield _without_plan(task, name, start, reason)
+                continue
+            yield from rows(scene)
+
+
+def scene_rows(
+    models: Panel,
+    task: ManipulationTask,
+    seen: PlannedScene,
+    *,
+    rounds: int,
+    feedback: bool,
+    seed: int,
+) -> Iterator[PlanRow]:
+    """Request a plan of a task in one scene; see `plan_rows`."""
+    names = (seen.method, seen.method + FEEDBACK)[: 1 + feedback]
+    try:
+        condition = task.predicate_in(seen.scene)
+    except Exception as error:  # Such as an object that the predicate names and the scene lacks.
+        for name in names:
+            yield _without_plan(task, name, seen.start, f"no plan: {described(error)}")
+        return
+    asked = models.run(ask_for_plan(models, task, seen, condition, rounds=rounds))
+    best = asked.best
+    if best is None:
+        reason = asked.fallbacks[0][1] if asked.fallbacks else "the model gave none"
+        for name in names:
+            yield _without_plan(task, name, seen.start, f"no plan: {reason}")
+        return
+    scene, executions = seen.scene, 0
+    for name in names:
+        if name != seen.method and not best.outcome.success:
+            refined = refine_by_outcome(scene, best.plan, condition, seed=seed)
+            scene, executions = refined.scene, refined.executions
+        there = planned_there(task, scene, best.plan)
         yield PlanRow(
             task=task.name,
             kind=task.kind,
+            method=name,
+            start=seen.start,
             plans=len(asked.attempts),
-            in_scene=best.outcome.success,
-            after_feedback=refined.success,
             executions=executions,
-            on_truth=truth.success,
-            reason=refined.reason,
+            in_scene=there.in_scene.success,
+            on_truth=there.on_truth.success,
+            reason=there.on_truth.reason,
+            scene_reason=there.in_scene.reason,
         )
 
 
+def _without_plan(task: ManipulationTask, method: str, start: int, reason: str) -> PlanRow:
+    return PlanRow(
+        task=task.name,
+        kind=task.kind,
+        method=method,
+        start=start,
+        plans=0,
+        executions=0,
+        in_scene=False,
+        on_truth=False,
+        reason=reason,
+        scene_reason=reason,
+    )
+
+
 def plan_figures(rows: Sequence[PlanRow]) -> dict[str, Any]:
-    """Return the numbers of successful plans."""
-    return {
-        "tasks": len(rows),
-        "in_scene": sum(row.in_scene for row in rows),
-        "after_feedback": sum(row.after_feedback for row in rows),
-        "on_truth": sum(row.on_truth for row in rows),
-    }
+    """Return both shares of successful plans by method, with intervals clustered by task."""
+    figures = {}
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if row.method == method]
+        figures[method] = {"n": len(own), "no_plan": sum(row.plans == 0 for row in own)}
+        for name, of in (("success_on_truth", "on_truth"), ("success_in_scene", "in_scene")):
+            share, low, high = ratio_interval(
+                [(row.task, float(getattr(row, of)), 1.0) for row in own], share=True
+            )
+            figures[method] |= {name: share, f"{name}_interval": [low, high]}
+    return {"tasks": len({row.task for row in rows}), "methods": figures}

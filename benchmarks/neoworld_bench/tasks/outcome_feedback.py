@@ -18,9 +18,8 @@ from neoworld_mjx.refinement.cem import initial_sigma, open_cem
 from neoworld_mjx.spec import SceneSpec
 
 from .execution import Outcome, execute
-from .plan_asking import named_objects
 from .plan_format import TaskPlan
-from .predicates import Predicate
+from .predicates import Predicate, named_objects
 
 PRIOR_WEIGHT = 0.02
 """Loss of a layout one standard deviation away; progress is worth up to 1."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from neoworld_mjx.spec import Quat
 from neoworld_mjx.spec.pose import from_axis_angle
+from neoworld_mjx.templates.template import Value
 
-from ..engines.table_scenes import TOP
 from .carrying_tasks import carry, placed
 from .reference import Grasp, grasp_box
 from .task import Prepared
@@ -44,7 +44,7 @@ def bottle_on_tray() -> Prepared:
         "bottle_on_tray",
         put("tray", (0.15, 0.1), yaw=0.2),
         put("bottle_plain", (-0.15, -0.1)),
-        put("mug", (0.16, 0.2), on="table", z=TOP + 0.006, values={"colour": "blue"}),
+        put("mug", (0.03, 0.096), on="tray", z=0.006, yaw=-0.2, values={"colour": "blue"}),
     )
     goal = placed(scene, "bottle_plain", "tray", (0.0, -0.05, 0.006))
     grasp = Grasp((0.0, 0.0, 0.185), 0.024)
@@ -67,11 +67,12 @@ def ball_into_jar(across: float, ball: float) -> Prepared:
 
 def block_into_tray(finish: str, height: float, yaw: float) -> Prepared:
     """Put a block into an open box."""
+    blue: dict[str, Value] = {"colour": "blue"}
     scene = scene_of(
         "block_into_tray",
         put("tray", (0.15, 0.1), values={"height": height, "finish": finish, "width": 0.2}),
         put("toy_block", (-0.1, -0.1), yaw=yaw),
-        put("toy_block", (0.11, 0.07), name="other", z=TOP + 0.006, values={"colour": "blue"}),
+        put("toy_block", (-0.04, -0.03), name="other", on="tray", z=0.006, values=blue),
     )
     goal = placed(scene, "toy_block", "tray", (0.04, 0.04, 0.006))
     grasp = grasp_box(scene, "toy_block", depth=0.015)
@@ -132,7 +133,7 @@ def pencil_into_cup(colour: str, at: tuple[float, float]) -> Prepared:
     )
     grasp = Grasp((0.0, 0.0, 0.15), 0.01, slack=0.003)
     return carry(
-        scene, goal, "pencil", grasp, "mug", (0, 0, 0.007), clear=0.22, hover=0.13, drop=0.015
+        scene, goal, "pencil", grasp, "mug", (0, 0, 0.007), clear=0.22, hover=0.13, drop=0.005
     )
 
 

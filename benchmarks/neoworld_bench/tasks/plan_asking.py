@@ -8,14 +8,15 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from neoworld_mjx.mllm import Panel, Request, ask_or_record, package_text, revise
+from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text, revise
 from neoworld_mjx.spec import SceneSpec, bounds, joint_position, link_poses, world_poses
 from neoworld_mjx.spec.kinematics import welded
 from neoworld_mjx.spec.pose import rotate
 
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
-from .predicates import Every, Located, Predicate
+from .planned_scenes import PlannedScene
+from .predicates import Predicate
 from .task import ManipulationTask
 
 MOST_JOINTS = 12
@@ -57,16 +58,25 @@ class AskedPlan:
 
 
 def plan_request(
-    task: ManipulationTask, scene: SceneSpec, earlier: Sequence[PlanAttempt] = ()
+    task: ManipulationTask, seen: PlannedScene, earlier: Sequence[PlanAttempt] = ()
 ) -> Request[PlannedTask]:
     """Return the request for a plan.
 
     Args:
         task: gives the instruction; its truth is not told.
-        scene: the scene as it is known, such as a reconstruction.
+        seen: the scene as it is known, such as a reconstruction.
         earlier: plans that failed, which are told with their outcomes.
     """
-    prompt = f"The scene:\n{scene_in_numbers(scene)}\n\nThe instruction: {task.instruction}"
+    parts, pictures = [], []
+    if seen.picture is not None:
+        pictures = [Picture.of("scene", seen.picture)]
+        parts.append(seen.view_in_words)
+    if seen.in_numbers:
+        parts.append(f"The scene:\n{scene_in_numbers(seen.scene)}")
+    else:
+        parts.append("Its objects: " + ", ".join(item.name for item in seen.scene.objects))
+    parts.append(f"The instruction: {task.instruction}")
+    prompt = "\n\n".join(parts)
     for number, attempt in enumerate(earlier, start=1):
         outcome = attempt.outcome
         prompt += (
@@ -76,7 +86,7 @@ def plan_request(
     if earlier:
         prompt += "\n\nGive a better plan."
     system = package_text(__package__, "planner").removesuffix("\n")
-    return Request("reasoner", f"plan:{task.name}", system, prompt, PlannedTask)
+    return Request("reasoner", f"plan:{task.name}", system, prompt, PlannedTask, pictures)
 
 
 def scene_in_numbers(scene: SceneSpec) -> str:
@@ -116,14 +126,20 @@ def scene_in_numbers(scene: SceneSpec) -> str:
 
 
 async def ask_for_plan(
-    models: Panel, task: ManipulationTask, scene: SceneSpec, *, rounds: int = 2
+    models: Panel,
+    task: ManipulationTask,
+    seen: PlannedScene,
+    condition: Predicate,
+    *,
+    rounds: int = 2,
 ) -> AskedPlan:
     """Request a plan, execute it, and request revisions with the outcome while it fails.
 
     Args:
         models: provides the reasoner.
         task: what is to be done.
-        scene: where the plans are carried out, such as a reconstruction.
+        seen: where the plans are carried out, such as a reconstruction.
+        condition: what success is there.
         rounds: most revisions.
 
     Raises:
@@ -133,12 +149,12 @@ async def ask_for_plan(
     fallbacks: list[tuple[str, str]] = []
 
     async def attempt(earlier: Sequence[PlanAttempt]) -> PlanAttempt | None:
-        request = plan_request(task, scene, earlier)
+        request = plan_request(task, seen, earlier)
         stage = f"{request.name} was not answered"
         answer = await ask_or_record(models, request, stage, fallbacks)
         if answer is None:
             return None
-        outcome = await asyncio.to_thread(execute, scene, answer.plan, task.predicate)
+        outcome = await asyncio.to_thread(execute, seen.scene, answer.plan, condition)
         return PlanAttempt(answer.plan, outcome)
 
     first = await attempt(())
@@ -148,13 +164,6 @@ async def ask_for_plan(
         first, rounds=rounds, accept=lambda a: a.outcome.success, next_attempt=attempt
     )
     return AskedPlan(tuple(attempts), tuple(fallbacks))
-
-
-def named_objects(predicate: Predicate) -> set[str]:
-    """Return the objects that a predicate names."""
-    leaves = predicate.of if isinstance(predicate, Every) else (predicate,)
-    others = {leaf.relative_to for leaf in leaves if isinstance(leaf, Located)}
-    return {leaf.object for leaf in leaves} | others
 
 
 def _axes() -> list[tuple[str, tuple[float, float, float]]]:

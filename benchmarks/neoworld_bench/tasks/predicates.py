@@ -204,3 +204,10 @@ def _mm(point: Vec3 | NDArray) -> str:
 
 
 __all__ = ["Every", "JointBetween", "Leaning", "Located", "Predicate"]
+
+
+def named_objects(predicate: Predicate) -> set[str]:
+    """Return the objects that a predicate names."""
+    leaves = predicate.of if isinstance(predicate, Every) else (predicate,)
+    others = {leaf.relative_to for leaf in leaves if isinstance(leaf, Located)}
+    return {leaf.object for leaf in leaves} | others

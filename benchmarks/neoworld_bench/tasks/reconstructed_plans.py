@@ -32,7 +32,9 @@ class PlannedThere:
     """Time of planning and the three executions [s]."""
 
 
-def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
+def planned_there(
+    task: ManipulationTask, made: SceneSpec, plan: TaskPlan | str | None = None
+) -> PlannedThere:
     """Plan a task in a reconstruction and execute the plan; failures do not raise.
 
     The median offset of all objects other than supports comes from the response's camera, and a
@@ -43,6 +45,7 @@ def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
         task: what is to be done.
         made: a scene of the same objects, moved to where the task's scene is. Objects may be
             missing, and the table shares the shift.
+        plan: a plan made there, such as a model's; by default the reference planner makes it.
     """
     began = time.perf_counter()
     there = {item.name for item in made.objects}
@@ -53,7 +56,7 @@ def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
     error = None
     if task.object in found:
         error = float(np.linalg.norm(offs[found.index(task.object)] - shift))
-    plan = _planned(task, made)
+    plan = _planned(task, made) if plan is None else plan
     if isinstance(plan, TaskPlan):
         back = (-float(shift[0]), -float(shift[1]), 0.0)
         on_truth = execute(task.scene, plan.shifted(back), task.predicate)

@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from neoworld_mjx.physics.support import posed_shapes
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
-from neoworld_mjx.spec.pose import Pose, from_yaw, pose, yaw_of
+from neoworld_mjx.spec.pose import Pose, from_yaw, pose
+from neoworld_mjx.spec.scene import moved_whole
 
 from ..fidelity.rendered_scenes import see, visible_shares
 
@@ -96,20 +97,3 @@ def _points(scene: SceneSpec) -> Float[np.ndarray, "n 3"]:
             for shape, at in posed_shapes(item)
         ]
     )
-
-
-def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
-    """Move a scene, with its proportions, by a rigid transform about the vertical.
-
-    Args:
-        scene: what is moved; its camera stays as it is.
-        by: translation [m] and turn; only the heading counts.
-    """
-    turn = yaw_of(by.quat)
-    objects = []
-    for item in scene.objects:
-        if item.parent is None:
-            x, y, z = by.apply(np.array([*item.xy, item.z])).tolist()
-            item = item.model_copy(update={"xy": (x, y), "z": z, "yaw": item.yaw + turn})
-        objects.append(item)
-    return scene.model_copy(update={"objects": tuple(objects)})

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from neoworld_mjx.compose.joint_friction import hold_joints
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import ObjectSpec, Quat, SceneObject, SceneSpec, Vec3, bounds, world_poses
@@ -54,6 +55,8 @@ def put(
 ) -> SceneObject:
     """Put an object of a program into a scene.
 
+    As in composition, joints that gravity would move get the dry friction that holds them.
+
     Args:
         program: a template, or a program of this package.
         xy: in the frame of its parent [m].
@@ -72,7 +75,7 @@ def put(
     low, _ = bounds(spec, state or {}, tilt)
     height = (TOP if z is None else z) - float(low[2]) + GAP
     name = name or program
-    return SceneObject(
+    item = SceneObject(
         name=name,
         spec=spec.model_copy(update={"name": name}),
         parent=on,
@@ -85,6 +88,7 @@ def put(
         fixed_base=fixed,
         joint_state=state or {},
     )
+    return hold_joints(item)[0]
 
 
 def scene_of(name: str, *objects: SceneObject, size: float = 1.0) -> SceneSpec:

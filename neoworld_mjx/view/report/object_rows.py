@@ -43,7 +43,7 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         return elements.section(TITLE, elements.missing("No objects yet."))
     moves, causes = all_moves(folder), violated_limits(run)
     agreement = (run["metrics"].get("box_iou") or {}).get("objects", {})
-    rows = []
+    rows, untested = [], 0
     for name, object_folder in sorted(object_folders.items()):
         verification = read_json(object_folder / "verify.json")
         passed = None if verification is None else bool(verification.get("passed"))
@@ -58,15 +58,19 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
             _checks(object_folder, verification),
         )
         rows.append((passed is not False, row))
+        untested += passed is None
     rows.sort(key=lambda row: row[0])
     failed = sum(not passed for passed, _ in rows)
-    outcome = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows)} pass"
+    outcome = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows) - untested} pass"
     tests = " the object tests, in which each is simulated by itself"
     if failed and run["metrics"].get("passed"):
         tests += "; the scene is valid, as it supports them"
     elif causes:
         tests = " the object tests or the final check of the scene"
-    note = elements.paragraph(f"{outcome}{tests}. Open a row to see its checks.", "dim")
+    said = "" if untested == len(rows) else f"{outcome}{tests}. "
+    if untested:
+        said += f"{untested} of {len(rows)} were not tested by themselves. "
+    note = elements.paragraph(f"{said}Open a row to see its checks.", "dim")
     return elements.section(TITLE, note, *(row for _, row in rows))
 
 

@@ -25,6 +25,7 @@ from . import (
     film_strips,
     object_rows,
     photograph_section,
+    rescue_section,
     scene_3d,
 )
 from .formatting import progress_of, read_json
@@ -37,6 +38,11 @@ _ERRORS = (
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a file with an unexpected structure may raise."""
+OF_PHOTOGRAPHS = (
+    *("Before and after", object_rows.TITLE, "Parse", changes.TITLE, "Models"),
+    "Agreement with the photograph",
+)
+"""Sections about steps that a rescue does not have."""
 
 
 def write_report(folder: Path) -> Path:
@@ -55,6 +61,7 @@ def write_report(folder: Path) -> Path:
         (title, lambda: _header(run, title, folder)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
+        (rescue_section.TITLE, lambda: rescue_section.rescue_section(folder)),
         ("Numbers", lambda: _numbers(run)),
         ("Before and after", lambda: _pictures(folder)),
         (photograph_section.TITLE, lambda: photograph_section.photograph_section(folder)),
@@ -75,6 +82,8 @@ def write_report(folder: Path) -> Path:
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
+    if (folder / rescue_section.FILE).is_file():
+        sections = [each for each in sections if each[0] not in OF_PHOTOGRAPHS]
     page = document(
         f"{title}: scene report",
         [_draw_section(name, section) for name, section in sections],

@@ -1,0 +1,1 @@
+"""Rescue of disturbed scenes of meshes with known truth."""

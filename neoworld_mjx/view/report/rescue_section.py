@@ -1,0 +1,77 @@
+"""Section of the report of a rescue: what was given, what moved, and the photograph's outlines."""
+
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from .formatting import read_json
+from .page import elements
+from .pictures import picture
+
+TITLE = "Rescue"
+FILE = "rescue.json"
+CHECKED = (
+    "The objects were given with shapes and poses. Checked is the scene as a whole: penetration, "
+    "and motion in free fall (below). Not checked are the objects by themselves: no object test "
+    "ran, and shapes, masses and friction are as given or assumed (notes)."
+)
+_OUTLINES = (
+    "Outline off: median distance of the object's outline from the nearest edge of its colors in "
+    "the photograph, in pixels of an image 640 px wide, at most 24, and above 6 rather too small; "
+    "unknown where its colors do not tell it from what is behind it."
+)
+_CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
+
+
+def rescue_section(folder: Path) -> Markup:
+    """Return the section; empty for a run that is no rescue."""
+    if not (folder / FILE).is_file():
+        return Markup()
+    rescued = read_json(folder / FILE)
+    if rescued is None:
+        return elements.section(TITLE, elements.missing(f"{FILE} cannot be read."))
+    outlines: dict[str, dict[str, float | None]] = rescued["outlines_px"]
+    heads = ["object", "#moved, mm", "#turned, deg"]
+    heads += ["#outline off as given, px", "#rescued, px"] if outlines else []
+    rows = [
+        [
+            name,
+            f"{1000 * moved:.1f}",
+            f"{rescued['turns_deg'][name]:.1f}",
+            *(_pixels(outlines[name][key]) for key in ("given", "rescued") if outlines),
+        ]
+        for name, moved in rescued["moves_m"].items()
+    ]
+    pictures = [
+        (folder / "photo.png", "Photograph"),
+        (folder / "pictures" / "given.png", "As given, through the same camera"),
+        (folder / "pictures" / "after.png", "Rescued, through the same camera"),
+        (folder / "pictures" / "rescued.png", _CAPTION),
+    ]
+    shown = [picture(path, caption) for path, caption in pictures] if outlines else []
+    return elements.section(
+        TITLE,
+        elements.paragraph(CHECKED),
+        elements.div("pictures", *shown) if shown else "",
+        elements.paragraph(_agreement(outlines)),
+        elements.table(heads, rows),
+        elements.paragraph(_OUTLINES, "dim") if outlines else "",
+    )
+
+
+def _agreement(outlines: dict[str, Any]) -> str:
+    """Return a sentence on how many objects are nearer to the photograph than they were given."""
+    if not outlines:
+        return "No photograph was given, so nothing was compared with one."
+    known = [(o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()]
+    nearer = sum(after < before for before, after in known)
+    unknown = len(outlines) - len(known)
+    return (
+        f"Of {len(outlines)} movable objects, {nearer} have outlines nearer to the photograph's "
+        f"than as given, {len(known) - nearer} do not, and {unknown} are unknown."
+    )
+
+
+def _pixels(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.1f}"
