@@ -115,20 +115,6 @@ def example_run(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def quick_run(tmp_path_factory, quick_config):
-    """A finished run of the example with few candidates: its folder, which tests only read or
-    copy.
-    """
-    from neoworld_mjx.pipeline import reconstruct
-
-    out = tmp_path_factory.mktemp("quick") / "out"
-    reconstruct(PHOTO, out, quick_config)
-    before = _digest(out)
-    yield out
-    assert _digest(out) == before, "a test changed the shared run; copy it first"
-
-
-@pytest.fixture(scope="session")
 def blocks_model():
     """The compiled scene of `scenes.blocks`; what is jitted with it is compiled once for all
     tests.

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import refinement
+from neoworld_mjx.config import Config
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
@@ -163,8 +164,9 @@ def test_the_run_folder_contains_the_documented_files(example_run):
     assert run["photo"]["name"] == "coffee.png"
 
 
-def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_config, quick_run):
-    reconstruct(photo, tmp_path, quick_config)
+def test_another_process_gives_the_same_bytes(tmp_path, photo, example_run):
+    out, _ = example_run
+    reconstruct(photo, tmp_path)
     files = [
         path.relative_to(tmp_path)
         for path in sorted(tmp_path.rglob("*"))
@@ -172,18 +174,18 @@ def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_confi
     ]
     assert len(files) > 30
     for path in files:
-        assert (tmp_path / path).read_bytes() == (quick_run / path).read_bytes(), path
+        assert (tmp_path / path).read_bytes() == (out / path).read_bytes(), path
 
 
-def test_the_readme_example_runs(quick_run, quick_config, tmp_path, monkeypatch, capsys):
-    """With the options of the shared run; tests/test_docs.py runs it as it stands, slowly."""
-    shutil.copytree(quick_run, tmp_path / "out")
+def test_the_readme_example_runs(example_run, tmp_path, monkeypatch, capsys):
+    """On the shared run and with its options; tests/test_docs.py runs it as it stands, slowly."""
+    shutil.copytree(example_run[0], tmp_path / "out")
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
     code, count = re.subn(r"^config = load_config\(.*\)$", "config = CONFIG", code, flags=re.M)
     assert count == 1
-    names = {"CONFIG": quick_config}
+    names = {"CONFIG": Config()}
     exec(code, names)
     printed = capsys.readouterr().out
     assert printed.startswith("Result('out': ")
@@ -191,14 +193,14 @@ def test_the_readme_example_runs(quick_run, quick_config, tmp_path, monkeypatch,
     assert np.isfinite(names["again"].history["absolute"].max())
 
 
-def test_the_quickstart_notebook_runs_on_an_existing_run(quick_run, quick_config, photo, tmp_path):
-    shutil.copytree(quick_run, tmp_path / "out")
+def test_the_quickstart_notebook_runs_on_an_existing_run(example_run, photo, tmp_path):
+    shutil.copytree(example_run[0], tmp_path / "out")
     changes = {
         'Path("../examples/coffee.png")': "PHOTO",
         'Path(tempfile.mkdtemp()) / "out"': "FOLDER",
         "load_config(overrides=small)": "CONFIG, resume=True",
     }
-    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": quick_config}
+    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": Config()}
     ran = run_small("quickstart", changes, **given)
     assert ran["result"].objects and ran["moved"] < 0.02
 
