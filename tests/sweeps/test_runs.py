@@ -94,7 +94,7 @@ def test_stopping_does_not_affect_other_runs(model):
         options(cem={"iterations": 2}),
         options(cem={"stop_gain": 0.0}, w_prior=0.0),
     ]
-    alone = same_as_alone(model, started(model, settings, (0, 1)))
+    alone = same_as_alone(model, started(model, settings, (0,)))
     assert len({one.iterations for one in alone}) > 1
 
 
