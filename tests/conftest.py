@@ -13,6 +13,10 @@ from pathlib import Path
 
 import pytest
 
+# Before NumPy is imported. The cores are shared by the workers, and threads of BLAS that wait for
+# small products took a fifth of the time of the tests of the fit.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from tests.support.type_checks import check_annotations, keep_code
 
 check_annotations()
