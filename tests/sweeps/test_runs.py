@@ -190,8 +190,8 @@ def counted(model, runs):
 
 def test_more_points_need_no_more_compilations(model):
     count = [
-        counted(model, started(model, [options(0.5 + k, iterations=2) for k in range(n)], seeds))
-        for n, seeds in ((2, (0,)), (5, (0, 1)))
+        counted(model, started(model, [options(0.5 + k, iterations=1) for k in range(n)], seeds))
+        for n, seeds in ((2, (0,)), (3, (0, 1)))
     ]
     assert count[0] == count[1] > 0
 
