@@ -1,6 +1,7 @@
 """The graph of imports between the modules of the package and of its kernels."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -41,6 +42,7 @@ def imported(node, package, names):
     return targets & names
 
 
+@cache
 def import_graph():
     """Modules that each module imports, inside functions too."""
     files = modules()

@@ -1,8 +1,11 @@
 """The bundled example, from the photograph to files for other programs."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -11,6 +14,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import refinement
+from neoworld_mjx.config import Config
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
@@ -56,6 +60,25 @@ def test_the_command_gives_the_figures_of_the_pages(example_run):
         check_figures("coffee", measured | {"tilt, degrees": answer["max_tilt_deg"] + 0.5})
     with pytest.raises(AssertionError, match="valid"):
         check_figures("coffee", {"valid": not answer["passed"]})
+
+
+@pytest.mark.slow
+def test_the_command_gives_the_same_figures_as_users_compile_it(tmp_path):
+    """Without the tests' own XLA flags."""
+    env = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", "examples/coffee.png"]
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path / "out"), "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        env=env,
+    )
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    test_the_command_prints_the_metrics_of_the_scene((tmp_path / "out", answer))
+    test_the_command_gives_the_figures_of_the_pages((tmp_path / "out", answer))
 
 
 def test_the_exported_scene_is_stable_in_mujoco(example_run):
@@ -141,8 +164,9 @@ def test_the_run_folder_contains_the_documented_files(example_run):
     assert run["photo"]["name"] == "coffee.png"
 
 
-def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_config, quick_run):
-    reconstruct(photo, tmp_path, quick_config)
+def test_another_process_gives_the_same_bytes(tmp_path, photo, example_run):
+    out, _ = example_run
+    reconstruct(photo, tmp_path)
     files = [
         path.relative_to(tmp_path)
         for path in sorted(tmp_path.rglob("*"))
@@ -150,15 +174,18 @@ def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_confi
     ]
     assert len(files) > 30
     for path in files:
-        assert (tmp_path / path).read_bytes() == (quick_run / path).read_bytes(), path
+        assert (tmp_path / path).read_bytes() == (out / path).read_bytes(), path
 
 
-def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
-    shutil.copytree(quick_run, tmp_path / "out")
+def test_the_readme_example_runs(example_run, tmp_path, monkeypatch, capsys):
+    """On the shared run and with its options; tests/test_docs.py runs it as it stands, slowly."""
+    shutil.copytree(example_run[0], tmp_path / "out")
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    names = {}
+    code, count = re.subn(r"^config = load_config\(.*\)$", "config = CONFIG", code, flags=re.M)
+    assert count == 1
+    names = {"CONFIG": Config()}
     exec(code, names)
     printed = capsys.readouterr().out
     assert printed.startswith("Result('out': ")
@@ -166,29 +193,40 @@ def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
     assert np.isfinite(names["again"].history["absolute"].max())
 
 
-def test_the_quickstart_notebook_runs_on_an_existing_run(quick_run, quick_config, photo, tmp_path):
-    shutil.copytree(quick_run, tmp_path / "out")
+def test_the_quickstart_notebook_runs_on_an_existing_run(example_run, photo, tmp_path):
+    shutil.copytree(example_run[0], tmp_path / "out")
     changes = {
         'Path("../examples/coffee.png")': "PHOTO",
         'Path(tempfile.mkdtemp()) / "out"': "FOLDER",
         "load_config(overrides=small)": "CONFIG, resume=True",
     }
-    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": quick_config}
+    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": Config()}
     ran = run_small("quickstart", changes, **given)
     assert ran["result"].objects and ran["moved"] < 0.02
 
 
-def test_refining_again_keeps_the_steps_before(tmp_path, photo, quick_config):
-    first = reconstruct(photo, tmp_path / "run", quick_config, until="compose")
+@pytest.fixture(scope="module")
+def composed(tmp_path_factory, photo, quick_config):
+    """A run up to its composed scene, not aligned; tests copy its folder."""
+    plain = {"align": quick_config.compose.align.model_copy(update={"enabled": False})}
+    compose = quick_config.compose.model_copy(update={**plain, "looks": False})
+    config = quick_config.model_copy(update={"compose": compose})
+    out = tmp_path_factory.mktemp("composed") / "run"
+    return reconstruct(photo, out, config, until="compose"), config
+
+
+def test_refining_again_keeps_the_steps_before(composed, tmp_path, photo):
+    first, config = composed
+    run = shutil.copytree(first.folder, tmp_path / "run")
     assert first.passed is None
     with pytest.raises(RunError):
-        reconstruct(photo, tmp_path / "run", quick_config)
-    composed = (tmp_path / "run" / "compose" / "scene.json").read_bytes()
-    again = refine_again(tmp_path / "run", None, {"seed": 7})
+        reconstruct(photo, run, config)
+    before = (run / "compose" / "scene.json").read_bytes()
+    again = refine_again(run, None, {"seed": 7})
     assert again.passed is not None
-    assert (tmp_path / "run" / "compose" / "scene.json").read_bytes() == composed
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["seeds"]["run"] == 7
-    assert (tmp_path / "run" / "scene.xml").is_file()
+    assert (run / "compose" / "scene.json").read_bytes() == before
+    assert json.loads((run / "run.json").read_text())["seeds"]["run"] == 7
+    assert (run / "scene.xml").is_file()
 
 
 def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):
@@ -197,15 +235,17 @@ def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, qui
         refine_again(tmp_path / "run")
 
 
-def test_a_changed_picture_option_repeats_only_the_picture(tmp_path, photo, quick_config):
-    out = tmp_path / "run"
-    reconstruct(photo, out, quick_config, until="compose")
+def wider(config):
+    """The same options with pictures of 70 pixels."""
+    return config.model_copy(update={"render": config.render.model_copy(update={"width": 70})})
+
+
+def test_a_changed_picture_option_repeats_only_the_picture(composed, tmp_path, photo):
+    first, config = composed
+    out = shutil.copytree(first.folder, tmp_path / "run")
     steps = json.loads((out / "run.json").read_text())["steps"]
     assert [*steps["compose/picture"]["outputs"]] == ["pictures/before.png"]
-    wider = quick_config.model_copy(
-        update={"render": quick_config.render.model_copy(update={"width": 70})}
-    )
-    reconstruct(photo, out, wider, until="compose", resume=True)
+    reconstruct(photo, out, wider(config), until="compose", resume=True)
     again = json.loads((out / "run.json").read_text())["steps"]
     changed = [name for name in steps if steps[name] != again[name]]
     assert changed == ["compose/picture"]
@@ -214,14 +254,17 @@ def test_a_changed_picture_option_repeats_only_the_picture(tmp_path, photo, quic
 
 
 def test_the_composed_scene_is_drawn_even_if_the_search_fails(
-    tmp_path, photo, quick_config, monkeypatch
+    composed, tmp_path, photo, monkeypatch
 ):
     def fails(*args, **options):
         raise EngineError("no engine")
 
+    first, config = composed
+    out = shutil.copytree(first.folder, tmp_path / "run")
     monkeypatch.setattr(refinement, "refine", fails)
     with pytest.raises(EngineError):
-        reconstruct(photo, tmp_path / "run", quick_config)
-    assert (tmp_path / "run" / "pictures" / "before.png").is_file()
-    steps = json.loads((tmp_path / "run" / "run.json").read_text())["steps"]
+        reconstruct(photo, out, wider(config), resume=True)
+    with Image.open(out / "pictures" / "before.png") as before:
+        assert before.width == 70
+    steps = json.loads((out / "run.json").read_text())["steps"]
     assert "compose/picture" in steps and "refine" not in steps

@@ -1,5 +1,6 @@
 """Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`, `photo:coffee`."""
 
+import functools
 from collections.abc import Mapping
 from functools import partial
 from typing import get_args
@@ -11,7 +12,7 @@ from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
-from neoworld_mjx.spec import SceneSpec, read_scene
+from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from neoworld_mjx.sweeps.cases import Case, Source
 
 from .dataset.declaration import declaration
@@ -40,12 +41,19 @@ def bench_case(name: str) -> Case:
         raise SpecError(f"scene bench:{name}: noise {choices(level, get_args(NoiseLevel))}")
     noise: NoiseLevel = level if at else "all"  # pyright: ignore[reportAssignmentType]
     try:
-        truth = photographed(declaration(scene))
+        truth, response = _truth_and_response(scene)
     except SpecError as error:
         raise SpecError(f"scene bench:{name}: {error}") from None
     number = noise_number(scene, seed=0, start=0)
-    composed = composed_start(truth, exact_response(truth), number, noise=noise)
+    composed = composed_start(truth, response, number, noise=noise)
     return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
+
+
+@functools.lru_cache(maxsize=32)
+def _truth_and_response(scene: str) -> tuple[SceneSpec, SceneTree]:
+    """Return a scene as photographed and its exact parse, which all noise levels share."""
+    truth = photographed(declaration(scene))
+    return truth, exact_response(truth)
 
 
 def crowded_case(objects: str) -> Case:

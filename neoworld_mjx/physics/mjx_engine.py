@@ -113,6 +113,9 @@ class MjxEngine(BatchEngine):
             data, dropped = _advance(
                 model, fields, data, schedule.every, schedule.guidance, springs, self.mesh
             )
+            if self.mesh is not None:
+                # XLA returns empty arrays unsharded, which would compile the next call again.
+                data = self.split(data)
             active = np.searchsorted(rows, recorder.active)
             truncated[recorder.active] |= np.asarray(dropped)[active]
             qpos, qvel, qacc = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))

@@ -17,8 +17,8 @@ from jaxtyping import UInt8
 from ..align.align import align
 from ..align.outline_error import outline_errors
 from ..align.outline_picture import outline_picture
-from ..compose.on_supports import in_contact
 from ..compose.mesh_supports import with_supports
+from ..compose.on_supports import in_contact
 from ..config import AlignOptions, ComposeOptions, Config, RefineOptions
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError

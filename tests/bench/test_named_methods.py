@@ -35,18 +35,31 @@ def run(tmp_path, methods, used):
     return run_scenes(("tents",), methods, used, starts=1, out=tmp_path)
 
 
+WIDE = "refine: {cem: {sigma_xy: 0.1}, optimizer: random}\n"
+
+
+def named_methods(folder, wide=WIDE):
+    """Options of the search as `narrow`, those of a file as `wide`, and settling alone."""
+    file = folder / "wide.yaml"
+    file.write_text(wide)
+    config = load_config(None, SMALL)
+    return read_methods(["ours", "open_loop", f"wide={file}"], "narrow", config)
+
+
 @pytest.fixture(scope="module")
-def once(tmp_path_factory):
-    """A folder with a row, most of whose time is that of the scene's photograph."""
-    folder = tmp_path_factory.mktemp("once")
-    (row,) = run(folder, ("open_loop",), settings())
-    return folder, row
+def finished(tmp_path_factory):
+    """A folder with a row of each method; most of the time is that of the scene's photograph."""
+    home = tmp_path_factory.mktemp("finished")
+    methods, named = named_methods(home)
+    return home / "out", run(home / "out", methods, settings(named))
 
 
 @pytest.fixture
-def stored(once, tmp_path):
-    shutil.copytree(once[0], tmp_path, dirs_exist_ok=True)
-    return once[1]
+def stored(finished, tmp_path):
+    """A copy of that folder, and its row of open_loop."""
+    shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
+    (row,) = (row for row in finished[1] if row.method == "open_loop")
+    return row
 
 
 def test_a_folder_refuses_other_options_of_the_same_method(stored, tmp_path):
@@ -72,23 +85,20 @@ def test_a_table_refuses_rows_of_one_method_with_different_options(stored, tmp_p
         scene_tables(tmp_path)
 
 
-def test_methods_of_a_user_are_rows_beside_ours(tmp_path):
-    file = tmp_path / "wide.yaml"
-    file.write_text("refine: {cem: {sigma_xy: 0.1}, optimizer: random}\n")
-    config = load_config(None, SMALL)
-    methods, named = read_methods(["ours", "open_loop", f"wide={file}"], "narrow", config)
+def test_methods_of_a_user_are_rows_beside_ours(finished, tmp_path):
+    methods, named = named_methods(tmp_path)
     assert methods == ("narrow", "open_loop", "wide")
     assert dict(named)["wide"].cem.sigma_xy == 0.1 and dict(named)["wide"].cem.population == 8
-    rows = run(tmp_path / "out", methods, settings(named))
+    out, rows = finished
     assert [row.method for row in rows] == ["narrow", "open_loop", "wide"]
     assert rows[0].rollouts > 1 and len({row.fingerprint for row in rows}) == 3
-    noted = json.loads((tmp_path / "out" / METHODS_FILE).read_text())
+    noted = json.loads((out / METHODS_FILE).read_text())
     assert noted["wide"]["options"]["refine"]["optimizer"] == "random"
-    assert len(known_rows(tmp_path / "out")) == 3
-    assert "| wide | 1 |" in scene_tables(tmp_path / "out")["table.md"]
+    assert len(known_rows(out)) == 3
+    assert "| wide | 1 |" in scene_tables(out)["table.md"]
     # The same name cannot stand for other options.
-    file.write_text("refine: {cem: {sigma_xy: 0.2}, optimizer: random}\n")
-    methods, named = read_methods(["open_loop", f"wide={file}"], None, config)
+    methods, named = named_methods(tmp_path, WIDE.replace("0.1", "0.2"))
+    shutil.copytree(out, tmp_path / "out")
     with pytest.raises(RunError, match=r"rows of wide .*sigma_xy was 0.1, is 0.2"):
         run(tmp_path / "out", methods, settings(named))
 

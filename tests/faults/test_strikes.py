@@ -1,4 +1,8 @@
-"""Ten faults, one of each kind; `python -m benchmarks faults` injects two hundred."""
+"""One fault of each kind; `python -m benchmarks faults` injects two hundred.
+
+The slow ones have fast tests of their own: a server that is slow or answers nonsense in tests/mllm,
+clocks in tests/program/test_call_clock.py, two runs on a folder in tests/test_run_folder.py.
+"""
 
 import json
 import os
@@ -8,6 +12,9 @@ import sys
 import pytest
 
 from tests.faults.strikes import FAULTS, SEARCH_FAULTS
+
+FEW = FAULTS.index("slow provider")
+"""Number of the faults whose runs the default suite strikes: kills, disks and a lost provider."""
 
 
 def strikes(first: int, count: int, *until: str) -> dict[str, dict]:
@@ -22,13 +29,25 @@ def strikes(first: int, count: int, *until: str) -> dict[str, dict]:
 
 @pytest.fixture(scope="module")
 def struck():
-    """The outcomes of the first ten seeds."""
-    return strikes(0, len(FAULTS))
+    """The outcomes of the first seeds."""
+    return strikes(0, FEW)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.fixture(scope="module")
+def other_struck():
+    """The outcomes of the next seeds."""
+    return strikes(FEW, len(FAULTS) - FEW)
+
+
+@pytest.mark.parametrize("fault", FAULTS[:FEW])
 def test_a_run_resumes_after_a_fault_with_the_same_files(struck, fault):
     assert struck[fault]["wrong"] == "", struck[fault]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS[FEW:])
+def test_a_run_resumes_after_another_fault_with_the_same_files(other_struck, fault):
+    assert other_struck[fault]["wrong"] == "", other_struck[fault]
 
 
 @pytest.mark.slow

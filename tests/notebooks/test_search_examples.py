@@ -1,4 +1,9 @@
-"""The numbered examples of the search run as they stand."""
+"""The numbered examples of the search run as they stand.
+
+Of the slow ones, the default suite makes the same calls elsewhere: Algorithm 1 by hand in
+tests/refinement/test_algorithm.py, one program for several weights in tests/refinement/test_cem.py,
+a loop over MJX steps in test_mjx_loop.py.
+"""
 
 import re
 import runpy
@@ -26,11 +31,13 @@ def test_every_example_is_tested():
     assert sorted(tested) == sorted(path.name for path in FOLDER.glob("*.py"))
 
 
+@pytest.mark.slow
 def test_asking_and_telling_by_hand_improves_the_elites(capsys):
     elites = numbers(r"elites (-?[\d.]+)", run("1_ask_and_tell.py", capsys))
     assert len(elites) == 3 and elites[-1] > elites[0]
 
 
+@pytest.mark.slow
 def test_one_program_searches_with_several_weights(capsys):
     drifts = numbers(r"w_drift \d: ([\d.]+)", run("2_vmap_over_weights.py", capsys))
     assert len(drifts) == 9 and drifts[8] < drifts[6]  # Weights 4 and 0, at the end.
@@ -52,6 +59,7 @@ def test_an_optimizer_of_ones_own_searches(capsys):
     assert re.match(r"\d+ iterations, passed: True", run("5_custom_optimizer.py", capsys))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_loop_of_ones_own_pushes_an_object(capsys):
     moved = numbers(r"moved ([\d.]+) mm", run("6_mjx_loop.py", capsys))

@@ -141,9 +141,11 @@ def test_an_object_can_be_left_to_a_model(tmp_path, photo, quick_config):
     assert (out / "objects" / "saucer" / "program.py").is_file()
 
 
-def test_a_parsed_tree_opens_as_an_annotation(quick_run, tmp_path, photo, quick_config):
-    annotation = read_annotation(quick_run)
-    assert not (quick_run / ANNOTATION).exists()
+def test_a_parsed_tree_opens_as_an_annotation(tmp_path, photo, quick_config):
+    parsed = tmp_path / "parsed"
+    reconstruct(photo, parsed, quick_config, until="program")
+    annotation = read_annotation(parsed)
+    assert not (parsed / ANNOTATION).exists()
     assert {obj.name for obj in annotation.objects} == {"saucer", "cup", "spoon"}
     assert all(obj.kind == KEPT for obj in annotation.objects)
     tree = annotated_tree(annotation)

@@ -23,8 +23,6 @@ from neoworld_mjx.refinement.rounds import ranked
 from neoworld_mjx.refinement.search_run import SearchRun
 from tests.support.scenes import stored_scene
 
-tile, out = int(sys.argv[1]), sys.argv[2]
-loop.tile_of = lambda runs, population: tile
 used = set()
 mapped = batching.split
 
@@ -45,19 +43,33 @@ o = RefineOptions.model_validate({
     "check_duration_s": 0.1,
 })
 model = compile_for_search(stored_scene("crowded_2"), o)
-results = loop.search(model, [SearchRun(o, seed) for seed in range(8)], NativeEngine(threads=1))
-first = [ranked(r.rounds)[0] for r in results]
-np.savez(out, index=[index for index, _ in first], reward=[value for _, value in first],
-         xy=[np.asarray(r.rounds[1].layouts.xy) for r in results],
-         devices=len(jax.local_devices()), used=sorted(used))
+saved = {"devices": len(jax.local_devices())}
+for name, device, tile in (
+    ("alone", jax.local_devices()[0], 1), ("candidates", None, 1), ("runs", None, 8)
+):
+    used.clear()
+    loop.tile_of = lambda runs, population: tile
+    runs = [SearchRun(o, seed) for seed in range(8)]
+    with jax.default_device(device):
+        results = loop.search(model, runs, NativeEngine(threads=1))
+    first = [ranked(r.rounds)[0] for r in results]
+    saved |= {
+        f"{name}_index": [index for index, _ in first],
+        f"{name}_reward": [value for _, value in first],
+        f"{name}_xy": [np.asarray(r.rounds[1].layouts.xy) for r in results],
+        f"{name}_used": sorted(used),
+    }
+np.savez(sys.argv[1], **saved)
 """
 
 
-def searched(tmp_path, devices, tile):
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
-    out = tmp_path / f"{devices}_{tile}.npz"
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """What searches on one and on all devices of a process that has eight find."""
+    out = tmp_path_factory.mktemp("devices") / "found.npz"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
     process = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(tile), str(out)],
+        [sys.executable, "-c", SCRIPT, str(out)],
         env=os.environ | {"XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"},
         cwd=ROOT,
         capture_output=True,
@@ -68,17 +80,10 @@ def searched(tmp_path, devices, tile):
     return np.load(out)
 
 
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory):
-    found = searched(tmp_path_factory.mktemp("alone"), 1, 1)
-    assert found["devices"] == 1 and not found["used"].size
-    return found
-
-
-@pytest.mark.parametrize("tile", [1, 8], ids=["candidates", "runs"])
-def test_eight_devices_give_the_winners_of_one(alone, tmp_path, tile):
-    found = searched(tmp_path, 8, tile)
-    assert found["devices"] == 8 and list(found["used"]) == [8]
-    np.testing.assert_array_equal(found["index"], alone["index"])
-    np.testing.assert_allclose(found["reward"], alone["reward"], atol=1e-5)
-    np.testing.assert_allclose(found["xy"], alone["xy"], atol=1e-6)
+@pytest.mark.parametrize("shared", ["candidates", "runs"])
+def test_eight_devices_give_the_winners_of_one(found, shared):
+    assert found["devices"] == 8
+    assert not found["alone_used"].size and list(found[f"{shared}_used"]) == [8]
+    np.testing.assert_array_equal(found[f"{shared}_index"], found["alone_index"])
+    np.testing.assert_allclose(found[f"{shared}_reward"], found["alone_reward"], atol=1e-5)
+    np.testing.assert_allclose(found[f"{shared}_xy"], found["alone_xy"], atol=1e-6)

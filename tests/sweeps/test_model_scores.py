@@ -14,6 +14,7 @@ from neoworld_mjx.sweeps.model_scores import file_name
 from tests.support import scenes
 from tests.support.messages import MessagesServer
 
+pytestmark = pytest.mark.usefixtures("without_figures")
 WITHOUT = {"without S_sem": {"refine.reward.w_sem": 0}}
 
 

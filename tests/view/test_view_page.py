@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import Config
-from neoworld_mjx.pipeline import rebuild, search_again
+from neoworld_mjx.pipeline import rebuild, reconstruct, search_again
 from neoworld_mjx.spec import read_scene
 from neoworld_mjx.templates import template
 from tests.support.browser import changed, opened
@@ -16,6 +16,14 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 pytestmark = pytest.mark.slow
 CANVAS = 560
 """Columns of the page that the controls never cover."""
+
+
+@pytest.fixture(scope="module")
+def quick_run(tmp_path_factory, photo, quick_config):
+    """A finished run of the example with few candidates, which tests copy."""
+    out = tmp_path_factory.mktemp("quick") / "out"
+    reconstruct(photo, out, quick_config)
+    return out
 
 
 @pytest.fixture
