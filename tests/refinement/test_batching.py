@@ -16,7 +16,6 @@ from neoworld_mjx.physics.sharding import PART, WHOLE
 from neoworld_mjx.refinement import batching
 from neoworld_mjx.refinement.batching import (
     SHAPES,
-    TILE,
     early_stop_rule,
     joined,
     map_runs,
@@ -57,12 +56,12 @@ def assert_equal(a, b):
 @pytest.mark.parametrize(
     "runs, population, count, tile",
     [
-        (100, TILE // 8, 1, 8),
-        (5, TILE // 8, 1, 5),
-        (100, 3 * TILE, 1, 1),
-        (100, TILE // 8, 2, 16),
-        (5, TILE // 8, 2, 6),
-        (6, TILE // 8, 2, 6),
+        (100, 1024, 1, 8),
+        (5, 1024, 1, 5),
+        (100, 3 * 8192, 1, 1),
+        (100, 1024, 2, 16),
+        (5, 1024, 2, 6),
+        (6, 1024, 2, 6),
         (1, 8, 4, 1),
         (2, 8, 4, 4),
     ],

@@ -91,6 +91,9 @@ def test_means_are_of_the_objects_that_may_move(searched):
     assert result.mean_turn_deg == pytest.approx(30.0)
     assert result.mean_log_scale == pytest.approx(0.1)
     assert result.layout.xy.shape == (1, 4, 2)
+    far = Layout(*map(np.float32, (400 * xy, yaw, log_scale)))
+    text = repr(refined(searched, layout=far))
+    assert "mean shift 20000.0 mm, turn 30.0 deg, log scale +0.100" in text
 
 
 def test_a_scene_in_which_nothing_moves_has_means_of_zero():

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.refinement.objective import Scores
-from neoworld_mjx.refinement.rounds import Round, best_first, ranked, stacked
+from neoworld_mjx.refinement.rounds import NOT_DRAWN, Round, best_first, ranked, stacked
 
 
 def iteration(valid, merit, absolute):
@@ -43,3 +44,7 @@ def test_shorter_iterations_are_filled_up(fill):
     assert rows.dtype == np.float32 and rows.shape == (2, 3, 2)
     np.testing.assert_array_equal(rows[1], [[3, 4], [5, 6], [7, 8]])
     np.testing.assert_array_equal(rows[0], [[1, 2], [fill, fill], [fill, fill]])
+
+
+def test_an_entry_that_was_not_drawn_has_no_status_of_a_rollout():
+    assert NOT_DRAWN not in {int(status) for status in RolloutStatus}
