@@ -119,7 +119,8 @@ def run_suite(o: Mutation) -> dict[str, Any]:
     logged = o.log.read_text().splitlines() if o.log is not None and o.log.is_file() else []
     known = {row["key"]: row["outcome"] for row in map(json.loads, logged)}
     for row in rows:
-        texts = [row["text"], *((ROOT / test).read_text() for test in modules[row["module"]])]
+        files = [ROOT / test.partition("::")[0] for test in modules[row["module"]]]
+        texts = [row["text"], *(path.read_text() for path in files)]
         row["key"] = hashlib.sha256("\0".join(texts).encode()).hexdigest()[:16]
         row["outcome"] = known.get(row["key"])
     with tempfile.TemporaryDirectory() as folder:
@@ -142,12 +143,16 @@ def _try_all(
     copies: queue.Queue[Path] = queue.Queue()
     first = shutil.copytree(ROOT, folder / "0", ignore=shutil.ignore_patterns(*SKIPPED))
     limits = {}
-    for tests in {tuple(modules[row["module"]]) for row in rows}:
+
+    def try_unchanged(tests: tuple[str, ...]) -> None:
         began = time.perf_counter()
         # The copies below contain what this compiles.
         if run_tests(first, [*tests], 3600.0) != "survived":
             raise ConfigError(f"the tests fail without a mutation: {' '.join(tests)}")
         limits[tests] = max(LEAST_LIMIT_S, LIMIT_FACTOR * (time.perf_counter() - began))
+
+    with ThreadPoolExecutor(o.workers) as pool:
+        list(pool.map(try_unchanged, {tuple(modules[row["module"]]) for row in rows}))
     for k in range(1, o.workers):
         copies.put(Path(shutil.copytree(first, folder / str(k))))
     copies.put(first)

@@ -27,8 +27,6 @@ class PaperDifference(NamedTuple):
     """Value of the paper; `configs/paper.yaml` sets it."""
     reason: str
     """Reason for another default, as one English sentence."""
-    effect: str = ""
-    """Measured effect with n, default first; empty if an ablation of the search measures it."""
 
 
 class Options(BaseModel):

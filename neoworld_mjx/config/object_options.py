@@ -37,7 +37,6 @@ class ParseOptions(Options):
         difference=PaperDifference(
             False,
             "Models estimate sizes and distances less accurately than 2D boxes.",
-            "layout error 12.3 and 20.3 mm, size 2.18 and 2.34 % (n = 20 rendered scenes held out)",
         ),
     )
 
@@ -75,7 +74,6 @@ class ProgramOptions(JointSweepOptions):
         difference=PaperDifference(
             "three",
             "One request gives the same quality as three.",
-            "27 and 27 of 29 joints hit, 42 and 79 calls (n = 12 objects)",
         ),
     )
     language: Language = option(
@@ -85,8 +83,6 @@ class ProgramOptions(JointSweepOptions):
         difference=PaperDifference(
             "blender",
             "The SDK needs no installation, and its shapes provide their convex decomposition.",
-            "the same 7 joints; 0.32 to 0.74 and 8.9 to 11.4 s a build on a loaded machine "
-            "(n = 3 objects)",
         ),
     )
     debug_rounds: int = option(
@@ -224,7 +220,6 @@ class VerifyOptions(JointSweepOptions):
         difference=PaperDifference(
             False,
             "A measurement that identifies the fault saves a model call.",
-            "868 planted faults repaired without a call (n = 879)",
         ),
     )
     critic: Literal["auto", "always", "never"] = option(
@@ -262,8 +257,6 @@ class AlignOptions(Options):
         difference=PaperDifference(
             False,
             "Contours in the photograph locate objects and the camera better than a response.",
-            "position error 15.2 and 22.3 mm, box IoU 0.835 and 0.735 (n = 85 initial scenes "
-            "of the benchmark)",
         ),
     )
     camera: bool = option(True, "Also estimate the camera's pitch, roll, field of view and height.")
@@ -283,7 +276,6 @@ class ComposeOptions(Options):
         difference=PaperDifference(
             False,
             "Reconstructed shapes fill their boxes differently from the cuboids of the first fit.",
-            "box IoU as composed 0.895 and 0.878 (n = 3 photographs)",
         ),
     )
     settle: bool = option(
@@ -295,8 +287,6 @@ class ComposeOptions(Options):
         difference=PaperDifference(
             False,
             "The search does not change tilts, and objects rarely rest at their parsed tilt.",
-            "box IoU as composed 0.895 and 0.927, of coffee's spoon 0.62 and 0.91; two photographs "
-            "have no object to settle (n = 3 photographs)",
         ),
     )
     hold_joints: bool = option(
@@ -306,8 +296,6 @@ class ComposeOptions(Options):
             False,
             "A half-open joint in a photograph is held by friction; the search does not move "
             "joints.",
-            "joints move under gravity beyond the final check's thresholds in 0 and in 7 of 42 "
-            "objects (even-numbered initial scenes of the benchmark)",
         ),
     )
     align: AlignOptions = AlignOptions()
@@ -319,8 +307,6 @@ class ComposeOptions(Options):
         difference=PaperDifference(
             False,
             "Scores by a model and the report compare rendered pictures with the photograph.",
-            "mean difference of an object's color 14.6 and 8.4, of a pixel 23.3 and 10.1 in CIE "
-            "Lab (8 photographs with the earlier lights; those and 3 examples)",
         ),
     )
     gap_m: float = option(

@@ -48,13 +48,16 @@ Three differences have no option: MuJoCo replaces Isaac Sim; valid candidates ra
 ones of higher reward, those closer to the photograph first; and the returned scene is settled, or
 snapped exactly onto its supports if settling is disabled, before the final check.
 
-The last column gives measurements with the default and with the paper's value. Composed scenes are
-those of `python -m benchmarks composing`. An empty cell means that the effect was not measured; the
-plans `configs/ablations/refine.yaml` and `differences.yaml` measure the options of the search.
+The last column gives measurements with the default and with the paper's value, and the commit that
+was measured; [the figure](benchmarks/differences.md) says which code has changed since. An empty
+cell means that the effect was not measured; the plans `configs/ablations/refine.yaml` and
+`differences.yaml` measure the options of the search.
 
 | option | default | paper | reason | effect |
 |---|---|---|---|---|
 """
+_MEASURED = "benchmarks/figures/differences.yaml"
+"""Effects of options outside the search: option, effect, n and commit."""
 _ABLATIONS = {
     "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
     "configs/ablations/differences.yaml": "benchmarks/figures/differences_ablation.yaml",
@@ -78,18 +81,22 @@ def differences_page(root: Path) -> str:
     """Return docs/differences-from-the-paper.md.
 
     Args:
-        root: a checkout of the repository, for the plans and results of ablations.
+        root: a checkout of the repository, for the figures and the plans of ablations.
     """
-    effects: dict[tuple[str, Any], str] = {}
+    measured = {
+        path.strip("`"): f"{effect} (n: {n}; commit {commit})"
+        for path, effect, n, commit in _read(root / _MEASURED)["rows"]
+    }
+    ablated: dict[tuple[str, Any], str] = {}
     for plan, results in _ABLATIONS.items():
         if (root / results).is_file():
-            effects |= _ablated(_read(root / plan)["variants"], _read(root / results))
+            ablated |= _ablated(_read(root / plan)["variants"], _read(root / results))
     text = [_DIFFERENCES_HEAD]
     for option in list_options(Config):
         if option.difference is not None:
-            value, reason, effect = option.difference
-            effect = effect or effects.get((option.path, value), "")
+            value, reason = option.difference
             cells = [f"`{option.path}`", f"`{_flow(option.default)}`", f"`{_flow(value)}`"]
+            effect = measured.get(option.path) or ablated.get((option.path, value), "")
             text.append(f"| {' | '.join([*cells, reason, effect])} |\n")
     return "".join(text)
 

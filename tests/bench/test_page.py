@@ -1,6 +1,7 @@
 """Benchmark pages and the figures that they are generated from."""
 
 import json
+import re
 
 import pytest
 from neoworld_bench import suites
@@ -20,6 +21,28 @@ def test_pages_and_tables_match_the_figures():
     assert written == pages, "stale: run `uv run python -m benchmarks.page`"
     folder = {path.name for path in (ROOT / "docs" / "benchmarks").iterdir()}
     assert folder == {path.name for path in written if path.parent.name == "benchmarks"}
+
+
+MEASURED = re.compile(
+    r"AMD EPYC|Intel Xeon|\bH[12]00s?\b|\(n = \d|, n = \d|\d % \(\d+ to \d+\)|95 % interval -?[.\d]"
+    r"|\d+ m?s of processor time (for|on|a)\b"
+)
+"""Devices, sizes and intervals, which only figures state."""
+GENERATED = re.compile(r"<!-- [a-z_]+ -->\n.*?<!-- end -->", re.S)
+
+
+def test_no_page_states_a_measurement_by_hand():
+    """A figure in a text goes stale unnoticed: it belongs into benchmarks/figures."""
+    whole = {ROOT / path for path in page.pages() if path.parent.name == "benchmarks"}
+    whole |= {ROOT / "docs/benchmarks.md", ROOT / "docs/results.md"}
+    whole |= {ROOT / "docs/differences-from-the-paper.md"}  # by neoworld_mjx.config, of figures
+    found = []
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        if path not in whole:
+            text = GENERATED.sub("", path.read_text(encoding="utf-8"))
+            lines = filter(MEASURED.search, text.splitlines())
+            found += [f"{path.relative_to(ROOT)}: {line.strip()}" for line in lines]
+    assert not found
 
 
 def test_every_figure_is_on_a_page():

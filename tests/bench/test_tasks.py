@@ -169,6 +169,12 @@ def test_summary_of_task_checks():
     assert summarised([row, bad])["missed"] == ["a: fell"]
     assert not summarised([row.model_copy(update={"waiting": True})])["passed"]
     assert not summarised([row.model_copy(update={"displaced": 1})])["passed"]
+    other = {"kind": "pushing", "displaced": 3, "drift_mm": 2.5, "reference": False}
+    first, pushed, whole = summarised([row, row.model_copy(update=other)])["table"]
+    assert (first["kind"], pushed["kind"], whole["kind"]) == ("placement", "pushing", "all")
+    assert first["tasks"] == first["reference_succeeds"] == 1 and first["displaced_succeeds"] == 0
+    assert pushed["reference_succeeds"] == 0 and pushed["largest_drift_mm"] == 2.5
+    assert (whole["tasks"], whole["displaced_succeeds"], whole["displaced_runs"]) == (2, 3, 8)
 
 
 def command(*arguments):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.measure import box_iou, object_moves, shown_sides, visible_box_iou
+from neoworld_mjx.measure import box_iou, shown_sides, visible_box_iou
 from neoworld_mjx.measure.boxes import iou_2d
 from neoworld_mjx.spec import Box, Box3D, Camera, SceneTree, TreeNode
 from tests.support import scenes
@@ -60,15 +60,3 @@ def test_a_side_is_an_objects_own_without_an_occluder(scene):
     assert shown["far"].inside.all()
     assert not shown["cut"].inside[0] and not shown["cut"].own[0]
     assert shown["cut"].own[2]
-
-
-def test_moves_are_in_world_coordinates(scene):
-    before = scenes.blocks()
-    low = before.object("low")
-    pushed = low.model_copy(update={"xy": (low.xy[0] + 0.03, low.xy[1]), "yaw": low.yaw + 0.1})
-    objects = tuple(pushed if item.name == "low" else item for item in before.objects)
-    moves = object_moves(before, before.model_copy(update={"objects": objects}))
-    assert set(moves) == {"low", "high", "ball"}
-    assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1), np.degrees(0.1)))
-    # What stands on it goes along, and nothing else moves.
-    assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0, 0.0))

@@ -99,4 +99,19 @@ def summarised(rows: Sequence[TaskRow]) -> dict[str, Any]:
             if row.waiting or not row.reference
         ],
         "succeeds_displaced": {row.task: row.displaced for row in rows if row.displaced},
+        "table": [_of_kind(kind, rows) for kind in (*dict.fromkeys(r.kind for r in rows), "all")],
+    }
+
+
+def _of_kind(kind: str, rows: Sequence[TaskRow]) -> dict[str, Any]:
+    """Return the figures of a kind of tasks, or of "all"."""
+    chosen = [row for row in rows if kind in (row.kind, "all")]
+    return {
+        "kind": kind,
+        "tasks": len(chosen),
+        "reference_succeeds": sum(row.reference for row in chosen),
+        "true_without_a_plan": sum(row.waiting for row in chosen),
+        "displaced_succeeds": sum(row.displaced for row in chosen),
+        "displaced_runs": sum(row.directions for row in chosen),
+        "largest_drift_mm": max((row.drift_mm for row in chosen), default=0.0),
     }

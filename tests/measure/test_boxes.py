@@ -1,0 +1,126 @@
+"""Overlap of boxes and outlines, against areas and volumes known in closed form."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.measure.boxes import (
+    footprint,
+    iou_2d,
+    iou_3d,
+    shared_2d,
+    shared_3d,
+    shared_footprint,
+    support_footprint,
+    upright,
+)
+from neoworld_mjx.spec import Box2D, Box3D, TreeNode
+from neoworld_mjx.spec.pose import from_axis_angle
+from neoworld_mjx.spec.room import SupportOutline
+
+PIXELS = Box2D(x0=1.0, y0=2.0, x1=4.0, y1=8.0)
+
+
+def node(box, **fields):
+    return TreeNode(name="desk", label="desk", environment=True, box2d=PIXELS, box3d=box, **fields)
+
+
+@pytest.mark.parametrize(
+    "a, b, shared",
+    [
+        ((0, 0, 2, 3), (1, 1, 5, 5), 2.0),
+        ((0, 0, 2, 3), (1, -4, 5, 1), 1.0),
+        ((0, 0, 2, 3), (2, 0, 3, 3), 0.0),
+        ((0, 0, 2, 3), (3, 4, 5, 6), 0.0),
+        ((0, 0, 2, 3), (3, 0, 5, 3), 0.0),
+        ((0, 0, 4, 4), (1, 1, 2, 3), 2.0),
+    ],
+)
+def test_the_shared_area_of_boxes_in_pixels(a, b, shared):
+    area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
+    assert shared_2d(a, b) == shared_2d(b, a) == shared
+    assert iou_2d(a, b) == pytest.approx(shared / (area(a) + area(b) - shared))
+
+
+def test_an_empty_or_reversed_box_overlaps_nothing():
+    assert iou_2d((1, 1, 1, 1), (1, 1, 1, 1)) == 0.0
+    assert iou_2d((2, 0, 0, 2), (0, 0, 1, 1)) == 0.0
+    assert iou_2d((0, 2, 2, 0), (3, 3, 4, 5)) == 0.0
+    assert iou_2d(PIXELS, PIXELS) == 1.0 and iou_2d(PIXELS, (1, 2, 4, 5)) == 0.5
+
+
+def test_a_footprint_is_turned_about_the_boxs_center():
+    box = Box3D(position=(1.0, 2.0, 5.0), size=(0.4, 0.2, 1.0))
+    corners = [[0.8, 1.9], [1.2, 1.9], [1.2, 2.1], [0.8, 2.1]]
+    np.testing.assert_allclose(footprint(box), corners)
+    quarter = box.model_copy(update={"yaw": math.pi / 2})
+    turned = [[1.1, 1.8], [1.1, 2.2], [0.9, 2.2], [0.9, 1.8]]
+    np.testing.assert_allclose(footprint(quarter), turned)
+    # A heading of 30 degrees turns +x towards +y.
+    front = footprint(box.model_copy(update={"yaw": math.pi / 6}))[1:3].mean(axis=0)
+    np.testing.assert_allclose(front, [1 + 0.2 * math.cos(math.pi / 6), 2.1])
+
+
+def test_a_supports_outline_is_scaled_and_turned_with_its_box():
+    box = Box3D(position=(1.0, 2.0, 0.0), size=(0.4, 0.2, 1.0), yaw=math.pi / 2)
+    np.testing.assert_allclose(support_footprint(node(box)), footprint(box))
+    points = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5))
+    triangle = SupportOutline(shape="polygon", points=points)
+    corners = support_footprint(node(box, outline=triangle))
+    np.testing.assert_allclose(corners, [[1.1, 1.8], [1.1, 2.2], [0.9, 1.8]])
+    round_top = support_footprint(node(box, outline=SupportOutline(shape="round")))
+    ellipse = ((round_top - [1.0, 2.0]) / [0.1, 0.2]) ** 2
+    np.testing.assert_allclose(ellipse.sum(axis=1), 1.0)
+    lying = tuple(from_axis_angle([0, 1, 0], math.pi / 2).tolist())
+    tilted = node(box, outline=triangle, base_tilt=lying)
+    np.testing.assert_allclose(support_footprint(tilted), footprint(upright(tilted)))
+
+
+def test_a_tilted_box_has_an_upright_one_around_it():
+    box = Box3D(position=(1.0, 2.0, 0.5), size=(0.4, 0.2, 1.0), yaw=0.3)
+    assert upright(node(box)) is box
+    for sign in (-1, 1):
+        lying = tuple(from_axis_angle([0, 1, 0], sign * math.pi / 2).tolist())
+        around = upright(node(box, base_tilt=lying))
+        np.testing.assert_allclose(around.size, [1.0, 0.2, 0.4], atol=1e-12)
+        # The box falls to its front or back, so that its middle is half its height ahead.
+        middle = [1 + sign * 0.5 * math.cos(0.3), 2 + sign * 0.5 * math.sin(0.3), 0.5]
+        np.testing.assert_allclose(around.position, middle)
+    leaning = tuple(from_axis_angle([1, 0, 0], 0.4).tolist())
+    around = upright(node(box, base_tilt=leaning))
+    corners = box.corners(leaning)
+    flat = footprint(around)
+    for corner in corners[:, :2]:
+        assert shared_footprint(flat, corner + 1e-4 * (footprint(around) - flat.mean(axis=0))) > 0
+    assert around.position[2] == corners[:, 2].min() == 0.5
+    assert around.size[2] == pytest.approx(np.ptp(corners[:, 2]))
+    assert around.yaw == 0.3
+    slight = tuple(from_axis_angle([1, 0, 0], 1e-3).tolist())
+    assert upright(node(box, base_tilt=slight)) is not box
+
+
+def test_the_shared_area_of_polygons():
+    square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
+    triangle = np.array([[1.0, 1], [3, 1], [1, 3]])
+    assert shared_footprint(square, square) == pytest.approx(4.0)
+    assert shared_footprint(square, triangle) == pytest.approx(1.0)
+    assert shared_footprint(triangle, square) == pytest.approx(1.0)
+    assert shared_footprint(square, square + [3.0, 0.0]) == 0.0
+    assert shared_footprint(square, square + [2.0, 0.0]) == 0.0
+    assert shared_footprint(square, 0.25 * square + 0.5) == pytest.approx(0.25)
+    # A concave one, of which the other covers the notch.
+    ell = np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
+    assert shared_footprint(ell, square) == pytest.approx(3.0)
+    assert shared_footprint(ell, square + 1.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_shared_volume_of_boxes():
+    a = Box3D(position=(0.0, 0.0, 0.0), size=(2.0, 1.0, 3.0))
+    above = a.model_copy(update={"position": (1.0, 0.5, 2.0)})
+    assert shared_3d(a, above) == shared_3d(above, a) == pytest.approx(0.5)
+    assert iou_3d(a, above) == pytest.approx(0.5 / 11.5)
+    assert shared_3d(a, a.model_copy(update={"position": (0.0, 0.0, 3.0)})) == 0.0
+    assert iou_3d(a, a.model_copy(update={"position": (0.0, 0.0, 4.0)})) == 0.0
+    across = a.model_copy(update={"yaw": math.pi / 2, "size": (2.0, 1.0, 1.0)})
+    assert shared_3d(a, across) == pytest.approx(1.0)

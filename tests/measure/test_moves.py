@@ -1,0 +1,57 @@
+"""Displacement, scaling and rotation of objects between two scenes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.measure import object_moves
+from neoworld_mjx.spec import Box
+from neoworld_mjx.spec.pose import from_axis_angle
+from tests.support import scenes
+
+
+def changed(scene, **update):
+    """The scene with fields of `low` changed."""
+    objects = tuple(o.model_copy(update=update) if o.name == "low" else o for o in scene.objects)
+    return scene.model_copy(update={"objects": objects})
+
+
+def test_moves_are_in_world_coordinates():
+    before = scenes.blocks()
+    low = before.object("low")
+    pushed = low.model_copy(update={"xy": (low.xy[0] + 0.03, low.xy[1]), "yaw": low.yaw + 0.1})
+    objects = tuple(pushed if item.name == "low" else item for item in before.objects)
+    moves = object_moves(before, before.model_copy(update={"objects": objects}))
+    assert set(moves) == {"low", "high", "ball"}
+    assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1), np.degrees(0.1)))
+    # What stands on it goes along, and nothing else moves.
+    assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0, 0.0))
+
+
+def test_the_ratio_of_sizes_is_the_geometric_mean_of_the_axes():
+    def sized(*size):
+        spec = scenes.single("low", (Box(size=size), (0, 0, 0)))
+        return scenes.on_table((spec, (0, 0), 0.0, {}))
+
+    before = sized(0.1, 0.1, 0.1)
+    for size, ratio in (((0.2, 0.2, 0.2), 2.0), ((0.8, 0.1, 0.1), 2.0), ((0.05, 0.05, 0.05), 0.5)):
+        assert object_moves(before, sized(*size))["low"].size_ratio == pytest.approx(ratio)
+
+
+def test_a_heading_turns_the_shorter_way_and_a_tilt_counts_in_the_whole_rotation():
+    scene = scenes.blocks()
+    one, other = changed(scene, yaw=math.radians(170)), changed(scene, yaw=math.radians(-170))
+    assert object_moves(one, other)["low"].yaw_deg == pytest.approx(20.0)
+    assert object_moves(other, one)["low"].yaw_deg == pytest.approx(-20.0)
+    assert object_moves(other, one)["low"].turn_deg == pytest.approx(20.0)
+    tilted = changed(scene, base_tilt=tuple(from_axis_angle([1, 0, 0], 0.5).tolist()))
+    move = object_moves(changed(scene, yaw=0.0), tilted.model_copy())["low"]
+    assert move.turn_deg > 28.0
+
+
+def test_an_object_of_one_scene_alone_is_left_out():
+    scene = scenes.blocks()
+    fewer = scene.model_copy(update={"objects": scene.objects[:-1]})
+    last = scene.objects[-1].name
+    assert last not in object_moves(scene, fewer) and last not in object_moves(fewer, scene)

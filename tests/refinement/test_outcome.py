@@ -1,0 +1,157 @@
+"""Numbers of an iteration and of a whole refinement, as reports and histories state them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.refinement.choosing import Winner
+from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.loop import search
+from neoworld_mjx.refinement.outcome import iteration_summary, outcome
+from neoworld_mjx.refinement.rounds import NOT_DRAWN
+from neoworld_mjx.refinement.search_run import FirstValid, SearchRun
+from tests.support import scenes
+
+OPTIONS = RefineOptions.model_validate(
+    {
+        "cem": {"population": 4, "iterations": 1, "hold_resting": False},
+        "settle": {"enabled": False},
+        "rollout": {"duration_s": 0.0, "samples_per_object": 16},
+        "check_duration_s": 0.05,
+    }
+)
+
+
+def values(absolute, valid, status=None):
+    pop = len(absolute)
+    return {
+        "absolute": np.float32(absolute),
+        "merit": np.arange(pop, dtype=np.float32),
+        "valid": np.array(valid),
+        "status": np.zeros(pop, np.int32) if status is None else np.array(status),
+        "d_pen": 10 * np.arange(pop, dtype=np.float32),
+    }
+
+
+def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
+    given = values([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_DRAWN])
+    assert iteration_summary(given, ["d_pen"]) == {
+        "best": 4.0, "mean": 2.5, "rollouts": 3, "valid": pytest.approx(2 / 3), "merit": 1.0,
+        "d_pen": 10.0,
+    }  # fmt: skip
+
+
+def test_the_merit_of_an_iteration_is_that_of_its_best_valid_candidate():
+    found = iteration_summary(values([5.0, 4.0, 3.0], [True, False, False]), ["d_pen"])
+    assert (found["merit"], found["best"], found["d_pen"]) == (0.0, 5.0, 0.0)
+    assert iteration_summary(values([5.0, 4.0], [False, False]), [])["merit"] is None
+
+
+def test_an_iteration_without_a_finite_reward_has_no_best():
+    found = iteration_summary(values([-np.inf], [False], [NOT_DRAWN]), ["d_pen"])
+    assert found == {
+        "best": None, "mean": None, "rollouts": 0, "valid": 0.0, "merit": None, "d_pen": None
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def searched():
+    model = compile_for_search(scenes.blocks(), OPTIONS)
+    (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
+    return model, result
+
+
+def refined(searched, *, passed=True, layout=None, result=None, **given):
+    model, known = searched
+    initial = known.initial
+    finished = initial._replace(passed=passed, moved_away=() if passed else ("ball",))
+    layout = Layout.zero(1, len(model.names) + 3) if layout is None else layout
+    winner = Winner((0, 2), layout, finished, initial.measure, 3)
+    call = {"engine": "native", "clock": {"search": 2.0}, "delivered": {"absolute": 1.0}}
+    result = known if result is None else result
+    return outcome(model, result, known.rounds, winner, **call | given)
+
+
+def test_means_are_of_the_objects_that_may_move(searched):
+    model, _ = searched
+    wide = len(model.names) + 3  # padded
+    xy, yaw, log_scale = np.zeros((1, wide, 2)), np.zeros((1, wide)), np.zeros((1, wide))
+    xy[0, 1:4] = [[0.03, 0.04], [0.0, 0.0], [0.0, -0.1]]
+    yaw[0, 1:4] = np.radians([30.0, -60.0, 0.0])
+    log_scale[0, 1:4] = [0.3, -0.3, 0.3]
+    xy[0, 4:], yaw[0, 4:], log_scale[0, 4:] = 9.0, 9.0, 9.0
+    xy[0, 0], yaw[0, 0], log_scale[0, 0] = 9.0, 9.0, 9.0
+    assert list(np.asarray(model.optimised)) == [False, True, True, True]
+    result = refined(searched, layout=Layout(*map(np.float32, (xy, yaw, log_scale))))
+    assert result.mean_shift_m == pytest.approx(0.15 / 3)
+    assert result.mean_turn_deg == pytest.approx(30.0)
+    assert result.mean_log_scale == pytest.approx(0.1)
+    assert result.layout.xy.shape == (1, 4, 2)
+    far = Layout(*map(np.float32, (400 * xy, yaw, log_scale)))
+    text = repr(refined(searched, layout=far))
+    assert "mean shift 20000.0 mm, turn 30.0 deg, log scale +0.100" in text
+
+
+def test_a_scene_in_which_nothing_moves_has_means_of_zero():
+    item = scenes.blocks().objects[0]
+    scene = scenes.blocks().model_copy(update={"objects": (item,)})
+    model = compile_for_search(scene, OPTIONS)
+    (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
+    found = refined((model, result))
+    assert (found.mean_shift_m, found.mean_turn_deg, found.mean_log_scale) == (0.0, 0.0, 0.0)
+    assert found.kept == ()
+
+
+def test_the_history_has_all_candidates_and_terms(searched):
+    model, result = searched
+    history = refined(searched).history
+    assert history["reward"].shape == history["d_pen"].shape == (1, 4)
+    assert history["xy"].shape == (1, 4, 4, 2)
+    np.testing.assert_array_equal(history["merit"][0], result.rounds[0].scores.merit)
+    np.testing.assert_array_equal(history["valid"][0], result.rounds[0].scores.valid)
+    weights = dict(zip(history["term_names"], history["term_weights"], strict=True))
+    reward = OPTIONS.reward
+    assert weights == {
+        "s_sem": reward.w_sem, "prior": pytest.approx(-reward.w_prior),
+        "d_pen": pytest.approx(-reward.w_pen), "d_drift": pytest.approx(-reward.w_drift),
+    }  # fmt: skip
+    assert history["object_names"].tolist() == list(model.names)
+    marks = np.zeros((1, 4), np.int8)
+    assert "s_sem_from" not in history
+    assert refined(searched, semantic=marks).history["s_sem_from"] is marks
+
+
+def test_what_was_done_is_stated(searched):
+    _, known = searched
+    result = refined(searched, result=replace(known, first_valid=FirstValid(1, 4)))
+    assert (result.iterations, result.rollouts, result.winner) == (1, 4, (0, 2))
+    assert (result.finalists_tried, result.engine, result.first_valid) == (3, "native", (1, 4))
+    assert set(result.kept) == {"low", "high", "ball"} and result.passed
+    assert result.fallbacks == () and result.scoring == {}
+    assert refined(searched, scoring={"calls": 3}).scoring == {"calls": 3}
+    m = result.measure
+    assert repr(result) == (
+        f"Refined({result.scene.name}: passed the check\n"
+        f"  1 iterations, 4 rollouts, 2.0 s on native; winner (0, 2)\n"
+        f"  depth {m.max_depth_m * 1e3:.2f} mm (was {m.max_depth_m * 1e3:.2f} mm), "
+        f"moved {m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg\n"
+        f"  mean shift 0.0 mm, turn 0.0 deg, log scale +0.000)"
+    )
+
+
+def test_failures_are_listed_after_those_of_earlier_steps(searched):
+    _, known = searched
+    stuck = replace(known, stuck=("low", "ball"))
+    result = refined(searched, passed=False, result=stuck, fallbacks=("earlier",))
+    earlier, ended, failed = result.fallbacks
+    assert earlier == "earlier" and "did not pass the check" in repr(result)
+    assert ended == (
+        "the search ended after 1 iterations: in no candidate did low, ball rest where the "
+        "photograph shows it"
+    )
+    assert failed.startswith("no candidate passed the final check in 3 tries; the closest one is")
+    assert failed.endswith("ball settled away from its place")

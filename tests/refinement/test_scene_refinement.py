@@ -1,0 +1,117 @@
+"""What `refine` is given: a scene or its path, an engine, and scores that arrive late."""
+
+from inspect import unwrap
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.refinement import scene_refinement as module
+from neoworld_mjx.refinement.objective import Scores
+from neoworld_mjx.refinement.rounds import Round
+from neoworld_mjx.refinement.scene_refinement import open_scene, read_composed, refine
+from neoworld_mjx.refinement.score_log import Score
+from neoworld_mjx.refinement.scorer import Mark
+from tests.support import scenes
+
+
+def options(**given):
+    return RefineOptions.model_validate(
+        {
+            "cem": {"population": 8, "iterations": 1},
+            "rollout": {"duration_s": 0.1, "samples_per_object": 16},
+            "check_duration_s": 0.1,
+            **given,
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "name, population, opened",
+    [
+        ("auto", 256, "native"),
+        ("auto", 257, "auto"),
+        ("native", 4096, "native"),
+        ("mjx", 8, "mjx"),
+    ],
+)
+def test_automatic_engines_leave_small_populations_to_the_cores(
+    monkeypatch, name, population, opened
+):
+    monkeypatch.setattr(module, "open_engine", lambda engine: engine)
+    assert unwrap(module._open_engine)(name, options(cem={"population": population})) == opened
+
+
+def test_a_scene_is_read_from_a_run_folder_before_its_refinement(tmp_path):
+    composed, refined = scenes.blocks(), scenes.furnished()
+    (tmp_path / "compose").mkdir()
+    for path, scene in (("scene.json", refined), ("compose/scene.json", composed)):
+        (tmp_path / path).write_text(scene.to_json())
+    assert read_composed(tmp_path) == composed
+    assert read_composed(tmp_path / "scene.json") == refined
+    (tmp_path / "compose/scene.json").unlink()
+    assert read_composed(tmp_path) == refined
+    with pytest.raises(SpecError, match="nowhere"):
+        read_composed(tmp_path / "nowhere")
+
+
+def test_a_scene_is_compiled_unless_it_is(tmp_path):
+    o, scene = options(), scenes.blocks()
+    model = open_scene(scene, o)
+    assert open_scene(model, options(rollout={"samples_per_object": 99})) is model
+    path = tmp_path / "scene.json"
+    path.write_text(scene.to_json())
+    assert open_scene(path, o) is open_scene(str(path), o) is model
+    with pytest.raises(TypeError, match="got a dict"):
+        unwrap(open_scene)({}, o)
+
+
+def test_scores_that_come_late_count_in_the_choice_of_the_winner():
+    pop = 4
+    s_sem, zero = np.float32([0.1, 0.2, 0.3, 0.4]), np.zeros((pop, 1), np.float32)
+    base = np.float32([1.0, 2.0, 3.0, -np.inf])
+    scores = Scores(
+        {"s_sem": s_sem, "d_pen": s_sem}, np.zeros(pop, bool), np.zeros(pop, np.int32),
+        base, base + 10, base + 20, zero, zero, np.ones((pop, 1), bool), None,
+    )  # fmt: skip
+    round_ = Round(Layout.zero(pop, 1), None, scores)  # The poses are not read.
+    marks = np.full(pop, Mark.ESTIMATED, np.int8)
+    late = {(2, 0): 0.6, (2, 2): None, (1, 1): 0.9, (2, 3): 0.5}
+
+    def known(identity):
+        if identity not in late:
+            return None
+        text = {"iteration": 2, "candidate": identity[1], "rank": 0, "layout": "x"}
+        return Score.model_validate(text | {"value": late[identity]})
+
+    scorer = SimpleNamespace(known=known)
+    after = unwrap(module._with_late_scores)(scorer, 2, round_, marks, 4.0)
+    change = np.float32([0.5, 0, 0, 0.1])
+    np.testing.assert_allclose(after.scores.terms["s_sem"], s_sem + change, rtol=1e-6)
+    np.testing.assert_array_equal(after.scores.terms["d_pen"], s_sem)
+    for name in ("reward", "absolute", "merit"):
+        expected = getattr(scores, name) + 4.0 * change
+        np.testing.assert_allclose(getattr(after.scores, name), expected, rtol=1e-6)
+    assert list(marks) == [Mark.SCORED, Mark.ESTIMATED, Mark.ESTIMATED, Mark.SCORED]
+    assert after.layouts is round_.layouts
+
+
+def test_the_parts_of_a_refinement_are_timed_and_reported():
+    refined = refine(scenes.blocks(), options(), engine="native")
+    parts = refined.seconds
+    assert parts.keys() >= {"compile", "settle", "rollout", "score", "wait", "check", "search"}
+    assert all(0 <= parts[name] < 600 for name in ("compile", "wait", "check", "search"))
+    assert parts["check"] > 0 and parts["compile"] > 0
+    assert not refined.scoring and "semantic" not in refined.history
+    assert refined.engine == "native" and not refined.fallbacks
+
+
+def test_a_model_scores_only_where_its_scores_weigh():
+    o = options(semantic={"scorer": "mllm"})
+    with pytest.raises(ConfigError, match="needs the photograph and a model"):
+        refine(scenes.blocks(), o, engine="native")
+    weightless = options(semantic={"scorer": "mllm"}, reward={"w_sem": 0.0})
+    assert not refine(scenes.blocks(), weightless, engine="native").scoring
