@@ -181,6 +181,8 @@ class BenchRunCommand:
 class BenchCommand:
     """Run benchmarks of methods, engines and models, and write their data set and tables."""
 
+    ends_by_interrupt: ClassVar[bool] = False
+
     task: (
         Annotated[BenchRunCommand, subcommand("run")]
         | Annotated[BenchMakeCommand, subcommand("make")]
