@@ -198,6 +198,8 @@ class Mutation:
     """Processes, each with a copy of the repository and one core."""
     log: Path | None = None
     """File to which each mutant is appended; a repeated command skips those that are in it."""
+    skip_failing: bool = False
+    """Leave out modules whose tests fail without a mutation on this machine, and name them."""
 
 
 SUITES = {
