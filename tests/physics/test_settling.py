@@ -185,8 +185,8 @@ SIZE = float(np.linalg.norm([0.1, 0.1, 0.02]))
         ((0.0, -0.5 * SIDEWAYS * SIZE, 0.0), 0.0, 0.5),
         ((0.0, 0.0, -(DOWN[0] * SIZE + DOWN[1])), 0.0, 1.0),
         ((0.0, 0.0, 2 * (DOWN[0] * SIZE + DOWN[1])), 0.0, 2.0),
-        ((0.0, 0.0, 0.0), 20.0, 1.0),
-        ((0.0, 0.0, 0.0), -5.0, 0.25),
+        ((0.0, 0.0, 0.0), 15.0, 1.0),
+        ((0.0, 0.0, 0.0), -5.0, 1 / 3),
     ],
 )
 def test_displacement_is_in_units_of_the_bounds(shift, degrees, expected):
@@ -216,7 +216,7 @@ def test_objects_placed_tilted_may_turn_farther_and_balls_at_will():
     upright = compile_scene(tilted(0.0), samples=16)
     leaning = compile_scene(tilted(5.0), samples=16)
     round_ = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})), samples=16)
-    turn = np.array(from_axis_angle((1, 0, 0), np.radians(20.0)))
+    turn = np.array(from_axis_angle((1, 0, 0), TILTED))
     shares = []
     for model in (upright, leaning, round_):
         start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, len(model.names))))
