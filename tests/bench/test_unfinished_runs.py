@@ -1,6 +1,7 @@
 """Interrupted suites: what they have made is kept, and the same command continues."""
 
 import json
+import os
 import sys
 
 import pytest
@@ -105,9 +106,11 @@ def test_a_suite_that_was_killed_takes_its_rows_over(cache, capfd, monkeypatch):
         return models(name, *arguments)
 
     monkeypatch.setattr(agreement, "_models", counted)
+    monkeypatch.setattr(os, "_exit", sys.exit)  # An interrupted command ends its process.
     words = ["bench", "run", "agreement", "--scene", "stack", "leaning", "--layouts", "2", "--json"]
-    with pytest.raises((KeyboardInterrupt, SystemExit)):
+    with pytest.raises(SystemExit) as interrupted:
         cli.main(words)
+    assert interrupted.value.code == 130
     with pytest.raises(SystemExit) as ended:
         cli.main(words)
     assert ended.value.code in (0, None)
