@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.scene import Camera
 
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, world_poses
@@ -48,9 +49,7 @@ def write_glb(
         matrix4 = np.eye(4)
         matrix4[:3, :3], matrix4[:3, 3] = matrix(at.quat), at.pos
         fov = np.degrees([seen.fovy * seen.width / seen.height_px, seen.fovy])
-        made.camera = trimesh.scene.Camera(
-            name="camera", resolution=(seen.width, seen.height_px), fov=fov
-        )
+        made.camera = Camera(name="camera", resolution=(seen.width, seen.height_px), fov=fov)
         matrix4[:3, :3] *= camera_scale
         made.camera_transform = TO_GLTF @ matrix4
     for name, pose in object_matrices(scene).items():
