@@ -1,14 +1,19 @@
 """Poses of a layout, computed by hand: order of scale, tilt, yaw and translation."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from neoworld_mjx.physics import layout as layouts_of
 from neoworld_mjx.physics.layout import (
     Layout,
+    arrange,
     compose_poses,
     diagonal,
     frames,
+    heights,
     place,
     rotation,
 )
@@ -95,3 +100,94 @@ def test_an_object_beside_its_support_keeps_its_composed_height():
     zero = Layout.zero(1, 2)
     poses = place(scene.arrangement, Layout(jnp.asarray(beside), zero.yaw, zero.log_scale))
     assert float(poses.height[0, 1]) == pytest.approx(0.3, abs=1e-6)
+    # Its height is measured from the parent's origin, so it grows with the parent.
+    double = zero.log_scale.at[0, 0].set(np.log(2.0))
+    far = heights(scene.arrangement, Layout(2 * jnp.asarray(beside), zero.yaw, double))
+    assert float(far[0, 1]) == pytest.approx(2 * 0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_rotation_is_that_of_scipy(xp):
+    turns = Rotation.random(12, random_state=0)
+    quat = xp.asarray(turns.as_quat(scalar_first=True).reshape(3, 4, 4), np.float32)
+    assert rotation(quat, xp) == pytest.approx(turns.as_matrix().reshape(3, 4, 3, 3), abs=1e-6)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_a_chain_of_three_on_a_frame_beside_its_parent(xp):
+    """Each offset is scaled by its own parent, and turned by the yaws below it."""
+    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.3)), (0, 0, 0)))
+    lowest = SceneObject(name="lowest", spec=block, xy=(1.0, 2.0), z=0.5)
+    middle = SceneObject(name="middle", spec=block, parent="lowest", xy=(0.3, 0.1), z=0.3)
+    top = SceneObject(name="top", spec=block, parent="middle", xy=(0.2, 0.4), z=0.3)
+    a = frames(SceneSpec(name="three", objects=(lowest, middle, top)))
+    assert a.parent.tolist() == [-1, 0, 1]
+    # The middle one stands on a part that is moved by (0.4, 0.5, 0.6) and turned by 90 degrees.
+    a.frame_pos[1], a.frame_yaw[1] = (0.4, 0.5, 0.6), np.pi / 2
+    yaw = xp.asarray([[np.pi / 2, np.pi, 0.0]], np.float32)
+    size = xp.asarray(np.log([[2.0, 3.0, 1.0]]), np.float32)
+    zero = Layout(xp.zeros((1, 3, 2), np.float32), yaw, size)
+    poses = compose_poses(a, zero, xp.asarray([[0.5, 0.7, 0.8]], np.float32), xp)
+    # (0.8, 1.0, 1.2) turned by 90 degrees, and (0.6, 0.2, 0.7) by 180.
+    second = np.array([1.0 - 1.0 - 0.6, 2.0 + 0.8 - 0.2, 0.5 + 1.2 + 0.7])
+    # The top one is turned by 90 + 90 + 180 degrees.
+    expected = [[1.0, 2.0, 0.5], second, second + [0.6, 1.2, 0.8]]
+    assert poses.pos[0] == pytest.approx(np.array(expected), abs=1e-5)
+
+
+def small_block():
+    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    return scenes.on_table((block, (0.1, 0.0), 0.0, {}))
+
+
+@pytest.mark.parametrize("reach", [1 / 3, 0.8])
+def test_the_table_under_an_object_covers_its_reach(reach):
+    table = arrange(small_block(), reach=reach).support
+    # 1.3 times the radius of the footprint, for larger sizes, and the reach.
+    half = 1.3 * 0.05 * np.sqrt(2) + reach * 0.1 * np.sqrt(2) + 0.02
+    assert table.origin[1] == pytest.approx([0.1 - half, -half], abs=1e-6)
+
+
+def test_a_surface_below_the_origin_of_its_support_is_one():
+    a = arrange(small_block(), gap=1e-3)
+    a = a._replace(support=a.support._replace(heights=a.support.heights - np.float32(0.5)))
+    assert heights(a, Layout.zero(1, 2))[0, 1] == pytest.approx(0.04 - 0.5 + 1e-3, abs=1e-5)
+
+
+def test_an_object_that_is_turned_over_a_step_rests_on_it():
+    stairs = scenes.single(
+        "stairs",
+        (Box(size=(0.8, 0.8, 0.04)), (0, 0, 0)),
+        (Box(size=(0.8, 0.3, 0.06)), (0, 0.25, 0.01)),
+    )
+    bar = scenes.single("bar", (Box(size=(0.3, 0.04, 0.04)), (0, 0, 0)))
+    below = SceneObject(name="stairs", spec=stairs, environment=True)
+    beside = SceneObject(name="bar", spec=bar, parent="stairs", xy=(0.0, 0.0), z=0.04)
+    a = arrange(SceneSpec(name="step", objects=(below, beside)), gap=0.0)
+    zero = Layout.zero(2, 2)
+    # Along the step, which begins 10 cm from it, and 15 cm across it.
+    turned = Layout(zero.xy, zero.yaw.at[1, 1].set(np.pi / 2), zero.log_scale)
+    low, high = np.asarray(heights(a, turned))[:, 1]
+    assert high - low == pytest.approx(0.02, abs=1e-5)
+
+
+def test_candidates_are_snapped_in_equal_parts(monkeypatch):
+    a = arrange(small_block())
+    xy = jnp.asarray(np.random.default_rng(0).normal(0, 0.02, (6, 2, 2)), jnp.float32)
+    z = Layout(xy, xy[..., 0] * 10, xy[..., 1] * 5)
+    loops = lambda: [
+        eqn.params["length"]
+        for eqn in jax.make_jaxpr(lambda z: heights(a, z))(z).eqns
+        if eqn.primitive.name == "scan"
+    ]
+    at_once = heights(a, z)
+    assert loops() == []
+    # 6 candidates of 2 objects: all at once, in 2 parts, and in 3 parts, the fewest of up to 5.
+    for limit, parts in ((12, []), (6, [2]), (5, [3])):
+        monkeypatch.setattr(layouts_of, "SNAPPED_AT_ONCE", limit)
+        assert loops() == parts
+        np.testing.assert_allclose(heights(a, z), at_once, atol=1e-6)
+
+
+def test_no_candidates_have_no_heights():
+    assert heights(arrange(small_block()), Layout.zero(0, 2)).shape == (0, 2)

@@ -8,9 +8,10 @@ import pytest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.physics.visibility import visibility
+from neoworld_mjx.physics.visibility import as_parsed, visibility
 from neoworld_mjx.refinement.semantic import semantic_score
-from neoworld_mjx.spec import Box2D
+from neoworld_mjx.spec import Box, Box2D
+from tests.support import scenes
 from tests.support.scenes import stored_scene
 
 DRAWS = 64
@@ -73,3 +74,86 @@ def test_a_box_at_the_image_border_is_cut():
     objects = tuple(cut if o.name == item.name else o for o in spec.objects)
     scene = compile_scene(spec.model_copy(update={"objects": objects}), samples=16)
     assert not np.asarray(scene.photo.whole)[1]
+
+
+LEFT, RIGHT = (-50.0, -10.0, -30.0, 10.0), (20.0, -10.0, 60.0, 30.0)
+"""Boxes [px] of 20 x 20 around (-40, 0) and 40 x 40 around (40, 10)."""
+
+
+@pytest.fixture(scope="module")
+def two_blocks():
+    rows = [
+        (scenes.single(name, (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), (x, 0.0), 0.0, {})
+        for name, x in (("left", -0.1), ("right", 0.1))
+    ]
+    return compile_scene(scenes.on_table(*rows), samples=16)
+
+
+def total_of(scene, *, boxes=(LEFT, RIGHT), seen=None, depth=(2.0, 3.0), far=None, overlap=0.0):
+    """Score two blocks with parsed boxes and depths that are seen otherwise."""
+    f32 = lambda *rows: jnp.asarray(rows, jnp.float32)
+    ground = (-300.0, -200.0, 300.0, 200.0)
+    photo = scene.photo._replace(
+        boxes=f32(ground, *boxes),
+        depth=f32(9.0, *depth),
+        parsed=np.ones(3, bool),
+        whole=np.ones(3, bool),
+    )
+    seen_photo = photo._replace(
+        boxes=f32(ground, *(seen or boxes)), depth=f32(9.0, *(far or depth))
+    )
+    scene = eqx.tree_at(lambda s: s.photo, scene, photo)
+    penetration = jnp.zeros((1, 3, 3)).at[0, 1, 2].set(overlap)
+    return float(semantic_score(scene, penetration, as_parsed(seen_photo, 1)).total[0])
+
+
+def score(error, tolerance):
+    return 1 - (np.hypot(error, 0.02) - 0.02) / (np.hypot(tolerance, 0.02) - 0.02)
+
+
+@pytest.mark.parametrize(("overlap", "lost"), [(0.0, 0.0), (0.004, 0.4), (0.01, 1.0), (0.5, 1.0)])
+def test_a_centimetre_of_overlap_costs_a_quarter(two_blocks, overlap, lost):
+    assert total_of(two_blocks, overlap=overlap) == pytest.approx(1 - lost / 4, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("depth", "far", "order"),
+    [
+        # The noise is 2 % of 2.5 m; an order that is wrong by twice that is worth nothing.
+        ((2.0, 3.0), (2.0, 3.0), 1.0),
+        ((2.0, 3.0), (2.0, 2.0), 1.0),
+        ((2.0, 3.0), (2.0, 1.99), 0.9),
+        ((2.0, 3.0), (2.0, 1.95), 0.5),
+        ((2.0, 3.0), (2.0, 1.85), 0.0),
+        ((3.0, 2.0), (2.0, 3.0), 0.0),
+        # Parsed depths that are closer than the noise have no order.
+        ((2.0, 2.03), (3.0, 2.0), 1.0),
+    ],
+)
+def test_depth_order_counts_an_eighth_outside_the_noise(two_blocks, depth, far, order):
+    expected = 1 - (1 - order) / 8
+    assert total_of(two_blocks, depth=depth, far=far) == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_box_that_is_seen_lower_is_turned_and_off(two_blocks):
+    total = total_of(two_blocks, seen=(LEFT, (20.0, -4.0, 60.0, 36.0)))
+    # 6 px between centres that are (80, 10) px apart; two of four edges are 6 px off, of 40.
+    turn = score(2 * np.arcsin(6 / np.hypot(80, 10) / 2), np.radians(45))
+    box = score((6 + 6) / 4 / 40, 0.25)
+    assert 0.2 < box < 0.9 and turn < 0.98
+    # The box counts half of one of two objects.
+    assert total == pytest.approx(1 - (1 - turn) / 8 - (1 - box) / 2 / 2 / 4, abs=1e-5)
+
+
+def test_a_larger_box_is_off_in_size(two_blocks):
+    total = total_of(two_blocks, seen=(LEFT, (18.0, -12.0, 62.0, 32.0)))
+    relative, box = score(np.log(44 / 40), 0.4), score(2 / 40, 0.25)
+    assert total == pytest.approx(1 - (1 - relative) / 4 - (1 - box) / 16, abs=1e-5)
+
+
+def test_concentric_boxes_are_compared_with_half_their_size(two_blocks):
+    around = (-58.0, -20.0, -18.0, 20.0)
+    total = total_of(two_blocks, boxes=(LEFT, around), seen=(LEFT, (-58.0, -16.0, -18.0, 24.0)))
+    # The centres are 2 px apart, and the larger box is 40 px wide.
+    turn, box = score(2 * np.arcsin(4 / 20 / 2), np.radians(45)), score(2 / 40, 0.25)
+    assert total == pytest.approx(1 - (1 - turn) / 8 - (1 - box) / 16, abs=1e-5)
