@@ -194,11 +194,11 @@ def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
 def test_the_time_of_each_step_is_what_has_passed_since_it_began(model, settled, monkeypatch):
     evaluation, runs = settled
     layouts = populations(evaluation, model)
-    ticks = itertools.count(1.0)  # A second between one look at the clock and the next.
+    ticks = (2.0**k for k in itertools.count())  # 1, 2, 4, ... s: no interval is like another.
     monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
     evaluation.clock.update(dict.fromkeys(CLOCKS, 0.0))
     placed = evaluation.place(layouts)
-    assert (evaluation.clock["settle"], evaluation.clock["score"]) == (1.0, 2.0)
+    assert (evaluation.clock["settle"], evaluation.clock["score"]) == (2.0, 5.0)
     rollouts = evaluation.roll_out(placed)
     evaluation.score(runs, layouts, placed, rollouts)
-    assert (evaluation.clock["rollout"], evaluation.clock["score"]) == (1.0, 3.0)
+    assert (evaluation.clock["rollout"], evaluation.clock["score"]) == (16.0, 69.0)
