@@ -1,8 +1,9 @@
+import mujoco
 import numpy as np
 import pytest
 
 from neoworld_mjx.measure import scene_measure, stability, unstable_objects
-from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.exact import snap_exactly, start_state
 from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
 from neoworld_mjx.spec.pose import quat_mul
 from tests.support import scenes
@@ -181,6 +182,7 @@ def test_each_bound_decides_and_a_motion_at_its_bound_is_over_it(fabricated):
     assert stable(max_drift=0.031, max_tilt=10.1) is True
     assert stable(max_drift=found.max_drift_m, max_tilt=10.1) is False
     assert stable(max_drift=0.031, max_tilt=found.max_tilt_deg) is False
+    assert stable(max_drift=0.031, max_tilt=9.9) is False
 
 
 def test_an_overlap_at_its_bound_is_within_it():
@@ -214,3 +216,13 @@ def test_the_overlap_at_the_end_is_that_of_the_last_state():
     short = scene_measure(scene, duration=0.010, timestep=0.001)
     assert short.drop_m["a"] == short.max_drift_m == pytest.approx(9.81e-6 * 10 * 11 / 2, rel=1e-6)
     assert short.settled_depths_m == {}
+
+
+def test_a_speed_beyond_the_limit_of_mujoco_is_not_finite():
+    """MuJoCo warns of it although the state is a number."""
+    model, data = start_state(scenes.on_table((box("a"), (0, 0), 0.0, {"z": 0.5})), 0.002)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    assert stability._simulate(model, data, 1)[1]
+    data.qvel[0] = 1e11
+    qpos, finite = stability._simulate(model, data, 1)
+    assert np.isfinite(qpos).all() and not finite

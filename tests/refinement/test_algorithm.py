@@ -262,3 +262,50 @@ def test_the_best_candidate_is_the_valid_one_of_highest_merit(scene):
     scores = eqx.tree_at(lambda s: s.merit, scores, merit)
     state = update(scene, problem, state, layouts, scores)
     assert float(state.best) == pytest.approx(merit[3]) and bool(state.seen_valid)
+
+
+def test_the_elites_mean_leaves_out_candidates_that_failed(scene):
+    problem, state = opened(scene, elite_ratio=0.2)
+    layouts = propose(scene, problem, state, POP)
+    reward = np.full(POP, -np.inf)
+    reward[[3, 5]] = 2.0, 4.0
+    state = update(scene, problem, state, layouts, scored(reward))
+    assert float(state.elite_mean) == pytest.approx(3.0)
+
+
+def test_a_distribution_is_fitted_around_the_initial_layout_and_what_is_held_keeps_its_own(scene):
+    low, high = (scene.names.index(name) for name in ("low", "high"))
+    xy = np.zeros((1, 4, 2), np.float32)
+    xy[0, [low, high]] = 0.03, -0.02
+    zero = np.zeros((1, 4), np.float32)
+    cem = {"sigma_floor": 0.0, "elite_ratio": 0.1}
+    o = RefineOptions.model_validate({"cem": cem, "settle": {"enabled": False}})
+    problem = open_problem(scene, o, Layout(xy, zero, zero))
+    factor = np.ones(4, np.float32)
+    factor[low], factor[high] = 0.0, 4.0
+    state = init(problem, 0, factor)
+    layouts = propose(scene, problem, state, POP)
+    reward = np.asarray(layouts.xy[:, high, 0])
+    state = update(scene, problem, state, layouts, scored(reward))
+    np.testing.assert_allclose(state.optimizer.mean.xy[0, low], xy[0, low], atol=1e-6)
+    elites = np.asarray(layouts.xy)[np.argsort(-reward)[:4], high].mean(axis=0)
+    again = propose(scene, problem, state, POP)
+    np.testing.assert_allclose(np.asarray(again.xy)[0, high], elites, rtol=1e-5)
+
+
+class Noted(eqx.Module):
+    """An optimizer whose state is the credit that it was last given."""
+
+    def tell(self, state, layouts, reward, *, absolute=None, credit=None):
+        return credit
+
+
+def test_an_object_has_the_least_credit_for_candidates_in_which_it_does_not_rest(scene):
+    problem, state = opened(scene)
+    layouts = propose(scene, problem, state, POP)
+    problem = eqx.tree_at(lambda p: p.optimizer, problem, Noted())
+    rested = np.ones((POP, 4), bool)
+    rested[1:, 2] = False
+    credit = update(scene, problem, state, layouts, scored(np.arange(POP), rested=rested)).optimizer
+    assert (np.asarray(credit)[1:, 2] == -np.inf).all()
+    np.testing.assert_array_equal(credit[:, 1], np.arange(POP))

@@ -1,5 +1,8 @@
 """Placement, settling, rollout and scores of populations, on padded arrays, run by run."""
 
+import itertools
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -186,3 +189,16 @@ def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
     assert_near(everything(), on_cpu)
     assert {placed_at_rest, module.placed_poses} <= {fn for fn, *_ in calls}
     assert {call[1:] for call in calls} == {(1, POP)}
+
+
+def test_the_time_of_each_step_is_what_has_passed_since_it_began(model, settled, monkeypatch):
+    evaluation, runs = settled
+    layouts = populations(evaluation, model)
+    ticks = (2.0**k for k in itertools.count())  # 1, 2, 4, ... s: no interval is like another.
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    evaluation.clock.update(dict.fromkeys(CLOCKS, 0.0))
+    placed = evaluation.place(layouts)
+    assert (evaluation.clock["settle"], evaluation.clock["score"]) == (2.0, 5.0)
+    rollouts = evaluation.roll_out(placed)
+    evaluation.score(runs, layouts, placed, rollouts)
+    assert (evaluation.clock["rollout"], evaluation.clock["score"]) == (16.0, 69.0)

@@ -162,6 +162,7 @@ def test_each_kind_of_fault_names_its_objects(initial):
     assert faulty(tilt_deg=zero | {"cube": 5.1}) == {"cube"}
     assert faulty(joint_turn_deg={"base-lid": 6.0}) == {"base"}
     assert faulty(joint_slide_m={"low-tray": 0.02}) == {"low"}
+    assert faulty(joint_slide_m={"low-tray": OPTIONS.max_drift_m}) == {"low"}
     assert faulty(away=("plate",)) == {"plate"}
     assert faulty(diverged=True) == set(names[1:])
 

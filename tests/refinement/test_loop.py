@@ -9,10 +9,13 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import loop
+from neoworld_mjx.refinement.cem import initial_sigma
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import CLOCKS, search
+from neoworld_mjx.refinement.optimizer import RandomSearch
 from neoworld_mjx.refinement.rewards import Term
 from neoworld_mjx.refinement.rounds import ranked
+from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
 from neoworld_mjx.refinement.search_run import FirstValid, SearchRun
 from neoworld_mjx.spec import Box
 from tests.support import scenes
@@ -165,10 +168,57 @@ def test_progress_reports_the_rate_and_the_longest_time_left(model, monkeypatch)
     (done,) = search(model, [SearchRun(options(1), 1)], ENGINE)
     reported.clear()
     runs = [SearchRun(options(1), 1), SearchRun(options(4), 1)]
-    loop._update_progress([done, replace(done, rollouts=3)], runs, 10.0)
-    assert reported == [
-        {"done": 2, "of": 5, "unit": "iteration", "rate": (12 + 0) / 4.0, "left_s": 6.0}
-    ]
+    loop._update_progress([done, replace(done, rollouts=3)], runs, 4.0)
+    assert reported == [{"done": 2, "of": 5, "unit": "iteration", "rate": 1.2, "left_s": 15.0}]
     nothing = replace(done, rounds=done.rounds[:1], rollouts=1)
-    loop._update_progress([nothing], runs[:1], 10.0)
-    assert reported[-1]["done"] == 0 and reported[-1]["left_s"] == 4.0
+    loop._update_progress([nothing], runs[:1], 4.0)
+    assert reported[-1]["done"] == 0 and reported[-1]["left_s"] == 10.0
+    never = replace(done, first_valid=None)
+    loop._note_valid(never, 4.0)
+    assert never.first_valid_s == 10.0
+
+
+def test_a_run_is_padded_unless_its_optimizer_is_not_ours_and_begins_at_its_own_layout(model):
+    o, start = options(1, **UNSETTLED), shifted(model, -0.06)
+    (result,) = search(model, [SearchRun(o, 0, start)], ENGINE)
+    count = len(model.names)
+    assert result.arrays.count > count
+    np.testing.assert_array_equal(np.asarray(result.problem.origin.xy)[:, :count], start.xy)
+    own = RandomSearch(initial_sigma(model, o.cem))
+    (plain,) = search(model, [SearchRun(o, 0)], ENGINE, optimizer=own)
+    assert plain.arrays.count == count
+
+
+def test_a_search_ends_at_an_object_that_rests_nowhere_however_widely_it_is_drawn(model):
+    narrow = {"widest": 1.0, "sigma_xy": 1e-4, "sigma_yaw_deg": 0.0, "sigma_log_scale": 0.0}
+    (result,) = search(model, [SearchRun(options(3, cem=narrow, **UNSETTLED), 0)], ENGINE)
+    assert result.finished and result.stuck == ("plate",) and len(result.rounds) == 1
+
+
+class Constant(SemanticScorer):
+    """Scores every candidate alike, without a model."""
+
+    def __init__(self):
+        self.seen = []
+
+    def best(self, reward, top=None):
+        return [0]
+
+    def submit(self, iteration, order, layouts, poses):
+        self.seen.append(layouts)
+
+    def collect(self, iteration):
+        return
+
+    def fill(self, iteration, layouts, geometric):
+        np.testing.assert_array_equal(layouts.xy, self.seen[-1].xy)
+        return np.full(len(geometric), 0.25), np.full(len(geometric), Mark.SCORED, np.int8)
+
+
+def test_scores_of_a_model_are_those_of_the_iterations_candidates(model):
+    scorer = Constant()
+    (result,) = search(model, [SearchRun(options(1, **UNSETTLED), 0)], ENGINE, scorer=scorer)
+    assert len(scorer.seen) == 1
+    np.testing.assert_array_equal(scorer.seen[0].xy, result.rounds[0].layouts.xy)
+    assert (np.asarray(result.rounds[0].scores.terms["s_sem"]) == 0.25).all()
+    assert (result.marks[-1] == Mark.SCORED).all()

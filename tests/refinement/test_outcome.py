@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -73,7 +74,7 @@ def refined(searched, *, passed=True, layout=None, result=None, **given):
     winner = Winner((0, 2), layout, finished, initial.measure, 3)
     call = {"engine": "native", "clock": {"search": 2.0}, "delivered": {"absolute": 1.0}}
     result = known if result is None else result
-    return outcome(model, result, known.rounds, winner, **call | given)
+    return outcome(model, result, result.rounds, winner, **call | given)
 
 
 def test_means_are_of_the_objects_that_may_move(searched):
@@ -155,3 +156,20 @@ def test_failures_are_listed_after_those_of_earlier_steps(searched):
     )
     assert failed.startswith("no candidate passed the final check in 3 tries; the closest one is")
     assert failed.endswith("ball settled away from its place")
+
+
+def test_lengths_are_stated_in_millimetres(searched):
+    _, known = searched
+    m = known.initial.measure.model_copy(update={"max_depth_m": 0.25, "max_drift_m": 0.5})
+    result = replace(refined(searched), measure=m, before=m)
+    assert "depth 250.00 mm (was 250.00 mm), moved 500.00 mm," in repr(result)
+
+
+def test_what_an_iteration_did_not_draw_has_no_merit_and_is_not_counted(searched):
+    _, known = searched
+    (whole,) = known.rounds
+    part = jax.tree.map(lambda x: np.asarray(x)[:1], whole)
+    result = refined(searched, result=replace(known, rounds=[part, whole]))
+    assert result.rollouts == 1 + 4
+    assert (result.history["merit"][0, 1:] == -np.inf).all()
+    assert np.isfinite(result.history["merit"][0, 0])

@@ -22,6 +22,8 @@ from neoworld_mjx.refinement.objective import (
     evaluate,
     named_terms,
     open_objective,
+    still_rollout,
+    try_terms,
 )
 from neoworld_mjx.spec import Box
 from tests.support import scenes
@@ -386,3 +388,55 @@ class TestCompiled:
             scene, Layout.zero(1, 3), eqx.tree_at(lambda r: r.pos, still, still.pos + dx)
         )[0]
         assert float(jax.grad(drift)(0.001)) == pytest.approx(2 * np.sqrt(3) / 0.01, rel=1e-3)
+
+
+def test_what_cannot_move_has_a_drift_of_zero():
+    scene = two_boxes(0.0)
+    found = rewards.drift_by_object(
+        scene, unmoved(scene, scene.place(Layout.zero(1, 3))), 0.01, 0.1
+    )
+    assert np.asarray(found).tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_agreement_with_the_photograph_is_the_mean_over_objects_with_evidence():
+    scene = two_boxes(0.0)
+    zero, poses = Layout.zero(1, 3), scene.place(Layout.zero(1, 3))
+    visible = as_parsed(scene.photo, 1)
+    visible = eqx.tree_at(lambda v: v.evidence, visible, jnp.array([[0.9, 0.5, 0.7]]))
+    rollout = rewards.measured_rollout(
+        unmoved(scene, poses),
+        np.zeros((1, 3, 3), np.float32),
+        visible,
+        np.zeros((1, 3), np.float32),
+    )
+    for informed, value in (((0, 1, 0), 0.5), ((0, 1, 1), 0.6), ((0, 0, 0), 0.0)):
+        evidence = np.reshape(np.float32(informed), (3, 1, 1))
+        there = eqx.tree_at(lambda s: s.photo.evidence, scene, evidence)
+        found = rewards.photo_agreement(there, zero, rollout)
+        assert float(found.value[0]) == pytest.approx(value)
+
+
+def test_the_rate_of_rotation_is_the_angle_over_the_interval():
+    scene = two_boxes(0.0)
+    still = still_rollout(scene, Layout.zero(1, 3), 3)
+    assert still.time == pytest.approx(np.array([0.1, 0.2, 0.3]))
+    half = np.radians(9.0) / 2
+    quat = np.array(still.quat)
+    quat[0, 1:, 1] = (np.cos(half), 0.0, 0.0, np.sin(half))
+    turning = eqx.tree_at(lambda r: r.quat, still, jnp.asarray(quat))
+    _, rate = rewards.speeds(turning)
+    assert rate[0, :, 1] == pytest.approx(np.array([0.0, np.radians(90.0), 0.0]), abs=1e-3)
+
+
+@pytest.mark.parametrize(("duration_s", "records"), [(0.0, 1), (0.2, 4)])
+def test_a_term_is_tried_with_as_many_records_as_the_rollout_has(duration_s, records):
+    seen = []
+
+    def term(scene, layouts, rollout):
+        seen.append(rollout.pos.shape[1])
+        return layouts.yaw[:, 0]
+
+    rollout = {"duration_s": duration_s, "record_every_s": 0.05}
+    o = RefineOptions.model_validate({"rollout": rollout})
+    try_terms(two_boxes(0.0), open_objective(o, terms=[rewards.Term("own", term, 1.0)]), o)
+    assert set(seen) == {records}

@@ -1,6 +1,7 @@
 """scores.jsonl: what a line holds, and which recorded score belongs to which candidate."""
 
 import json
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -131,3 +132,9 @@ def test_scores_are_replayed_at_the_stage_of_their_first_use(tmp_path):
     assert identities(known.take("final", [(1, 1)], rest=False)) == [(1, 1)]
     assert identities(known.close()) == [(1, 2)]
     assert known.stopped is None
+
+
+def test_numbers_are_kept_to_a_millionth_and_a_job_does_not_change():
+    assert layout_numbers(moved(by=np.float32(3e-6)))[0] == 0.100003
+    with pytest.raises(FrozenInstanceError):
+        job().rank = 1
