@@ -297,7 +297,7 @@ class Plans(ModelRequests):
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes."""
     sees: Literal["numbers", "picture", "both"] = "both"
-    """What the model sees of the scene: poses and boxes as numbers, a rendered picture, or both."""
+    """View of the scene for the model: poses and boxes as numbers, a rendered picture, or both."""
     rounds: int = 2
     """Maximum number of revisions of a plan."""
     offset: float = 0.0

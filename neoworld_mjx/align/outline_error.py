@@ -1,4 +1,4 @@
-"""How far a scene's outlines are from the photograph's, by the colors on their two sides."""
+"""Distances of a scene's outlines from the photograph's, by the colors on their two sides."""
 
 import numpy as np
 from jaxtyping import UInt8

@@ -1,6 +1,7 @@
 """Short summaries of command results: validity with reasons, files, time and cost."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from .base_command import CommandResult
@@ -62,22 +63,20 @@ def rescue_lines(result: CommandResult) -> list[str]:
     moves = result["moves_m"]
     furthest = max(moves, key=moves.__getitem__)
     known = [o for o in result["outlines_px"].values() if None not in o.values()]
-    given, ended = (_median([o[key] for o in known]) for key in ("given", "rescued"))
-    photo = f"photo:  outlines {given:.1f} px off as given, {ended:.1f} px now (median of objects)"
+    photo = []
+    if known:
+        given, ended = (median(o[key] for o in known) for key in ("given", "rescued"))
+        photo = [f"photo:  outlines {given:.1f} px off as given, {ended:.1f} px now (median)"]
     return [
         f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
         f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); as given, the deepest "
         f"overlap was {1000 * result['depth_before_m']:.2g} mm",
         f"scene:  {result['rescued']}",
         f"report: {result['report']}",
-        *([photo] if known else []),
+        *photo,
         *result["notes"],
         f"{result['seconds']:.1f} s; {DETAILS}",
     ]
-
-
-def _median(values: Sequence[float]) -> float:
-    return sorted(values)[len(values) // 2] if values else 0.0
 
 
 def scene_check_lines(result: CommandResult) -> list[str]:

@@ -65,7 +65,7 @@ np.savez(sys.argv[1], **saved)
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """What searches on one and on all devices of a process that has eight find."""
+    """Results of a search on one and on all devices of a process that has eight."""
     out = tmp_path_factory.mktemp("devices") / "found.npz"
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
     process = subprocess.run(

@@ -15,10 +15,11 @@ from neoworld_mjx.refinement.loop import CLOCKS, search
 from neoworld_mjx.refinement.optimizer import RandomSearch
 from neoworld_mjx.refinement.rewards import Term
 from neoworld_mjx.refinement.rounds import ranked
-from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.scorer import Mark
 from neoworld_mjx.refinement.search_run import FirstValid, SearchRun
 from neoworld_mjx.spec import Box
 from tests.support import scenes
+from tests.support.constant_scorer import ConstantScorer
 
 ENGINE = NativeEngine(threads=1)
 POP = 8
@@ -195,28 +196,8 @@ def test_a_search_ends_at_an_object_that_rests_nowhere_however_widely_it_is_draw
     assert result.finished and result.stuck == ("plate",) and len(result.rounds) == 1
 
 
-class Constant(SemanticScorer):
-    """Scores every candidate alike, without a model."""
-
-    def __init__(self):
-        self.seen = []
-
-    def best(self, reward, top=None):
-        return [0]
-
-    def submit(self, iteration, order, layouts, poses):
-        self.seen.append(layouts)
-
-    def collect(self, iteration):
-        return
-
-    def fill(self, iteration, layouts, geometric):
-        np.testing.assert_array_equal(layouts.xy, self.seen[-1].xy)
-        return np.full(len(geometric), 0.25), np.full(len(geometric), Mark.SCORED, np.int8)
-
-
 def test_scores_of_a_model_are_those_of_the_iterations_candidates(model):
-    scorer = Constant()
+    scorer = ConstantScorer()
     (result,) = search(model, [SearchRun(options(1, **UNSETTLED), 0)], ENGINE, scorer=scorer)
     assert len(scorer.seen) == 1
     np.testing.assert_array_equal(scorer.seen[0].xy, result.rounds[0].layouts.xy)

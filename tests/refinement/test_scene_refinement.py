@@ -1,4 +1,4 @@
-"""What `refine` is given: a scene or its path, an engine, and scores that arrive late."""
+"""Inputs of `refine`: a scene or its path, an engine, and scores that arrive late."""
 
 from inspect import unwrap
 from types import SimpleNamespace
@@ -14,8 +14,9 @@ from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.refinement.scene_refinement import open_scene, read_composed, refine
 from neoworld_mjx.refinement.score_log import Score
-from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.scorer import Mark
 from tests.support import scenes
+from tests.support.constant_scorer import ConstantScorer
 
 
 def options(**given):
@@ -117,41 +118,8 @@ def test_a_model_scores_only_where_its_scores_weigh():
     assert not refine(scenes.blocks(), weightless, engine="native").scoring
 
 
-class Constant(SemanticScorer):
-    """Scores every candidate alike, without a model."""
-
-    fallbacks = ()
-
-    def __init__(self, *_, **__):
-        pass
-
-    def best(self, reward, top=None):
-        return [0]
-
-    def submit(self, *_):
-        pass
-
-    def collect(self, iteration):
-        pass
-
-    def fill(self, iteration, layouts, geometric):
-        return np.full(len(geometric), 0.25), np.full(len(geometric), Mark.SCORED, np.int8)
-
-    def await_for(self, identities):
-        pass
-
-    def known(self, identity):
-        return None
-
-    def summary(self):
-        return {"calls": 0}
-
-    def close(self):
-        pass
-
-
 def test_the_delivered_scene_has_the_score_that_a_model_gave_its_candidate(monkeypatch):
-    monkeypatch.setattr(module, "SemanticScorer", Constant)
+    monkeypatch.setattr(module, "SemanticScorer", ConstantScorer)
     o = options(semantic={"scorer": "mllm"}, settle={"enabled": False})
     refined = refine(scenes.blocks(), o, engine="native")
     assert refined.winner[0] >= 0 and refined.delivered["s_sem"] == 0.25

@@ -1,4 +1,4 @@
-"""What tests of sweeps share."""
+"""Fixtures of the tests of sweeps."""
 
 import pytest
 

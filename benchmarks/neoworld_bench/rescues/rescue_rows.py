@@ -65,7 +65,7 @@ class RescueRow(Row):
         return self.position_mm <= 1e3 * NEAR_M and self.turn_deg <= NEAR_DEG
 
     @property
-    def beside(self) -> bool:
+    def near_horizontally(self) -> bool:
         """The same, but for heights on objects of a wrong size."""
         if self.on_table:
             return self.near
@@ -142,7 +142,7 @@ def rescue_figures(rows: Sequence[RescueRow]) -> dict[str, Any]:
             own[0].passed and all(r.near for r in own) for own in scenes.values()
         ),
         "pass_and_within_but_for_heights": sum(
-            own[0].passed and all(r.beside for r in own) for own in scenes.values()
+            own[0].passed and all(r.near_horizontally for r in own) for own in scenes.values()
         ),
         f"given_add_s_recall_{RECALL:g}d": recall([r.given_add_s for r in rows]),
         f"add_s_recall_{RECALL:g}d": recall([r.add_s for r in rows]),

@@ -29,7 +29,7 @@ class PlanRow(Row):
     task: str
     kind: str
     method: str
-    """What reconstructed the scene that the model saw, truth or displaced; with FEEDBACK after the
+    """Origin of the scene that the model saw: a method, truth or displaced; with FEEDBACK after the
     refinement of the layout."""
     start: int
     plans: int

@@ -35,7 +35,7 @@ class TaskPhoto(NamedTuple):
     scene: SceneSpec
     """With its camera, visible boxes, depths and hidden flags."""
     placed: Pose
-    """What moved the task's scene before the camera."""
+    """Motion of the task's scene to its place before the camera."""
 
     def back(self, made: SceneSpec) -> SceneSpec:
         """Move a scene that was reconstructed from the photograph to where the task's scene is."""
