@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.exact import geom_distance
+from ..physics.exact import geom_distance, object_depths, start_state
 from ..spec import SceneSpec, bounds, world_poses
 from ..spec.pose import matrix
 from .sliding import SceneColliders, colliders, shift_object, supported_geoms
@@ -60,6 +60,42 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
             moved[name] = gap
             scene = shift_object(scene, name, gap[0] * direction)
     return scene, moved
+
+
+def bring_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
+    """Move walls into contact with what leans on them.
+
+    After an alignment with the photograph, a leaning object is known better than an even wall
+    behind it, which shows no contours. A wall is an environment object that supports nothing. It
+    moves by the smallest distance to what leans on it, unless it would then be deeper in an object.
+
+    Returns:
+        The scene, and for each moved wall the distance [m].
+
+    Raises:
+        SpecError: MuJoCo cannot compile the scene.
+    """
+    directions, moved = dict(_lean_directions(scene)), lean(scene)[1]
+    supports = {item.parent for item in scene.objects}
+    brought = dict[str, float]()
+    for wall in scene.objects:
+        if not wall.environment or wall.name in supports:
+            continue
+        gaps = {name: gap for name, (gap, on) in moved.items() if on == wall.name}
+        if not gaps:
+            continue
+        nearest = min(gaps, key=lambda name: gaps[name])
+        shift = -gaps[nearest] * directions[nearest]
+        end = shift_object(scene, wall.name, shift)
+        if _depth(end, wall.name) <= max(_depth(scene, wall.name), LEAST_M):
+            scene, brought[wall.name] = end, float(np.linalg.norm(shift))
+    return scene, brought
+
+
+def _depth(scene: SceneSpec, name: str) -> float:
+    """Return the largest depth [m] of an object in others."""
+    depths = object_depths(scene, *start_state(scene))
+    return max((depth for pair, depth in depths.items() if name in pair), default=0.0)
 
 
 def _lean_directions(scene: SceneSpec) -> list[tuple[str, NDArray]]:

@@ -7,7 +7,7 @@ from ..physics.layout import Layout, arrange
 from ..physics.placed import DOWN
 from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneSpec, bounds
-from .leaning import lean
+from .leaning import bring_walls, lean
 from .put_back import put_back
 from .walls import clear_walls
 
@@ -20,7 +20,7 @@ def in_contact(
     Args:
         scene: the scene.
         options: of the composition.
-        composed: the scene before its alignment, see `kept_on_level`.
+        composed: the scene before its alignment, see `kept_on_level` and `bring_walls`.
 
     Returns:
         The scene, and a note for each object that moved sideways.
@@ -50,6 +50,12 @@ def in_contact(
             f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, out of a wall "
             f"of {scene.object(item).parent}"
         )
+    if composed is not None:
+        scene, brought = bring_walls(scene)
+        for wall, distance in brought.items():
+            notes.append(
+                f"{wall}: composition moved it by {1e3 * distance:.0f} mm, up to what leans on it"
+            )
     scene, moved = lean(scene)
     scene = snap(scene, options.gap_m) if moved else scene
     for leaning, (distance, other) in moved.items():

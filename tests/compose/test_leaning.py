@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.leaning import lean
+from neoworld_mjx.compose.leaning import bring_walls, lean
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -96,3 +96,31 @@ def test_only_leaning_objects_move_and_only_toward_their_tops():
     chain = scene.model_copy(update={"objects": (*scene.objects[:3], second)})
     _, moved = lean(chain)
     assert list(moved) == ["board", "second"] and moved["second"][1] == "board"
+
+
+def test_a_wall_moves_up_to_what_leans_on_it():
+    before = leaning_scene(0.05)
+    after, brought = bring_walls(before)
+    assert brought == {"wall": pytest.approx(0.05, abs=1e-3)}
+    assert after.object("board") == before.object("board")
+    assert not lean(after)[1]
+
+
+@pytest.mark.parametrize("relation", ["on", "leaning"])
+def test_a_wall_does_not_move_into_what_touches_it(relation):
+    scene = leaning_scene(0.05)
+    before = with_object(scene, "block", xy=(0.5 - 0.0251, 0.5), relation=relation)
+    after, brought = bring_walls(before)
+    assert not brought
+    assert after == before
+
+
+def test_a_wall_that_supports_something_does_not_move():
+    scene = leaning_scene(0.05)
+    before = with_object(scene, "block", parent="wall", xy=(0.0, 0.5), z=1.0)
+    assert bring_walls(before) == (before, {})
+
+
+def with_object(scene, name, **update):
+    objects = [o.model_copy(update=update) if o.name == name else o for o in scene.objects]
+    return scene.model_copy(update={"objects": tuple(objects)})

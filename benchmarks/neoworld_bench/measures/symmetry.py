@@ -7,6 +7,9 @@ import numpy as np
 from neoworld_mjx.physics.support import posed_shapes
 from neoworld_mjx.spec import SceneObject
 
+MOST_DIFFERENCE = 0.02
+"""Bound on the difference of symmetric extents, as a fraction of the largest."""
+
 
 def symmetry(item: SceneObject) -> float:
     """Return the smallest rotation about the vertical that maps an object onto itself [rad].
@@ -16,10 +19,17 @@ def symmetry(item: SceneObject) -> float:
     points = np.vstack(
         [pose.apply(shape.surface()[0]) for shape, pose in posed_shapes(item, tilted=True)]
     )
+    points[:, 2] -= points[:, 2].mean()
     angles = np.linspace(0, 2 * np.pi, 360, endpoint=False)
-    extents = points[:, :2] @ np.stack([np.cos(angles), np.sin(angles)])
-    outline = extents.max(axis=0)
+    around = np.stack([np.cos(angles), np.sin(angles)])
+    # Extents to the sides, and obliquely up and down: what leans is not the same half a turn later.
+    extents = np.stack(
+        [(points @ np.vstack([around, np.full(360, up)])).max(axis=0) for up in (0.0, 1.0, -1.0)]
+    )
+    # About the Steiner point, which turns with the outline.
+    extents -= around.T @ (around @ extents[0]) * 2 / len(angles)
     for step in (10, 45, 60, 90, 120, 180):
-        if np.abs(outline - np.roll(outline, step)).max() < 0.02 * outline.max():
+        difference = np.abs(extents - np.roll(extents, step, axis=1)).max()
+        if difference < MOST_DIFFERENCE * extents.max():
             return 0.0 if step == 10 else math.radians(step)
     return 2 * math.pi

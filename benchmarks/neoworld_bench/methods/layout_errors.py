@@ -27,8 +27,8 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     layout can correct it.
 
     Returns:
-        "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
-        object's symmetry and without round ones; "scale_error", of the logarithm. Means over the
+        "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", see
+        `heading_deg`; "scale_error", of the logarithm. Means over the
         found objects that are no supports; what is missed or extra is for `unmatched` to count.
     """
     ends, starts = world_poses(scene), world_poses(truth)
@@ -37,15 +37,14 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     for item in items:
         other = scene.object(item.name)
         scales.append(abs(math.log(_size(other) / _size(item))))
-        period = symmetry(item)
-        if period > 0:
-            turned = quat_mul(ends[item.name].quat, conjugate(starts[item.name].quat))
-            turns.append(abs(math.remainder(yaw_of(turned), period)))
+        turn = heading_deg(item, ends[item.name], starts[item.name])
+        if turn is not None:
+            turns.append(turn)
     offs = offsets(scene, truth, [item.name for item in items])
     shift = offs - np.median(offs, axis=0)
     return {
         "xy_error_m": float(np.mean(np.linalg.norm(shift, axis=1))),
-        "yaw_error_deg": math.degrees(float(np.mean(turns))) if turns else 0.0,
+        "yaw_error_deg": float(np.mean(turns)) if turns else 0.0,
         "scale_error": float(np.mean(scales)),
     }
 
@@ -119,6 +118,31 @@ def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
     turns = np.arange(0.0, 2 * math.pi - 1e-9, period)
     cosines = [float(rotate(from_yaw(turn), up) @ true) for turn in turns]
     return math.degrees(math.acos(min(1.0, max(-1.0, *cosines))))
+
+
+def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
+    """Return the rotation about the vertical between the poses of an object, up to its symmetry
+    [deg].
+
+    Of a round object that leans or lies, it is that of its axis: a leaning pencil that rolled about
+    it has not turned. None for what looks the same from every side, such as a ball, and for a round
+    object that leans by less than MOST_TILT_DEG.
+    """
+    period = symmetry(item)
+    if period == 0.0:
+        return None
+    own = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
+    if own == 0.0:
+        (x, y, _), (true_x, true_y, up) = (rotate(at.quat, [0.0, 0.0, 1.0]) for at in (end, start))
+        if abs(up) > math.cos(math.radians(MOST_TILT_DEG)):
+            return None
+        yaw = math.atan2(y, x) - math.atan2(true_y, true_x)
+    else:
+        spins = np.arange(0.0, 2 * math.pi - 1e-9, own)
+        rolled = [quat_mul(end.quat, from_yaw(spin)) for spin in spins]
+        nearest = max(rolled, key=lambda quat: abs(float(quat @ start.quat)))
+        yaw = yaw_of(quat_mul(nearest, conjugate(start.quat)))
+    return math.degrees(abs(math.remainder(yaw, period)))
 
 
 def _carried(
