@@ -92,7 +92,7 @@ def _fixed_lines(source: str) -> set[int]:
 
 
 def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[str, str]:
-    """Run tests in a copy: "survived" if all pass, else "killed" or "timeout"; and what they say."""
+    """Run tests in a copy: "survived" if all pass, else "killed" or "timeout"; with the output."""
     others = [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
     others = [p for p in others if not Path(p).resolve().is_relative_to(ROOT)]
     paths = [str(copy), str(copy / "benchmarks"), str(copy / "kernels"), *others]
