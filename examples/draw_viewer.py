@@ -1,0 +1,75 @@
+"""Draw the pictures of the browser pages in docs from a run of the bundled example `coffee`.
+
+    uv run neoworld reconstruct coffee --out out
+    uv run --extra dev --extra viewer python -m examples.draw_viewer out docs/pictures
+
+writes view-blend.jpg, view-colliders.jpg and view-object.jpg of `neoworld view`, and annotate.jpg
+of `neoworld annotate`. It needs chromium (`apt-get install chromium`), and the repository, whose
+tests drive the same pages.
+"""
+
+import sys
+from pathlib import Path
+
+from PIL import Image
+
+from neoworld_mjx.config import Config
+from neoworld_mjx.pipeline import rebuild, search_again
+from neoworld_mjx.view.pages.annotate_page import Annotator
+from neoworld_mjx.view.pages.local_server import address, close_server, open_server
+from neoworld_mjx.view.pages.scene_viewer import SceneViewer
+from neoworld_mjx.view.pages.view_target import open_target
+from tests.support.annotations import coffee
+from tests.support.browser import Page, opened
+
+
+def save(page: Page, file: Path, width: int = 900) -> None:
+    """Save what a page shows once it has come to rest."""
+    picture = Image.fromarray(page.settled())
+    size = (width, round(picture.height * width / picture.width))
+    picture.resize(size, Image.Resampling.LANCZOS).save(file, quality=85)
+
+
+def draw_view(run: Path, out: Path) -> None:
+    """Draw the pages of `neoworld view`."""
+    server = open_server("coffee", port=0)
+    try:
+        config = Config()
+        target = open_target(run, config)
+        SceneViewer(server, run, target, config, rebuild=rebuild, search_again=search_again)
+        with opened(address(server)) as page:
+            page.click("Photo's camera")
+            page.fill("Photo", 0.5)
+            save(page, out / "view-blend.jpg")
+            page.fill("Photo", 0)
+            page.check("Colliders")
+            save(page, out / "view-colliders.jpg")
+            page.check("Colliders")
+            page.tab("Objects")
+            page.choose("Object", "cup")
+            page.check("Drag")
+            save(page, out / "view-object.jpg")
+    finally:
+        close_server(server)
+
+
+def draw_annotate(run: Path, out: Path) -> None:
+    """Draw the page of `neoworld annotate` with two objects drawn."""
+    server = open_server("annotate coffee.png", port=0)
+    try:
+
+        def refuse(annotation: object, simulate: object) -> None:
+            raise NotImplementedError("this page saves nothing")
+
+        Annotator(server, run / "photo.png", out, coffee(), Config(), refuse)
+        with opened(address(server)) as page:
+            page.tab("Objects")
+            page.choose("Object", "cup")
+            save(page, out / "annotate.jpg", width=1200)
+    finally:
+        close_server(server)
+
+
+if __name__ == "__main__":
+    draw_view(Path(sys.argv[1]), Path(sys.argv[2]))
+    draw_annotate(Path(sys.argv[1]), Path(sys.argv[2]))
