@@ -133,7 +133,13 @@ def run_suite(o: Mutation) -> dict[str, Any]:
     left = [
         {k: row[k] for k in ("number", *NAMED_BY)} for row in rows if row["outcome"] == "survived"
     ]
-    explained = [[entry[key] for key in NAMED_BY] for entry in table["explained"]]
+    explained = [
+        [entry["module"], entry["line"], becomes]
+        for entry in table["explained"]
+        for becomes in (
+            [entry["becomes"]] if isinstance(entry["becomes"], str) else entry["becomes"]
+        )
+    ]
     survivors = [row for row in left if [row[key] for key in NAMED_BY] not in explained]
     counted = len(rows) - len(left) + len(survivors)
     score = 1 - len(survivors) / counted if counted else None

@@ -7,6 +7,8 @@ import pytest
 
 from neoworld_mjx.refinement.surrogate import FEWEST, LAMBDAS, surrogate_scores
 
+PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+
 
 def by_definition(layouts, geometric, scored_layouts, scored_geometric, scores):
     """The estimates, with one regression for every candidate left out."""
@@ -25,7 +27,7 @@ def by_definition(layouts, geometric, scored_layouts, scored_geometric, scores):
     mean = difference.sum() / (len(scores) + 1)
     rest = difference - mean
     base, errors = np.mean(rest**2), []
-    for penalty in LAMBDAS:
+    for penalty in PENALTIES:
         left_out = []
         for k in range(len(rest)):
             others = np.arange(len(rest)) != k
@@ -34,7 +36,7 @@ def by_definition(layouts, geometric, scored_layouts, scored_geometric, scores):
     best = int(np.argmin(errors))
     predicted = np.zeros(len(targets))
     if len(rest) >= FEWEST and errors[best] < base:
-        predicted = (1 - errors[best] / base) * (targets @ ridge(known, rest, LAMBDAS[best]))
+        predicted = (1 - errors[best] / base) * (targets @ ridge(known, rest, PENALTIES[best]))
     return np.clip(geometric + mean + predicted, 0.0, 1.0), predicted
 
 
@@ -69,7 +71,7 @@ def test_a_regression_needs_six_scores():
         scores = g[rows] + 0.05 * z[rows, 0]
         found = surrogate_scores(z[50:], g[50:], z[rows], g[rows], scores) - g[50:]
         assert (np.ptp(found) > 1e-3) == learned
-    assert FEWEST == 6
+    assert FEWEST == 6 and LAMBDAS == PENALTIES
 
 
 def test_equal_differences_are_the_mean_alone():
