@@ -100,7 +100,9 @@ def test_awaited_candidates_come_first_then_by_iteration_rank_and_submission(wor
     found = []
     waiting = threading.Thread(target=lambda: found.extend(pool.take(1, [(1, 0)], rest=False)))
     waiting.start()
-    while not pool._queue or pool._queue[0][1].identity != (1, 0):
+    for _ in range(5000):
+        if pool._queue[0][1].identity == (1, 0):
+            break
         waiting.join(0.001)
     go.set()
     waiting.join(10)
