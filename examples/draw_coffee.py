@@ -10,6 +10,7 @@ chromium`), and the repository, whose tests drive the same pages.
 
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from PIL import Image
@@ -69,7 +70,7 @@ def draw_annotate(run: Path, out: Path) -> None:
     server = open_server("annotate coffee.png", port=0)
     try:
 
-        def refuse(annotation: object, simulate: object) -> None:
+        def refuse(annotation: object, simulate: bool) -> NoReturn:
             raise NotImplementedError("this page saves nothing")
 
         Annotator(server, run / "photo.png", out, coffee(), Config(), refuse)

@@ -30,7 +30,7 @@ class Online(Replay):
 class Spent(Ledger):
     """A ledger whose sum the test sets."""
 
-    spent_usd = 5.0  # pyright: ignore[reportAssignmentType]
+    spent_usd = 5.0
 
 
 class ScriptedPanel(Panel):
