@@ -16,7 +16,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import score_worker
 from neoworld_mjx.refinement.score_log import Job
 from neoworld_mjx.refinement.score_request import CRITERIA, Judgement
-from neoworld_mjx.refinement.score_worker import ScoreWorkers
+from neoworld_mjx.refinement.score_worker import AHEAD, ScoreWorkers
 from neoworld_mjx.spec import SceneSpec
 from tests.support import scenes
 
@@ -55,6 +55,12 @@ class ScriptedPanel(Panel):
         return future
 
 
+@pytest.fixture(autouse=True)
+def _single(monkeypatch):
+    """One thread, as the panels request one score at a time."""
+    monkeypatch.setattr(score_worker, "AHEAD", 0)
+
+
 def job(iteration, candidate, rank=0):
     zero = Layout(*(np.zeros(s, np.float32) for s in ((1, 1, 2), (1, 1), (1, 1))))
     scene = scenes.on_table().model_copy(update={"name": f"{iteration} {candidate}"})
@@ -67,9 +73,8 @@ def picture_of(scene: SceneSpec):
 
 
 @pytest.fixture
-def workers(monkeypatch):
-    """Makes workers of a single thread, which end with the test."""
-    monkeypatch.setattr(score_worker, "AHEAD", 0)
+def workers():
+    """Makes workers, which end with the test."""
     opened = []
 
     def make(panel, draw=picture_of, **options):
@@ -194,3 +199,15 @@ def test_closing_abandons_what_is_pending(workers):
     assert [s.identity for s in rest] == [(0, 1), (0, 2)]
     assert all(s.error == "abandoned: the search had ended" and s.used is None for s in rest)
     assert pool.close() == []
+
+
+def test_some_more_candidates_are_drawn_than_are_requested_at_once(workers, monkeypatch):
+    assert AHEAD == 2
+    for ahead in (0, 2, 5):
+        monkeypatch.setattr(score_worker, "AHEAD", ahead)
+        panel = ScriptedPanel()
+        panel.options = panel.options.model_copy(update={"concurrency": 3})
+        pool = workers(panel)
+        pool.put([job(0, 0)])
+        pool.put([job(0, 1)])
+        assert len(pool._threads) == 3 + ahead
