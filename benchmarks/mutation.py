@@ -39,6 +39,8 @@ OPERATORS = re.compile(
 SKIPPED = (".git", ".venv", "__pycache__", ".pytest_cache", ".ruff_cache")
 LEAST_LIMIT_S, LIMIT_FACTOR = 60.0, 6.0
 """Limit of a mutant's tests: the factor times the time of the unchanged module's tests."""
+REASON_LINES = 40
+"""Lines of the output that are shown where the tests of an unchanged module fail."""
 NAMED_BY = ("module", "line", "becomes")
 """Fields that identify a survivor in the list of explained ones."""
 
@@ -89,8 +91,8 @@ def _fixed_lines(source: str) -> set[int]:
     return fixed
 
 
-def run_tests(copy: Path, tests: list[str], limit_s: float) -> str:
-    """Run tests in a copy: "survived" if all pass, else "killed" or "timeout"."""
+def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[str, str]:
+    """Run tests in a copy: "survived" if all pass, else "killed" or "timeout"; with the output."""
     others = [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
     others = [p for p in others if not Path(p).resolve().is_relative_to(ROOT)]
     paths = [str(copy), str(copy / "benchmarks"), str(copy / "kernels"), *others]
@@ -102,8 +104,9 @@ def run_tests(copy: Path, tests: list[str], limit_s: float) -> str:
             command, cwd=copy, env=environ, capture_output=True, timeout=limit_s, check=False
         )
     except subprocess.TimeoutExpired:
-        return "timeout"
-    return "survived" if done.returncode == 0 else "killed"
+        return "timeout", ""
+    said = (done.stdout + done.stderr).decode(errors="replace")
+    return "survived" if done.returncode == 0 else "killed", said
 
 
 def run_suite(o: Mutation) -> dict[str, Any]:
@@ -130,7 +133,13 @@ def run_suite(o: Mutation) -> dict[str, Any]:
     left = [
         {k: row[k] for k in ("number", *NAMED_BY)} for row in rows if row["outcome"] == "survived"
     ]
-    explained = [[entry[key] for key in NAMED_BY] for entry in table["explained"]]
+    explained = [
+        [entry["module"], entry["line"], becomes]
+        for entry in table["explained"]
+        for becomes in (
+            [entry["becomes"]] if isinstance(entry["becomes"], str) else entry["becomes"]
+        )
+    ]
     survivors = [row for row in left if [row[key] for key in NAMED_BY] not in explained]
     counted = len(rows) - len(left) + len(survivors)
     score = 1 - len(survivors) / counted if counted else None
@@ -151,8 +160,10 @@ def _try_all(
     def try_unchanged(tests: tuple[str, ...]) -> None:
         began = time.perf_counter()
         # The copies below contain what this compiles.
-        if run_tests(first, [*tests], 3600.0) != "survived":
+        outcome, said = run_tests(first, [*tests], 3600.0)
+        if outcome != "survived":
             failing.append(tests)
+            print("\n".join(said.splitlines()[-REASON_LINES:]), file=sys.stderr, flush=True)
             return
         limits[tests] = max(LEAST_LIMIT_S, LIMIT_FACTOR * (time.perf_counter() - began))
 
@@ -173,7 +184,7 @@ def _try_all(
         path = copy / row["module"]
         try:
             path.write_text(row["text"])
-            row["outcome"] = run_tests(copy, tests, limits[tuple(tests)])
+            row["outcome"], _ = run_tests(copy, tests, limits[tuple(tests)])
         finally:
             path.write_text((ROOT / row["module"]).read_text())
             copies.put(copy)

@@ -45,6 +45,8 @@ def test_a_heading_turns_the_shorter_way_and_a_tilt_counts_in_the_whole_rotation
     assert object_moves(one, other)["low"].yaw_deg == pytest.approx(20.0)
     assert object_moves(other, one)["low"].yaw_deg == pytest.approx(-20.0)
     assert object_moves(other, one)["low"].turn_deg == pytest.approx(20.0)
+    across = changed(scene, yaw=math.radians(50))
+    assert object_moves(one, across)["low"].yaw_deg == pytest.approx(-120.0)
     tilted = changed(scene, base_tilt=tuple(from_axis_angle([1, 0, 0], 0.5).tolist()))
     move = object_moves(changed(scene, yaw=0.0), tilted.model_copy())["low"]
     assert move.turn_deg > 28.0

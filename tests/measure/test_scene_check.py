@@ -3,7 +3,7 @@
 import numpy as np
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.measure import measured, passes, scene_checks
+from neoworld_mjx.measure import measured, passes, scene_check, scene_checks
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, SceneObject
 from tests.support import furniture, scenes
@@ -80,3 +80,50 @@ def test_a_phrase_names_value_place_and_bound():
     moved = measure.model_copy(update={"max_tilt_deg": 12.34, "tilt_deg": {"mug": 12.34}})
     (check,) = [check for check in scene_checks(moved, OPTIONS) if not check.passed]
     assert check.phrase() == "max_tilt_deg 12.3 of mug, over 5"
+
+
+def test_depths_may_equal_their_bound_and_motions_may_not():
+    """Each bound by itself, with the object, pair or joint of its largest value."""
+    still = measured(snap_exactly(scenes.blocks()), OPTIONS)
+    depth, drift, tilt = OPTIONS.max_depth_m, OPTIONS.max_drift_m, OPTIONS.max_tilt_deg
+    rows = {
+        "max_depth_m": ({"max_depth_m": depth, "depths_m": {"a|b": depth, "b|c": 0.0}}, True),
+        "settled_depth_m": (
+            {"settled_depth_m": depth, "settled_depths_m": {"b|c": 0.0, "a|b": depth}},
+            True,
+        ),
+        "max_drift_m": ({"max_drift_m": drift, "drift_m": {"a|b": drift, "c": 0.0}}, False),
+        "max_tilt_deg": ({"max_tilt_deg": tilt, "tilt_deg": {"c": 0.0, "a|b": tilt}}, False),
+        "max_joint_slide_m": ({"joint_slide_m": {"c": 0.0, "a|b": drift}}, False),
+        "max_joint_turn_deg": ({"joint_turn_deg": {"a|b": tilt, "c": 0.0}}, False),
+    }
+    for name, (update, passed) in rows.items():
+        checks = {
+            check.name: check for check in scene_checks(still.model_copy(update=update), OPTIONS)
+        }
+        assert list(checks) == list(rows)
+        check = checks[name]
+        assert (check.passed, check.where) == (passed, "a|b") and check.value == check.threshold
+        assert all(other.passed for other in checks.values() if other is not check)
+        joints = [checks[f"max_joint_{motion}"].value for motion in ("slide_m", "turn_deg")]
+        assert sorted(joints) == [0.0, check.value] if "joint" in name else joints == [0.0, 0.0]
+
+
+def test_the_measure_takes_duration_time_step_and_bounds_of_the_options(monkeypatch):
+    asked = {}
+    still = measured(snap_exactly(scenes.blocks()), OPTIONS)
+    monkeypatch.setattr(
+        scene_check, "scene_measure", lambda scene, **given: (asked.update(given), still)[1]
+    )
+    options = RefineOptions(
+        check_duration_s=1.5,
+        check_timestep_s=0.001,
+        max_depth_m=0.003,
+        max_drift_m=0.02,
+        max_tilt_deg=7.0,
+    )
+    measured(scenes.blocks(), options)
+    bounds = {"max_depth": 0.003, "max_drift": 0.02, "max_tilt": 7.0}
+    assert asked == {"duration": 1.5, "timestep": 0.001, **bounds, "sleeps": False}
+    measured(scenes.blocks(), options, sleeps=True)
+    assert asked["sleeps"]

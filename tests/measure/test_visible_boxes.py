@@ -25,7 +25,9 @@ def test_the_ground_truth_overlaps_its_photograph_and_a_moved_object_does_not(sc
     pixels, _ = camera.project(box.corners())
     ends = [*pixels.min(axis=0), *pixels.max(axis=0)]
     edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, ends), strict=True))
-    node = TreeNode(name="table", label="", environment=True, box2d=edges, box3d=box)
+    # The boxes of the environment are not compared.
+    elsewhere = {"x0": 0.0, "y0": 0.0, "x1": 3.0, "y1": 2.0}
+    node = TreeNode(name="table", label="", environment=True, box2d=elsewhere, box3d=box)
     thing = TreeNode(name="cube", label="", parent="table", box2d=edges, box3d=box)
     measured = box_iou(SceneTree(camera=camera, nodes=(node, thing)), scene, shifted)
     assert measured["parsed"] == pytest.approx(1.0)

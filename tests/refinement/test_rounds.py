@@ -47,4 +47,4 @@ def test_shorter_iterations_are_filled_up(fill):
 
 
 def test_an_entry_that_was_not_drawn_has_no_status_of_a_rollout():
-    assert NOT_DRAWN not in {int(status) for status in RolloutStatus}
+    assert NOT_DRAWN == -1 and NOT_DRAWN not in {int(status) for status in RolloutStatus}

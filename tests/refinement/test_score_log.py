@@ -5,6 +5,7 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.physics.layout import Layout
@@ -138,3 +139,24 @@ def test_numbers_are_kept_to_a_millionth_and_a_job_does_not_change():
     assert layout_numbers(moved(by=np.float32(3e-6)))[0] == 0.100003
     with pytest.raises(FrozenInstanceError):
         job().rank = 1
+
+
+def test_a_log_is_made_in_folders_that_do_not_exist_yet(tmp_path):
+    path = tmp_path / "run" / "refine" / "scores.jsonl"
+    ScoreLog(path).add([job().score()])
+    assert read_scores(path) == [job().score()]
+
+
+def test_a_score_does_not_change():
+    with pytest.raises(ValidationError, match="frozen"):
+        job().score().value = 0.5
+
+
+def test_a_record_of_another_number_of_objects_is_another_layout(tmp_path):
+    """At equal digests the numbers do not matter; at others they must be as many, and as large."""
+    assert SAME_LAYOUT == 1e-3
+    for numbers in (layout_numbers(LAYOUT)[:4], layout_numbers(LAYOUT) * 2, None):
+        score = job().score(value=0.5).model_copy(update={"layout": "other", "numbers": numbers})
+        _, known = recorded(tmp_path, score)
+        with pytest.raises(ModelError, match="the score of another layout"):
+            known.put([job()])

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from pydantic import ValidationError
 
 from neoworld_mjx.config import MLLMOptions, SemanticOptions, load_config
 from neoworld_mjx.errors import ConfigError, ModelError
@@ -20,16 +19,8 @@ from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.score_log import Score, read_scores
-from neoworld_mjx.refinement.score_request import (
-    CRITERIA,
-    Judgement,
-    listing,
-    score_request,
-    system_text,
-)
 from neoworld_mjx.refinement.score_worker import drawer
 from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
-from neoworld_mjx.refinement.surrogate import surrogate_scores
 from tests.support import scenes
 from tests.support.messages import MessagesServer, judged, levels_of
 
@@ -396,44 +387,6 @@ def test_a_broken_renderer_raises_and_does_not_hang(model, rounds):
             scorer.collect(0)
 
 
-class TestQuestion:
-    def test_request_has_the_criteria_of_the_paper(self):
-        text = " ".join(system_text().split())
-        assert "Do not judge: - whether the objects cover the same pixels" in text
-        assert "the viewpoint, the framing and the lens may differ" in text
-        for name in CRITERIA:
-            assert f"- `{name}`:" in text
-
-    def test_photo_comes_first_and_is_cached(self, model):
-        scene = scenes.furnished()
-        request = score_request(
-            PHOTO, Picture.of("candidate", np.zeros((9, 9, 3), np.uint8)), scene
-        )
-        assert [p.label for p in request.pictures] == ["photo", "candidate"]
-        assert request.role == "critic"
-        assert "- block: in cabinet (drawer)" in listing(scene)
-        with panel_to("http://127.0.0.1:9") as panel:
-            sent = panel.provider._params(request, panel.options.critic, ())
-        blocks = sent["messages"][0]["content"]
-        cached = [k for k, block in enumerate(blocks) if "cache_control" in block]
-        assert [blocks[k]["type"] for k in cached] == ["image"]
-        assert blocks[0]["text"] == "photo:"
-        assert cached == [1]
-        assert "cache_control" in sent["system"][0]
-
-    def test_response_is_four_levels_with_reasons(self):
-        good = {n: {"reason": "as it is", "level": k + 1} for k, n in enumerate(CRITERIA)}
-        assert Judgement.model_validate(good).value == 10 / 16
-        for level in (5, -1, 2.5, "3", True, None):
-            with pytest.raises(ValidationError):
-                Judgement.model_validate_json(
-                    json.dumps(good | {"intersections": {"reason": "", "level": level}})
-                )
-        del good["relative_size"]
-        with pytest.raises(ValidationError):
-            Judgement.model_validate(good)
-
-
 def test_the_documentation_names_existing_options():
     page = Path(__file__).parents[2] / "docs/how-to/semantic-scores.md"
     text = page.read_text(encoding="utf-8")
@@ -443,37 +396,3 @@ def test_the_documentation_names_existing_options():
     table = text.split("## scores.jsonl")[1].split("##")[0]
     named = re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.M)))
     assert sorted(named) == sorted(Score.model_fields)
-
-
-class TestSurrogate:
-    def world(self, n, seed=0):
-        """Truth falls off with the distance from an optimum; geometry estimates it with bias."""
-        rng = np.random.default_rng(seed)
-        z = rng.normal(size=(n, 12))
-        true = np.clip(0.9 - 0.03 * np.sum((z - 0.3) ** 2, axis=1), 0, 1)
-        return z, np.clip(0.7 * true + 0.3 + rng.normal(0, 0.08, n), 0, 1), true
-
-    def test_without_scores_the_estimate_is_the_geometric_score(self):
-        z, g, _ = self.world(10)
-        np.testing.assert_array_equal(surrogate_scores(z, g, z[:0], g[:0], g[:0]), g)
-
-    def test_few_scores_keep_the_geometric_ranking(self):
-        z, g, true = self.world(50)
-        found = surrogate_scores(z, g, z[:4], g[:4], true[:4])
-        np.testing.assert_allclose(found - g, (found - g)[0])
-        assert np.mean(np.abs(found - true)) < np.mean(np.abs(g - true))
-
-    @pytest.mark.parametrize("seed", range(3))
-    def test_many_scores_beat_geometry(self, seed):
-        z, g, true = self.world(300, seed)
-        found = surrogate_scores(z[100:], g[100:], z[:100], g[:100], np.round(16 * true[:100]) / 16)
-        assert np.all((found >= 0) & (found <= 1))
-        shifted = g[100:] + np.mean(true[:100] - g[:100])
-        error = np.sqrt(np.mean((found - true[100:]) ** 2))
-        assert error < 0.7 * np.sqrt(np.mean((shifted - true[100:]) ** 2))
-
-    def test_noise_is_not_learned(self):
-        z, g, _ = self.world(200)
-        noise = np.clip(g[:40] + np.random.default_rng(1).normal(0, 0.1, 40), 0, 1)
-        found = surrogate_scores(z[40:], g[40:], z[:40], g[:40], noise)
-        assert np.sqrt(np.mean((found - g[40:]) ** 2)) < 0.04

@@ -89,8 +89,21 @@ def two_blocks():
     return compile_scene(scenes.on_table(*rows), samples=16)
 
 
-def total_of(scene, *, boxes=(LEFT, RIGHT), seen=None, depth=(2.0, 3.0), far=None, overlap=0.0):
-    """Score two blocks with parsed boxes and depths that are seen otherwise."""
+def semantic_of(
+    scene,
+    *,
+    boxes=(LEFT, RIGHT),
+    seen=None,
+    depth=(2.0, 3.0),
+    far=None,
+    overlap=0.0,
+    cut=(0.0, 0.0),
+    judged=(False, True, True),
+):
+    """Score two blocks with parsed boxes and depths that are seen otherwise.
+
+    `cut` is what the picture's border or others hide of the left side of each [px].
+    """
     f32 = lambda *rows: jnp.asarray(rows, jnp.float32)
     ground = (-300.0, -200.0, 300.0, 200.0)
     photo = scene.photo._replace(
@@ -98,13 +111,21 @@ def total_of(scene, *, boxes=(LEFT, RIGHT), seen=None, depth=(2.0, 3.0), far=Non
         depth=f32(9.0, *depth),
         parsed=np.ones(3, bool),
         whole=np.ones(3, bool),
+        judged=np.array(judged),
     )
     seen_photo = photo._replace(
         boxes=f32(ground, *(seen or boxes)), depth=f32(9.0, *(far or depth))
     )
     scene = eqx.tree_at(lambda s: s.photo, scene, photo)
     penetration = jnp.zeros((1, 3, 3)).at[0, 1, 2].set(overlap)
-    return float(semantic_score(scene, penetration, as_parsed(seen_photo, 1)).total[0])
+    visible = as_parsed(seen_photo, 1)
+    whole = visible.outlines.boxes - f32((0.0, 0.0, 0.0, 0.0), *((c, 0.0, 0.0, 0.0) for c in cut))
+    visible = eqx.tree_at(lambda v: v.outlines.boxes, visible, whole)
+    return semantic_score(scene, penetration, visible)
+
+
+def total_of(scene, **given):
+    return float(semantic_of(scene, **given).total[0])
 
 
 def score(error, tolerance):
@@ -157,3 +178,31 @@ def test_concentric_boxes_are_compared_with_half_their_size(two_blocks):
     # The centres are 2 px apart, and the larger box is 40 px wide.
     turn, box = score(2 * np.arcsin(4 / 20 / 2), np.radians(45)), score(2 / 40, 0.25)
     assert total == pytest.approx(1 - (1 - turn) / 8 - (1 - box) / 16, abs=1e-5)
+
+
+def test_one_judged_object_has_its_box_alone_and_none_are_right(two_blocks):
+    lower = (LEFT, (20.0, -4.0, 60.0, 36.0))
+    box = score((6 + 6) / 4 / 40, 0.25)
+    alone = semantic_of(two_blocks, seen=lower, judged=(False, False, True))
+    assert alone.total[0] == pytest.approx((box + 1) / 2, abs=1e-5)
+    assert alone.each[0] == pytest.approx(np.array([1.0, 1.0, (box + 1) / 2]), abs=1e-5)
+    none = semantic_of(two_blocks, seen=lower, judged=(False, False, False))
+    assert float(none.total[0]) == 1.0 and none.each[0].tolist() == [1.0] * 3
+
+
+def test_an_object_that_is_hidden_where_the_photograph_shows_it_whole_loses_an_eighth(two_blocks):
+    found = semantic_of(two_blocks, cut=(0.0, 8.0))
+    # A side that is 8 px off is 2 px on average, of 40.
+    lost = (1 - score(2 / 40, 0.25)) / 2 / 4
+    assert lost > 0.01
+    assert found.each[0] == pytest.approx(np.array([1.0, 1.0, 1.0 - lost]), abs=1e-5)
+    assert found.total[0] == pytest.approx(1.0 - lost / 2, abs=1e-5)
+
+
+def test_an_object_has_the_criteria_of_its_pairs_and_of_itself(two_blocks):
+    found = semantic_of(two_blocks, overlap=0.004, seen=(LEFT, (18.0, -12.0, 62.0, 32.0)))
+    relative, box = score(np.log(44 / 40), 0.4), score(2 / 40, 0.25)
+    pair = (0.5 + relative + 0.5 + 0.6) / 4
+    expected = np.array([1.0, pair + 1 / 4, pair + (box + 1) / 2 / 4])
+    assert found.each[0] == pytest.approx(expected, abs=1e-5)
+    assert found.total[0] == pytest.approx(expected[1:].mean(), abs=1e-5)

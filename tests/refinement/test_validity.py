@@ -1,0 +1,125 @@
+"""Validity, merit and status of candidates, each with one measure at or beside its bound."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.engine import RolloutStatus, unmoved
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.placed import Placed
+from neoworld_mjx.physics.visibility import as_parsed
+from neoworld_mjx.refinement.objective import evaluate, open_objective
+from neoworld_mjx.spec import Box
+from tests.support import scenes
+
+OPTIONS = RefineOptions()
+DEPTH, DRIFT = np.float32(OPTIONS.max_depth_m), OPTIONS.reward.drift_scale_m
+TILT = np.radians(OPTIONS.reward.tilt_scale_deg)
+STATES = (
+    *("still", "deep at the bound", "deep below it", "settled at the bound", "settled below it"),
+    *("moved beyond", "moved below", "turned beyond", "truncated", "failed"),
+)
+VALID = {"still", "deep below it", "settled below it", "moved below"}
+
+
+@pytest.fixture(scope="module")
+def judged():
+    """Scores of one candidate for each of STATES, by fidelity and by absolute reward; a, b."""
+    box = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    other = box.model_copy(update={"name": "b"})
+    scene = compile_scene(
+        scenes.on_table((box, (0, 0), 0.0, {}), (other, (0.3, 0), 0.0, {})), samples=16
+    )
+    a, b = (scene.names.index(name) for name in "ab")
+    pop, at = len(STATES), STATES.index
+    layouts = Layout.zero(pop, 3)
+    poses = scene.place(layouts)
+    depth, settled = np.zeros((pop, 3, 3), np.float32), np.zeros((pop, 3), np.float32)
+    # One direction alone, whichever.
+    depth[at("deep at the bound"), a, b] = DEPTH
+    depth[at("deep below it"), b, a] = 0.99 * DEPTH
+    settled[at("settled at the bound"), b] = 1.0
+    settled[at("settled below it"), b] = 0.5
+    still = unmoved(scene, poses)
+    pos, quat = np.array(still.pos), np.array(still.quat)
+    pos[at("moved beyond"), 0, a, 0] += 1.01 * DRIFT
+    pos[at("moved below"), 0, a, 2] -= 0.98 * DRIFT
+    half = 1.01 * TILT / 2
+    quat[at("turned beyond"), 0, b] = [np.cos(half), 0.0, np.sin(half), 0.0]
+    status = np.array(still.status)
+    status[at("truncated")] = RolloutStatus.TRUNCATED
+    status[at("failed")] = RolloutStatus.FAILED
+    rollout = eqx.tree_at(
+        lambda r: (r.pos, r.quat, r.status), still, tuple(map(jnp.asarray, (pos, quat, status)))
+    )
+    candidates = Placed(poses, depth, as_parsed(scene.photo, pop), settled)
+    found = [
+        evaluate(
+            scene,
+            layouts,
+            candidates,
+            rollout,
+            open_objective(OPTIONS.model_copy(update={"merit": merit})),
+        )
+        for merit in ("fidelity", "absolute")
+    ]
+    return *found, a, b
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_a_candidate_is_valid_if_every_object_is_within_every_bound(judged, state):
+    scores, _, _, _ = judged
+    assert bool(scores.valid[STATES.index(state)]) == (state in VALID)
+
+
+def test_the_object_beyond_a_bound_is_the_one_that_does_not_rest(judged):
+    scores, _, a, b = judged
+    for state, restless in {
+        "deep at the bound": {a, b},
+        "settled at the bound": {b},
+        "moved beyond": {a},
+        "turned beyond": {b},
+    }.items():
+        rested = np.asarray(scores.rested)[STATES.index(state)]
+        assert set(np.flatnonzero(~rested)) == restless, state
+    assert not np.asarray(scores.rested)[[STATES.index("failed"), STATES.index("truncated")]].any()
+
+
+def test_drift_and_depth_are_the_largest_of_each_object(judged):
+    scores, _, a, b = judged
+    drift, depth = np.asarray(scores.drift), np.asarray(scores.depth)
+    assert drift[STATES.index("settled below it"), b] == pytest.approx(0.5)
+    assert drift[STATES.index("moved below"), a] == pytest.approx(0.98, rel=1e-3)
+    assert drift[STATES.index("turned beyond"), b] == pytest.approx(1.01, rel=1e-3)
+    below = depth[STATES.index("deep below it")]
+    assert below[[a, b]] == pytest.approx(0.99 * DEPTH) and below.sum() == below[[a, b]].sum()
+
+
+def test_candidates_that_were_not_simulated_keep_their_status_and_have_no_reward(judged):
+    for scores in judged[:2]:
+        for state in ("truncated", "failed"):
+            k = STATES.index(state)
+            for value in (scores.reward, scores.absolute, scores.merit):
+                assert float(value[k]) == -np.inf
+        status = np.asarray(scores.status)
+        assert status[STATES.index("truncated")] == RolloutStatus.TRUNCATED
+        assert status[STATES.index("failed")] == RolloutStatus.FAILED
+        assert not status[:-2].any()
+        assert np.isfinite(np.asarray(scores.reward)[:-2]).all()
+
+
+def test_the_fidelity_is_free_of_penetration_and_drift_but_not_of_settling(judged):
+    by_fidelity, by_absolute, _, _ = judged
+    merit, absolute = np.asarray(by_fidelity.merit), np.asarray(by_fidelity.absolute)
+    # Penetration lowers S_sem, which has a criterion of its own for it.
+    s_sem = OPTIONS.reward.w_sem * np.asarray(by_fidelity.terms["s_sem"])
+    settled = {"settled below it": 0.5, "settled at the bound": 1.0}
+    for k, state in enumerate(STATES[:-2]):
+        cost = OPTIONS.reward.w_drift * settled.get(state, 0.0) / (1 + settled.get(state, 0.0))
+        assert merit[k] == pytest.approx(s_sem[k] - cost, abs=1e-6), state
+        assert state == "still" or absolute[k] < absolute[0]
+    assert np.array_equal(by_absolute.merit, by_absolute.absolute)
+    assert np.array_equal(absolute, by_absolute.absolute)
