@@ -22,7 +22,7 @@ from neoworld_bench.rescues.rescue_rows import (
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.compose.mesh_supports import with_supports
+from neoworld_mjx.compose.mesh_supports import find_supports, with_supports
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing_scene import import_file
@@ -53,7 +53,7 @@ def lowest(scene: SceneSpec, name: str) -> float:
 def test_supports_are_what_carries():
     """A carton carries a smaller one, and the table both; nothing says what a support is."""
     objects = standing(4)
-    supported = with_supports(scene_of_meshes(objects).spec)
+    supported = with_supports(find_supports(scene_of_meshes(objects).spec))
     parents = {item.name: item.parent for item in supported.scene.objects}
     assert parents.pop("table") is None and parents.pop("upper_1") == "carton_1"
     assert set(parents.values()) == {"table"}
@@ -63,7 +63,7 @@ def test_supports_are_what_carries():
 
 
 def test_sunk_objects_are_lifted_onto_their_support():
-    supported = with_supports(scene_of_meshes(disturbed(standing(2), 2)).spec)
+    supported = with_supports(find_supports(scene_of_meshes(disturbed(standing(2), 2)).spec))
     for item in supported.scene.objects[1:]:
         assert item.parent == "table"
         assert lowest(supported.scene, item.name) == pytest.approx(TABLE_Z, abs=1e-3)
@@ -75,7 +75,7 @@ def test_objects_without_a_support_get_a_floor():
     given = scene.model_copy(
         update={"objects": tuple(o.model_copy(update={"parent": None}) for o in scene.objects)}
     )
-    supported = with_supports(given)
+    supported = with_supports(find_supports(given))
     floor = supported.scene.objects[0]
     assert floor.name == "floor" and floor.environment
     assert {item.parent for item in supported.scene.objects[1:]} == {"floor"}
@@ -97,7 +97,7 @@ def test_objects_that_carry_each_other_in_a_circle_get_a_floor():
         center = mesh.bounds.mean(axis=0)
         mesh.apply_translation(-center)
         objects[name] = mesh, upright(center, 0)
-    supported = with_supports(scene_of_meshes(objects).spec)
+    supported = with_supports(find_supports(scene_of_meshes(objects).spec))
     parents = {item.name: item.parent for item in supported.scene.objects}
     assert parents == {"floor": None, "c": "floor", "a": "c", "b": "a"}
     assert "floor is added below what nothing carries: c" in supported.notes
@@ -112,16 +112,16 @@ def test_neighbor_that_leans_in_is_no_support():
         "low": (low, upright(np.array([0.8, 0.0, 0.015]), 0)),
         "tall": (tall, upright(np.array([0.8, 0.088, 0.1]), 0)),
     }
-    supported = with_supports(scene_of_meshes(objects).spec)
+    supported = with_supports(find_supports(scene_of_meshes(objects).spec))
     assert supported.scene.object("tall").parent == "table"
 
 
 def test_what_states_its_supports_is_refused():
     with pytest.raises(SpecError, match="states its supports already"):
-        with_supports(desk())
+        find_supports(desk())
     fixed = desk().objects[0]
     with pytest.raises(SpecError, match="free to move"):
-        with_supports(SceneSpec(objects=(fixed,)))
+        find_supports(SceneSpec(objects=(fixed,)))
 
 
 @pytest.mark.parametrize(("seed", "photo"), [(2, False), (4, True)])
