@@ -263,7 +263,7 @@ def _composed(
         and before.drift_m[item.name] <= RESTS_M
         and before.tilt_deg[item.name] <= RESTS_DEG
     ]
-    sizes = photo is None or not c.align.enabled
+    sizes = c.mesh_sizes and (photo is None or not c.align.enabled)
     supported = with_supports(found, resting=resting, sizes=sizes)
     notes, alignment = (*read.notes, *found.notes, *supported.notes), None
     composed = supported.scene
