@@ -61,7 +61,7 @@ class Supported:
 
     scene: SceneSpec
     notes: tuple[str, ...]
-    """Tilts and sizes that were corrected."""
+    """Supports, the floor, and tilts and sizes that were corrected."""
 
 
 def find_supports(scene: SceneSpec) -> FoundSupports:
@@ -111,19 +111,20 @@ def with_supports(
     """
     scene, parents = found.scene, found.parents
     kept = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
-    supported = _composed(scene, parents, kept)
-    if not sizes:
-        return supported
-    sized, changes = fitted_sizes(scene, supported.scene, kept)
-    if not changes:
-        return supported
-    supported = _composed(sized, parents, kept)
-    return Supported(supported.scene, (*supported.notes, *changes))
+    composed, notes = _composed(scene, parents, kept)
+    changes: list[str] = []
+    if sizes:
+        scene, changes = fitted_sizes(scene, composed, kept)
+    if changes:
+        composed, notes = _composed(scene, parents, kept)
+    return Supported(composed, (*found.notes, *notes, *changes))
 
 
-def _composed(scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str]) -> Supported:
-    """Put objects onto their supports, each after what carries it."""
-    poses, notes = world_poses(scene), []
+def _composed(
+    scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str]
+) -> tuple[SceneSpec, list[str]]:
+    """Put objects onto their supports, each after what carries it; notes say what turned."""
+    poses, notes = world_poses(scene), list[str]()
     objects = [item for item in scene.objects if item.static]
     frames = {item.name: poses[item.name] for item in objects}
     free = [item for item in scene.objects if not item.static]
@@ -143,7 +144,7 @@ def _composed(scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str
         before if before.name in kept else after
         for before, after in zip(objects, snap(composed).objects, strict=True)
     ]
-    return Supported(composed.model_copy(update={"objects": tuple(snapped)}), tuple(notes))
+    return composed.model_copy(update={"objects": tuple(snapped)}), notes
 
 
 def _placed(

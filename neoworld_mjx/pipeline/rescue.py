@@ -265,7 +265,7 @@ def _composed(
     ]
     sizes = c.mesh_sizes and (photo is None or not c.align.enabled)
     supported = with_supports(found, resting=resting, sizes=sizes)
-    notes, alignment = (*read.notes, *found.notes, *supported.notes), None
+    notes, alignment = (*read.notes, *supported.notes), None
     composed = supported.scene
     if photo is not None and c.align.enabled:
         # The camera is given.

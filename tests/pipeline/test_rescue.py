@@ -14,6 +14,7 @@ from neoworld_bench.rescues.disturbed_scenes import (
     upright,
 )
 from neoworld_bench.rescues.rescue_rows import (
+    CAMERA,
     camera_file,
     photograph_of,
     rescue_figures,
@@ -25,13 +26,15 @@ from neoworld_mjx import cli
 from neoworld_mjx.compose.mesh_supports import find_supports, with_supports
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
+from neoworld_mjx.export.file_camera import FileCamera, read_camera
 from neoworld_mjx.export.importing_scene import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
-from neoworld_mjx.pipeline.rescue import rescue, rescue_file
+from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, read_scene, world_poses
+from neoworld_mjx.spec.pose import pose
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import write_glb, write_poses
 
@@ -59,8 +62,8 @@ def test_supports_are_what_carries():
     assert parents.pop("table") is None and parents.pop("upper_1") == "carton_1"
     assert set(parents.values()) == {"table"}
     assert [item.name for item in supported.scene.objects if item.environment] == ["table"]
-    for name, pose in world_poses(scene_of_meshes(objects).spec).items():
-        assert world_poses(supported.scene)[name].pos == pytest.approx(pose.pos, abs=5e-4)
+    for name, at in world_poses(scene_of_meshes(objects).spec).items():
+        assert world_poses(supported.scene)[name].pos == pytest.approx(at.pos, abs=5e-4)
 
 
 def test_sunk_objects_are_lifted_onto_their_support():
@@ -202,9 +205,27 @@ def photographed_meshes(tmp_path):
     return write_poses(tmp_path / "given", given)
 
 
+def with_camera(file):
+    """Write the disturbed meshes as glTF with the camera of their photograph."""
+    given = scene_of_meshes(disturbed(standing(2), 2)).spec
+    return write_glb(file, given, camera=(CAMERA, pose((0, 0, 0))))
+
+
+def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(photographed_meshes, tmp_path):
+    photo, stated = tmp_path / "photo.png", import_file(with_camera(tmp_path / "a.glb")).camera
+    own = read_camera(tmp_path / "camera.json")
+    views = [photographed(photo, *pair).view for pair in ((stated, None), (None, own))]
+    for view in views:
+        assert view.camera.model_dump() == pytest.approx(CAMERA.model_dump(), abs=1e-6)
+        assert np.allclose(view.placed.pos, 0, atol=1e-6)
+    wide = photographed(photo, stated, FileCamera(fovy=1.2)).view.camera
+    assert wide.fovy == pytest.approx(1.2) and wide.pitch == pytest.approx(CAMERA.pitch)
+
+
 def test_report_of_a_rescue_says_what_was_checked(photographed_meshes, tmp_path, capfd):
-    command = ["refine", str(tmp_path / "out"), "--from", str(photographed_meshes)]
-    command += ["--photo", str(tmp_path / "photo.png"), "--camera", str(tmp_path / "camera.json")]
+    file = with_camera(tmp_path / "scene.glb")
+    command = ["refine", str(tmp_path / "out"), "--from", str(file)]
+    command += ["--photo", str(tmp_path / "photo.png")]
     with pytest.raises(SystemExit, match="0"):
         cli.main(command)
     printed = capfd.readouterr().out
@@ -217,6 +238,7 @@ def test_report_of_a_rescue_says_what_was_checked(photographed_meshes, tmp_path,
     assert "Of 5 movable objects, 5 have outlines nearer to the photograph" in report
     assert "Changes from the composed to the aligned scene" in report
     stored = json.loads((tmp_path / "out" / "rescue.json").read_text())
+    assert "the camera of the photograph is that of scene.glb" in stored["notes"]
     assert stored["passed"] and all(
         pair["rescued"] < pair["given"] for pair in stored["outlines_px"].values()
     )
