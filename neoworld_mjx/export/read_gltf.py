@@ -54,7 +54,7 @@ def read_gltf(path: Path) -> MeshScene:
     objects = [
         mesh_object(part.name, part.meshes, part.transform, shapes=part.shapes)
         for part in posed
-        if part.meshes or part.shapes  # Points and lines are no objects.
+        if part.meshes or part.shapes
     ]
     return MeshScene(objects, camera)
 
@@ -108,10 +108,10 @@ def _parts_below(loaded: Any, node: Any) -> NodeParts:
 def _meshes(loaded: Any, frame: Any, nodes: set[Any]) -> list[Triangles]:
     """Return the meshes of some nodes in the frame of another, with Z up."""
     meshes = []
-    for node in loaded.graph.nodes_geometry:
+    for node in (n for n in loaded.graph.nodes_geometry if n in nodes):
         transform, key = loaded.graph.get(node, frame_from=frame)
         mesh = loaded.geometry[key]
-        if node in nodes and hasattr(mesh, "faces"):
+        if hasattr(mesh, "faces"):  # Points and lines are no objects.
             # A copy, as several nodes may have the same mesh; one that mirrors turns its faces.
             placed = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
             meshes.append(
