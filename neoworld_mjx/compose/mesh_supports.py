@@ -4,6 +4,7 @@ The support of an object is the highest surface below its middle, within its foo
 carry others and have nothing below them are supports; others without a support stand on a floor.
 """
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,10 +22,10 @@ from ..spec import (
     SceneObject,
     SceneSpec,
     bounds,
-    single_object_scene,
     world_poses,
 )
 from ..spec.pose import Pose, angle_between, conjugate, from_yaw, quat_mul, rotate, yaw_of
+from .mesh_sizes import fitted_sizes
 from .on_supports import snap
 from .resting_pose import resting_tilt
 
@@ -44,19 +45,27 @@ FLOOR_M = 0.1
 
 
 @dataclass(frozen=True)
+class FoundSupports:
+    """A scene at its given poses, and what carries its objects."""
+
+    scene: SceneSpec
+    """The given objects, supports fixed, and a floor if something needs it."""
+    parents: dict[str, str]
+    """The support of every free object."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Supported:
     """A scene whose objects stand on supports."""
 
     scene: SceneSpec
     notes: tuple[str, ...]
-    """Supports, the floor, and tilts that were corrected."""
+    """Supports, the floor, and tilts and sizes that were corrected."""
 
 
-def with_supports(scene: SceneSpec) -> Supported:
-    """Return the scene with every object upright on its support.
-
-    A tilt becomes that of the nearest resting pose (`resting_tilt`), about the object's middle;
-    headings and places stay, and heights follow from the supports.
+def find_supports(scene: SceneSpec) -> FoundSupports:
+    """Find what carries each object of a scene, and fix what cannot move.
 
     Args:
         scene: objects at their poses in the world, without parents; fixed ones are supports.
@@ -71,50 +80,81 @@ def with_supports(scene: SceneSpec) -> Supported:
     parents = _parents(scene)
     supports = _supports(scene, parents)
     notes = [f"{name} is a support: it carries others" for name in sorted(supports)]
-    poses = world_poses(scene)
-    loose = [
-        item
+    objects = [
+        item.model_copy(update={"environment": True}) if item.name in supports else item
         for item in scene.objects
-        if not item.static and item.name not in supports and item.name not in parents
     ]
-    objects: list[SceneObject] = [
-        item.model_copy(update={"environment": True} if item.name in supports else {})
-        for item in scene.objects
-        if item.static or item.name in supports
-    ]
+    loose = [item.name for item in objects if not item.static and item.name not in parents]
     if loose:
-        floor = _floor(scene, [item.name for item in loose])
+        floor = _floor(scene, loose)
         objects.append(floor)
-        names = ", ".join(item.name for item in loose)
-        notes.append(f"{floor.name} is added below what nothing carries: {names}")
-        parents |= {item.name: floor.name for item in loose}
-    pending = [item for item in scene.objects if item.name not in {o.name for o in objects}]
-    frames = {item.name: world_poses(single_object_scene(item))[item.name] for item in objects}
-    while pending:
-        known = {item.name for item in objects}
-        ready = [item for item in pending if parents[item.name] in known]
-        for item in ready:
-            parent = parents[item.name]
-            placed, note = _placed(item, poses[item.name], parent, frames[parent])
-            objects.append(placed)
-            at = frames[parent].pos + rotate(
-                from_yaw(yaw_of(frames[parent].quat)), np.array([*placed.xy, placed.z])
-            )
-            frames[item.name] = Pose(at, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
-            notes += note
-        pending = [item for item in pending if item not in ready]
+        notes.append(f"{floor.name} is added below what nothing carries: {', '.join(loose)}")
+        parents |= dict.fromkeys(loose, floor.name)
+    return FoundSupports(
+        scene.model_copy(update={"objects": tuple(objects)}), parents, tuple(notes)
+    )
+
+
+def with_supports(
+    found: FoundSupports, *, resting: Collection[str] = (), sizes: bool = False
+) -> Supported:
+    """Return a scene with every object on its support.
+
+    A tilt becomes that of the nearest resting pose (`resting_tilt`), about the object's middle;
+    headings and places stay, and heights follow from the supports.
+
+    Args:
+        found: the objects and what carries them.
+        resting: objects that rest as they are given: they keep their poses if what carries them
+            does.
+        sizes: True to correct sizes by the given heights (`fitted_sizes`).
+    """
+    scene, parents = found.scene, found.parents
+    kept = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
+    composed, notes = _composed(scene, parents, kept)
+    changes: list[str] = []
+    if sizes:
+        scene, changes = fitted_sizes(scene, composed, kept)
+    if changes:
+        composed, notes = _composed(scene, parents, kept)
+    return Supported(composed, (*found.notes, *notes, *changes))
+
+
+def _composed(
+    scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str]
+) -> tuple[SceneSpec, list[str]]:
+    """Put objects onto their supports, each after what carries it; notes say what turned."""
+    poses, notes = world_poses(scene), list[str]()
+    objects = [item for item in scene.objects if item.static]
+    frames = {item.name: poses[item.name] for item in objects}
+    free = [item for item in scene.objects if not item.static]
+    for item in sorted(free, key=lambda item: len(_chain(item.name, parents))):
+        parent = parents[item.name]
+        placed, note = _placed(
+            item, poses[item.name], parent, frames[parent], as_given=item.name in kept
+        )
+        objects.append(placed)
+        at = frames[parent].pos + rotate(
+            from_yaw(yaw_of(frames[parent].quat)), np.array([*placed.xy, placed.z])
+        )
+        frames[item.name] = Pose(at, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
+        notes += note
     composed = scene.model_copy(update={"objects": tuple(objects)})
-    return Supported(snap(composed), tuple(notes))
+    snapped = [
+        before if before.name in kept else after
+        for before, after in zip(objects, snap(composed).objects, strict=True)
+    ]
+    return composed.model_copy(update={"objects": tuple(snapped)}), notes
 
 
 def _placed(
-    item: SceneObject, pose: Pose, parent: str, frame: Pose
+    item: SceneObject, pose: Pose, parent: str, frame: Pose, *, as_given: bool
 ) -> tuple[SceneObject, list[str]]:
-    """Return an object upright in the frame of its parent."""
+    """Return an object in the frame of its parent, upright unless it stays as given."""
     yaw = yaw_of(pose.quat)
     tilt = quat_mul(conjugate(from_yaw(yaw)), pose.quat)
     tilt = tuple((tilt / np.linalg.norm(tilt)).tolist())
-    resting = resting_tilt(item.spec, item.joint_state, tilt)
+    resting = tilt if as_given else resting_tilt(item.spec, item.joint_state, tilt)
     notes = []
     if resting is None:
         notes.append(f"{item.name} has no resting pose near its tilt, which is kept")
@@ -174,7 +214,7 @@ def _parents(scene: SceneSpec) -> dict[str, str]:
     return parents
 
 
-def _chain(name: str, parents: dict[str, str]) -> list[str]:
+def _chain(name: str, parents: Mapping[str, str]) -> list[str]:
     """Return an object and all that carry it."""
     names = [name]
     while names[-1] in parents:

@@ -298,6 +298,11 @@ class ComposeOptions(Options):
             "joints.",
         ),
     )
+    mesh_sizes: bool = option(
+        True,
+        "Correct the sizes of another method's meshes by the heights at which they are given, "
+        "unless they are aligned with a photograph; disable it for meshes of known sizes.",
+    )
     align: AlignOptions = AlignOptions()
     looks: bool = option(
         True,

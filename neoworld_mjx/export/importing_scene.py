@@ -19,7 +19,9 @@ from .checked_xml import read_xml
 from .file_camera import FileCamera
 from .importing import MESH_READERS, Imported, to_object
 from .mechanism import Assembly, transformed
-from .read_mesh_scene import GLTF, POSES, MeshScene, read_mesh_scene
+from .read_gltf import SUFFIXES as GLTF
+from .read_gltf import read_gltf
+from .read_mesh_scene import POSES, MeshScene, read_mesh_scene
 from .read_mjcf import read_mjcf_scene
 from .read_urdf import read_urdf
 from .read_usd import gravity_of, read_assemblies
@@ -45,7 +47,7 @@ class ImportedScene:
 def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF, MJCF or USD file as an object if it has only one, else as a scene.
 
-    A glTF file and a poses.json (see `read_mesh_scene`) are always scenes.
+    A glTF file (`read_gltf`) and a poses.json (`read_mesh_scene`) are always scenes.
 
     Raises:
         SpecError: the file has another format, is broken or hostile, names a file that is missing
@@ -65,7 +67,9 @@ def import_file(path: Path) -> Imported | ImportedScene:
 
 def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
     """Read all objects of a file, with the camera or the gravity that it states."""
-    if path.suffix.lower() in GLTF or path.name == POSES:
+    if path.suffix.lower() in GLTF:
+        return read_gltf(path)
+    if path.name == POSES:
         return read_mesh_scene(path)
     if path.suffix.lower() in SUFFIXES:
         stage = open_usd(path)

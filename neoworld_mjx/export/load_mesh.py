@@ -107,12 +107,8 @@ def check_claims(path: Path, kind: str, data: bytes) -> None:
 
 
 def _check_accessors(path: Path, data: bytes) -> None:
-    text = data
-    if data[:4] == b"glTF" and len(data) >= 20:
-        (length,) = struct.unpack_from("<I", data, 12)
-        text = data[20 : 20 + length]
     try:
-        document = json.loads(text)
+        document = gltf_document(data)
         accessors = document.get("accessors", [])
         counts = [accessor["count"] for accessor in accessors]
         fits = all(isinstance(n, int) and 0 <= n <= _MAX_ELEMENTS for n in counts)
@@ -122,6 +118,14 @@ def _check_accessors(path: Path, data: bytes) -> None:
     # An accessor without a buffer view stands for any number of zeros.
     if not fits or any("bufferView" not in accessor for accessor in accessors):
         raise SpecError(f"{path} declares more vertices than it has bytes, or repeats too many")
+
+
+def gltf_document(data: bytes) -> dict[str, Any]:
+    """Return the JSON of a text or binary glTF file, unchecked; errors are those of `json`."""
+    if data[:4] == b"glTF" and len(data) >= 20:
+        (length,) = struct.unpack_from("<I", data, 12)
+        data = data[20 : 20 + length]
+    return json.loads(data)
 
 
 def _instanced(document: dict[str, Any], counts: list[int]) -> int:

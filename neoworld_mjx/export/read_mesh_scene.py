@@ -1,17 +1,16 @@
-"""Read scenes of posed meshes: glTF files, and files of poses next to meshes or models.
+"""Read scenes of posed meshes: files of poses next to meshes or models.
 
-    SCENE.glb, SCENE.gltf    a node with a mesh is an object; meters, Y up (glTF 2.0)
     poses.json               {"frame": "world", "objects": {"mug": {"file": "mug.obj",
                               "pose": [[4x4]], "fixed": false}}, "camera": {...}}
 
 Poses map the frame of an object's file to the world (Z up), or with "frame": "camera" to that of a
 camera (OpenCV: x right, y down, z ahead); "up" then gives the vertical in it, by which the scene is
-leveled. The camera of the photograph is that frame, "camera" (`FileCamera`), or glTF's camera.
+leveled. The camera of the photograph is that frame, or "camera" (`FileCamera`).
 """
 
-import io
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,21 +24,12 @@ from .checked_xml import inside
 from .file_camera import FileCamera, Row, leveled
 from .load_mesh import (
     SUFFIXES,
-    check_claims,
-    folder_buffers,
     load_mesh,
-    merged_vertices,
-    mesh_bytes,
 )
-from .mechanism import Assembly, Link, LinkShape, Mechanism
+from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles
 
-GLTF = (".glb", ".gltf")
 POSES = "poses.json"
 MAX_NODES = 500
-Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""Transform from glTF's axes (Y up) to those with Z up."""
-TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Transform from OpenCV's camera axes to glTF's (x right, y up, z back), and back."""
 
 
 class MeshScene(NamedTuple):
@@ -74,14 +64,12 @@ class PosedFiles(Spec):
 
 
 def read_mesh_scene(path: Path) -> MeshScene:
-    """Read a glTF scene or a poses.json.
+    """Read a poses.json.
 
     Raises:
         SpecError: the file is broken or hostile, or names a file that is missing or lies outside
             its folder.
     """
-    if path.suffix.lower() in GLTF:
-        return _gltf_scene(path)
     posed = read_model(path, PosedFiles, SpecError, "a list of posed files")
     in_camera, camera, into = posed.frame == "camera", posed.camera, np.eye(4)
     if in_camera:
@@ -91,27 +79,33 @@ def read_mesh_scene(path: Path) -> MeshScene:
             into = leveled(np.array(posed.up))
         except SpecError as error:
             raise SpecError(f"{path}: {error}") from None
-        camera = FileCamera(pose=_rows(into)).completed_by(camera)
+        camera = FileCamera(pose=rows_of(into)).completed_by(camera)
     objects = [_posed(path, name, item, into) for name, item in posed.objects.items()]
     return MeshScene(objects, camera, in_camera)
 
 
-def _rows(matrix: NDArray) -> tuple[Row, Row, Row, Row]:
+def rows_of(matrix: NDArray) -> tuple[Row, Row, Row, Row]:
+    """Return a matrix [4, 4] row by row."""
     a, b, c, d = (tuple(row) for row in np.asarray(matrix, float).tolist())
     return a, b, c, d
 
 
 def mesh_object(
-    name: str, vertices: NDArray, faces: NDArray, transform: NDArray, *, fixed: bool = False
+    name: str,
+    meshes: Sequence[Triangles],
+    transform: NDArray,
+    *,
+    fixed: bool = False,
+    shapes: Sequence[LinkShape] = (),
 ) -> Assembly:
-    """Return a mesh [v, 3] m, [f, 3] at a pose as an object; its colliders are derived from it.
+    """Return meshes at a pose as one rigid object; its colliders are derived from them.
 
     Args:
         name: of the object.
-        vertices: vertices in the mesh's own frame.
-        faces: triangles.
-        transform: affine transform [4, 4] to the world; its scale is applied to the mesh.
+        meshes: vertices and faces in the object's own frame.
+        transform: affine transform [4, 4] to the world; its scale is applied to the meshes.
         fixed: True if the object cannot move.
+        shapes: further shapes in its own frame; the transform is rigid then.
 
     Raises:
         SpecError: the transform is singular or not affine.
@@ -126,17 +120,19 @@ def mesh_object(
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
-    local = vertices @ (rotation.T @ linear).T
-    outward = faces if np.linalg.det(linear) > 0 else faces[:, ::-1]
-    shape = LinkShape((local, outward), np.eye(4), "visual")
-    link = Link("body", [shape], visual_only=True)
+    turn = 1 if np.linalg.det(linear) > 0 else -1
+    local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
+    # Beside stated shapes, meshes without colliders collide themselves.
+    role = "both" if shapes else "visual"
+    own = [LinkShape(triangles, np.eye(4), role) for triangles in local]
+    link = Link("body", [*shapes, *own], visual_only=not shapes)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
 def _posed(path: Path, name: str, item: PosedFile, into: NDArray) -> Assembly:
     file, transform = inside(path, item.file), into @ np.array(item.pose)
     if file.suffix.lower() in SUFFIXES:
-        return mesh_object(name, *load_mesh(file), transform, fixed=item.fixed)
+        return mesh_object(name, [load_mesh(file)], transform, fixed=item.fixed)
     mechanism = _mechanism(file)
     mechanism.name = name
     rotation = transform[:3, :3]
@@ -160,52 +156,3 @@ def _mechanism(file: Path) -> Mechanism:
     if suffix in USD:
         return one_object(file, open_usd(file), None)
     raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF, MJCF or USD files")
-
-
-def _gltf_camera(loaded: Any) -> FileCamera | None:
-    """Return the camera of a glTF scene; None for one whose node mirrors or is singular."""
-    pose = Z_UP @ np.asarray(loaded.camera_transform, float) @ TO_OPENCV
-    u, scales, v = np.linalg.svd(pose[:3, :3])
-    # Scales of the nodes above the camera have no effect on what it sees.
-    pose[:3, :3] = u @ v
-    if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
-        return None
-    return FileCamera(pose=_rows(pose), fovy=float(np.radians(loaded.camera.fov[1])))
-
-
-def _gltf_scene(path: Path) -> MeshScene:
-    import trimesh
-
-    data = mesh_bytes(path)
-    check_claims(path, path.suffix.lower(), data)
-    try:
-        loaded: Any = trimesh.load(
-            io.BytesIO(data),
-            file_type=path.suffix.lower()[1:],
-            resolver=folder_buffers(path),
-            force="scene",
-            process=False,
-            skip_materials=True,
-        )
-        nodes = list(loaded.graph.nodes_geometry)
-        posed = [(str(node), *loaded.graph[node]) for node in nodes[: MAX_NODES + 1]]
-        meshes = {key: mesh for key, mesh in loaded.geometry.items() if hasattr(mesh, "faces")}
-        camera = _gltf_camera(loaded) if loaded.has_camera else None
-    except SpecError:
-        raise
-    except Exception as error:  # trimesh raises errors of many types
-        raise SpecError(f"{path} is not glTF: {type(error).__name__}: {error}"[:300]) from None
-    if not 0 < len(nodes) <= MAX_NODES:
-        raise SpecError(
-            f"{path} has {len(nodes)} meshes in its nodes; expected are 1 to {MAX_NODES}"
-        )
-    objects = []
-    for name, transform, key in posed:
-        if key not in meshes:
-            continue  # Points and lines are no objects.
-        vertices, faces = merged_vertices(
-            np.array(meshes[key].vertices, float), np.array(meshes[key].faces, np.int64)
-        )
-        turned = Z_UP @ np.asarray(transform, float) @ Z_UP.T
-        objects.append(mesh_object(name, vertices @ Z_UP[:3, :3].T, faces, turned))
-    return MeshScene(objects, camera)

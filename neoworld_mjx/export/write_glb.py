@@ -1,9 +1,13 @@
-"""Write glTF of the visible surfaces of objects and scenes, with one node for every link."""
+"""Write glTF of the visible surfaces of objects and scenes, and the photograph's camera.
+
+The roots are the objects, each above its links, those above their geoms, and the camera.
+"""
 
 from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import ExportError
@@ -19,6 +23,7 @@ from ..spec import (
 from ..spec.finish import finish
 from ..spec.pose import Pose
 from ..spec.triangles import corner_normals
+from .gltf_colliders import KIND, OBJECT, Y_UP, extras_of
 from .link_frames import transform
 from .textures import visible_surface
 
@@ -27,20 +32,27 @@ if TYPE_CHECKING:
 
 
 def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
-    """Return a binary glTF file, Y up, in meters, with colors, gloss and textures."""
+    """Return a binary glTF file, Y up, in meters, with colors, gloss and textures.
+
+    A scene's camera becomes a node that looks along its -z, x right, y up, as glTF has it.
+    """
     import trimesh
+    from trimesh.scene import Camera
 
     if isinstance(scene, ObjectSpec):
         scene = single_object_scene(scene)
     # Object names have no hyphens, so these names are unused.
     base = f"{scene.name}-scene"
     result = trimesh.Scene(base_frame=base)
-    # A quarter turn about x converts Z up to Y up.
-    up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    result.graph.update(frame_from=base, frame_to="z-up", matrix=up)
     poses = world_poses(scene)
     for item in scene.objects:
         _add_object(result, item, poses[item.name])
+    if scene.camera is not None:
+        width, height, fovy = scene.camera.width, scene.camera.height_px, scene.camera.fovy
+        # trimesh writes the ratio of its two angles as glTF's aspect ratio.
+        fov = np.degrees([fovy * width / height, fovy])
+        result.camera = Camera(name=f"{scene.name}-camera", resolution=(width, height), fov=fov)
+        result.camera_transform = Y_UP @ transform(scene.camera.pose())
     content = result.export(file_type="glb")
     if not isinstance(content, bytes):
         raise ExportError("trimesh does not return binary glTF")
@@ -52,7 +64,12 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    result.graph.update(frame_from="z-up", frame_to=item.name, matrix=transform(pose))
+    result.graph.update(
+        frame_from=result.graph.base_frame,
+        frame_to=item.name,
+        matrix=Y_UP @ transform(pose) @ Y_UP.T,
+        metadata={KIND: OBJECT},
+    )
     moved = link_poses(item.spec, item.joint_state)
     materials = {}
     for material in item.spec.materials:
@@ -69,12 +86,12 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
         )
     for part in item.spec.parts:
-        link = f"{item.name}-{part.name}"
-        result.graph.update(frame_from=item.name, frame_to=link, matrix=transform(moved[part.name]))
+        link, seen = f"{item.name}-{part.name}", list[NDArray]()
         for geom in part.geoms:
             if geom.role == "collision":
                 continue
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
+            seen.append(geom.pose().apply(vertices))
             # Separate vertices for every corner keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
@@ -91,5 +108,11 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
                 geom_name=name,
                 node_name=name,
                 parent_node_name=link,
-                transform=transform(geom.pose()),
+                transform=Y_UP @ transform(geom.pose()),
             )
+        result.graph.update(
+            frame_from=item.name,
+            frame_to=link,
+            matrix=Y_UP @ transform(moved[part.name]) @ Y_UP.T,
+            metadata=extras_of(item.spec, part, seen),
+        )

@@ -6,8 +6,7 @@ of a photograph, without objects' programs and their tests.
 
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..align.align import align
+from ..align.alignment import Alignment
 from ..align.outline_error import outline_errors
 from ..align.outline_picture import outline_picture
-from ..compose.mesh_supports import with_supports
+from ..compose.mesh_supports import FoundSupports, find_supports, with_supports
 from ..compose.on_supports import in_contact
-from ..config import AlignOptions, ComposeOptions, Config, RefineOptions
+from ..config import ComposeOptions, Config, RefineOptions
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
 from ..export.file_camera import WHERE, FileCamera, Viewpoint, read_camera, viewpoint
@@ -37,7 +37,7 @@ from ..spec.pose import pose
 from ..spec.scene import moved_whole
 from .reconstruction import finish
 from .scene_pictures import Pictures
-from .scene_steps import aligned, export_files, refine_layout
+from .scene_steps import export_files, refine_layout, write_alignment
 from .step_context import COMPOSED, SCENE, StepContext
 
 REPORT = "rescue.json"
@@ -45,6 +45,8 @@ GIVEN = "compose/given.json"
 GIVEN_PICTURE = "pictures/given.png"
 OUTLINE_PICTURE = "pictures/rescued.png"
 PHOTO = "photo.png"
+RESTS_M, RESTS_DEG = 2e-3, 1.0
+"""Largest motion in the final check of an object that rests as it is given."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ class Rescued:
     """Distance of each free object from where it was given."""
     turns_deg: dict[str, float]
     """Angle of each free object from how it was given."""
+    sizes: dict[str, float]
+    """Size of each free object over that given."""
     outlines_px: dict[str, dict[str, float | None]]
     """Median distance of each object's outline from the photograph's, as given and rescued, in
     pixels of an image 640 px wide (`outline_errors`); empty without a photograph."""
@@ -84,6 +88,7 @@ class Rescued:
             "drift_before_m": min(self.before.max_drift_m, 1e6),
             "moves_m": self.moves_m,
             "turns_deg": self.turns_deg,
+            "sizes": self.sizes,
             "outlines_px": self.outlines_px,
             "notes": list(self.notes),
         }
@@ -91,11 +96,18 @@ class Rescued:
 
 @dataclass(frozen=True)
 class GivenScene:
-    """A given scene on its supports, before the search."""
+    """A given scene and the composed one, before the search."""
 
     given: SceneSpec
-    """The objects at their given poses, before the camera if there is one."""
+    """The objects at their given poses, supports fixed, before the camera if there is one."""
+    before: SceneMeasure
+    """Its final check."""
+    supported: SceneSpec
+    """The objects on their supports."""
+    alignment: Alignment | None
+    """Alignment of those with the photograph, if there is one."""
     composed: SceneSpec
+    """What the search begins with."""
     notes: tuple[str, ...]
 
 
@@ -110,8 +122,9 @@ def rescue(
 ) -> Rescued:
     """Put the objects of a scene upright on their supports, settle them, and search if need be.
 
-    Shapes are not corrected. Without a photograph neither are sizes and places, but for what the
-    search needs; with one, places, headings and sizes are aligned with its contours first.
+    Shapes are not corrected. With a photograph, places, headings and sizes are aligned with its
+    contours; without one, places and headings stay but for what the search needs, and sizes follow
+    from the given heights (`fitted_sizes`). What rests as it is given stays as it is.
 
     Args:
         given: objects at their poses without parents, as `import_file` reads them.
@@ -126,15 +139,11 @@ def rescue(
     """
     began, o, c = time.perf_counter(), options or RefineOptions(), compose or ComposeOptions()
     read = given if isinstance(given, ImportedScene) else ImportedScene(given, ())
-    start = _supported(read, photo)
-    composed, notes = start.composed, start.notes
-    if photo is not None and c.align.enabled:
-        composed, moved = in_contact(align(composed, photo.rgb, _layout_alone(c)).scene, c)
-        notes = (*notes, *moved)
-    refined = refine(composed, o, seed=seed, engine=engine)
-    notes = (*notes, *refined.fallbacks)
-    seconds = time.perf_counter() - began
-    return _rescued(start, refined.scene, o, photo, notes, seconds, refined.measure)
+    start = _composed(read, photo, o, c)
+    refined = refine(start.composed, o, seed=seed, engine=engine)
+    notes = (*start.notes, *refined.fallbacks)
+    passed, seconds = passes(refined.measure, o), time.perf_counter() - began
+    return _rescued(start, refined.scene, passed, photo, notes, seconds)
 
 
 def photographed(
@@ -175,7 +184,7 @@ def rescue_file(
     """Rescue a glTF scene or a poses.json into a run folder, with report.html and rescue.json.
 
     Args:
-        file: the scene; see `export.read_mesh_scene`.
+        file: the scene; see `export.importing_scene`.
         out: folder, new or empty.
         config: options.
         photo: the photograph of the scene: for the alignment and as evidence in the report.
@@ -199,19 +208,23 @@ def rescue_file(
         if photo is not None:
             own = None if camera is None else read_camera(camera)
             picture = photographed(photo, read.camera, own, c.parse.max_side_px)
-        start = _supported(read, picture)
+        began = time.perf_counter()
+        start = _composed(read, picture, c.refine, c.compose)
+        if picture is not None and camera is None:
+            said = f"the camera of the photograph is that of {file.name}"
+            start = replace(start, notes=(*start.notes, said))
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
             with Pictures(run, c.render) as pictures:
                 context = StepContext(run, c, None, None, pictures)
-                _compose(context, file, start, picture)
+                _write_composed(context, file, start, picture)
                 refine_layout(context)
                 export_files(context)
             scene = read_scene(run.path / SCENE)
             fallbacks = (f"{e['what']}: {e['why']}" for e in run.data["fallbacks"])
-            notes = (*start.notes, *fallbacks)
-            seconds = sum(run.seconds().values())
-            rescued = _rescued(start, scene, c.refine, picture, notes, seconds)
+            notes, seconds = (*start.notes, *fallbacks), time.perf_counter() - began
+            passed = passes(measured(scene, c.refine), c.refine)
+            rescued = _rescued(start, scene, passed, picture, notes, seconds)
             if picture is not None:
                 outlines = outline_picture(picture.rgb, start.given, scene)
                 write_output(out / OUTLINE_PICTURE, to_png(outlines), RunError)
@@ -220,58 +233,73 @@ def rescue_file(
     return rescued
 
 
-def _supported(read: ImportedScene, photo: Photographed | None) -> GivenScene:
-    """Put the objects of a scene onto supports, before the camera of the photograph."""
-    given = read.spec
+def _composed(
+    read: ImportedScene, photo: Photographed | None, o: RefineOptions, c: ComposeOptions
+) -> GivenScene:
+    """Put the objects of a scene onto supports, and align them with the photograph."""
+    given, camera = read.spec, None
     if photo is not None:
         given = moved_whole(given, photo.view.placed)
-    supported = with_supports(given)
-    composed, camera = supported.scene, None
+    found = find_supports(given)
     if photo is not None:
         # The main support's top is at z = 0, as in scenes of photographs.
-        down = pose((0.0, 0.0, -_main_top(composed)))
+        down = pose((0.0, 0.0, -_main_top(found)))
         height = photo.view.camera.height + float(down.pos[2])
         camera = photo.view.camera.model_copy(update={"height": height})
-        given, composed = (
-            moved_whole(scene, down).model_copy(update={"camera": camera})
-            for scene in (given, composed)
-        )
-    return GivenScene(given, composed, (*read.notes, *supported.notes))
+        moved = moved_whole(found.scene, down).model_copy(update={"camera": camera})
+        found = replace(found, scene=moved)
+    before = measured(found.scene, o)
+    deep = {
+        name
+        for pair, depth in before.depths_m.items()
+        if depth > o.max_depth_m
+        for name in pair.split("|")
+    }
+    resting = [
+        item.name
+        for item in found.scene.objects
+        if not item.static
+        and item.name not in deep
+        and before.drift_m[item.name] <= RESTS_M
+        and before.tilt_deg[item.name] <= RESTS_DEG
+    ]
+    sizes = c.mesh_sizes and (photo is None or not c.align.enabled)
+    supported = with_supports(found, resting=resting, sizes=sizes)
+    notes, alignment = (*read.notes, *supported.notes), None
+    composed = supported.scene
+    if photo is not None and c.align.enabled:
+        # The camera is given.
+        keeps_camera = c.align.model_copy(update={"camera": False})
+        alignment = align(composed, photo.rgb, keeps_camera)
+        composed, sideways = in_contact(alignment.scene, c)
+        notes = (*notes, *sideways)
+    return GivenScene(found.scene, before, supported.scene, alignment, composed, notes)
 
 
-def _main_top(scene: SceneSpec) -> float:
+def _main_top(found: FoundSupports) -> float:
     """Return the height of the top of the support that carries most objects [m]."""
-    carried = [item.parent for item in scene.objects]
-    supports = [item for item in scene.objects if item.parent is None]
-    main = max(supports, key=lambda item: carried.count(item.name))
+    carried = list(found.parents.values())
+    main = max(
+        (item for item in found.scene.objects if item.static),
+        key=lambda item: carried.count(item.name),
+    )
     return main.z + float(bounds(main.spec, main.joint_state, main.base_tilt)[1][2])
 
 
-def _layout_alone(options: ComposeOptions) -> AlignOptions:
-    """Return the options of an alignment that keeps the camera, which is given."""
-    return options.align.model_copy(update={"camera": False})
-
-
-def _compose(
+def _write_composed(
     context: StepContext, file: Path, start: GivenScene, photo: Photographed | None
 ) -> None:
     """Write the given and the composed scene of a rescue, as the step `compose`."""
-    run, c = context.run, context.config
-    inputs: Mapping[str, object] = {"file": file, "options": c.compose}
-    with run.step("compose", inputs) as out:
+    run = context.run
+    with run.step("compose", {"file": file, "options": context.config.compose}) as out:
         assert out is not None  # The folder is new.
         (out / "compose").mkdir()
-        composed = start.composed
         if photo is not None:
             (out / PHOTO).write_bytes(to_png(photo.rgb))
-            if c.compose.align.enabled:
-                composed = aligned(run, composed, photo.rgb, _layout_alone(c.compose), out)
-                composed, moved = in_contact(composed, c.compose)
-                for note in moved:
-                    name, _, change = note.partition(": ")
-                    run.note("compose", name, change)
+            if start.alignment is not None:
+                write_alignment(run, start.supported, start.alignment, photo.rgb, out)
         (out / GIVEN).write_text(start.given.to_json(), encoding="utf-8")
-        (out / COMPOSED).write_text(composed.to_json(), encoding="utf-8")
+        (out / COMPOSED).write_text(start.composed.to_json(), encoding="utf-8")
         for note in start.notes:
             run.note("compose", note, f"read from {file.name}")
     if photo is not None:
@@ -282,34 +310,25 @@ def _compose(
 def _rescued(
     start: GivenScene,
     scene: SceneSpec,
-    o: RefineOptions,
+    passed: bool,
     photo: Photographed | None,
     notes: tuple[str, ...],
     seconds: float,
-    measure: SceneMeasure | None = None,
 ) -> Rescued:
     """Compare a rescued scene with the given one."""
-    fixed = {item.name for item in start.composed.objects if item.environment}
-    on_supports = start.given.model_copy(
-        update={
-            "objects": tuple(
-                item.model_copy(update={"environment": item.name in fixed or item.environment})
-                for item in start.given.objects
-            )
-        }
-    )
     free = [item.name for item in scene.objects if not item.static]
-    moves = object_moves(on_supports, scene)
+    moves = object_moves(start.given, scene)
     outlines: dict[str, dict[str, float | None]] = {}
     if photo is not None:
-        given, ended = (outline_errors(s, photo.rgb) for s in (on_supports, scene))
+        given, ended = (outline_errors(s, photo.rgb) for s in (start.given, scene))
         outlines = {name: {"given": given.get(name), "rescued": ended.get(name)} for name in free}
     return Rescued(
         scene,
-        passes(measure or measured(scene, o), o),
-        measured(on_supports, o),
+        passed,
+        start.before,
         {name: moves[name].distance_m for name in free},
         {name: moves[name].turn_deg for name in free},
+        {name: moves[name].size_ratio for name in free},
         outlines,
         notes,
         seconds,

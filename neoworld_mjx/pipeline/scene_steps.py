@@ -1,14 +1,13 @@
 """Steps 4 and 5 of a run, and the export: compose, refine and export the scene."""
 
 import json
-from collections.abc import Collection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
 
 from .. import progress
-from ..config import AlignOptions
 from ..errors import RunError
 from ..io import read_object
 from ..mllm import Picture
@@ -33,6 +32,9 @@ from .step_context import (
     read_tree,
 )
 
+if TYPE_CHECKING:
+    from ..align.alignment import Alignment
+
 
 def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
@@ -40,6 +42,7 @@ def compose_scene(context: StepContext) -> None:
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json and pictures/outlines.png.
     """
+    from ..align.align import align
     from ..align.looks import as_photographed
     from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
@@ -89,10 +92,10 @@ def compose_scene(context: StepContext) -> None:
             scene, notes, shortfalls = composed.scene, composed.notes, composed.shortfalls
             if config.compose.align.enabled:
                 photo = load_photo(run.path / "photo.png").rgb
-                scene = aligned(
-                    run, scene, photo, config.compose.align, out, measured=tree.camera_measured
-                )
-                scene, moved = in_contact(scene, config.compose, composed=composed.scene)
+                known = tree.camera_measured
+                alignment = align(scene, photo, config.compose.align, measured=known)
+                write_alignment(run, scene, alignment, photo, out)
+                scene, moved = in_contact(alignment.scene, config.compose, composed=composed.scene)
                 notes = (*notes, *moved)
             scene, stale = apply_layout(scene, patch, config.compose.gap_m)
             if config.compose.looks:
@@ -114,39 +117,34 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def aligned(
+def write_alignment(
     run: RunFolder,
     scene: SceneSpec,
+    alignment: "Alignment",
     photo: UInt8[np.ndarray, "row column 3"],
-    options: AlignOptions,
     out: Path,
-    *,
-    measured: Collection[str] = (),
-) -> SceneSpec:
-    """Align a composed scene with the photograph, and write the report of the alignment.
+) -> None:
+    """Write the report and the picture of an alignment, and note large changes in the run.
 
     Args:
-        run: the run, which notes large changes.
-        scene: the composed scene.
+        run: the run.
+        scene: the scene before.
+        alignment: its alignment with the photograph.
         photo: the photograph (sRGB).
-        options: of the alignment.
         out: folder of the step's files.
-        measured: as for `align`.
     """
-    from ..align.align import align
     from ..align.outline_picture import outline_picture
     from ..render import to_png
 
-    result = align(scene, photo, options, measured=measured)
-    (out / ALIGNED).write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
-    if result.scene.camera is not None:
+    (out / ALIGNED).write_text(json.dumps(alignment.to_json(), indent=1) + "\n", encoding="utf-8")
+    if alignment.scene.camera is not None:
         (out / OUTLINES).parent.mkdir(exist_ok=True)
-        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, result.scene)))
-    if result.failure:
-        run.fallback("compose", "the scene is not aligned with the photograph", result.failure)
-    for outcome, reason in result.notes(scene):
+        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, alignment.scene)))
+    if alignment.failure:
+        reason = alignment.failure
+        run.fallback("compose", "the scene is not aligned with the photograph", reason)
+    for outcome, reason in alignment.notes(scene):
         run.note("compose", outcome, reason)
-    return result.scene
 
 
 def _check_composed(context: StepContext) -> None:

@@ -389,6 +389,27 @@ def test_estimates_of_bop_have_add_and_recall(sample, tmp_path, capfd):
     assert result["pose_figures"]["true_objects"] == 3 and len(result["poses"]) == 3
 
 
+def test_targets_of_bop_count_though_nothing_is_estimated_for_them(tmp_path):
+    """An image without estimates is missed, and a model that is no target does not count."""
+    folder = write_bop(tmp_path / "desk", [desk(), desk()])
+    images = sorted(json.loads((folder / "test" / "000007" / "scene_gt.json").read_text()), key=int)
+    other = next(int(image) for image in images if image != "3")
+    targets = [
+        {"scene_id": 7, "im_id": image, "obj_id": model, "inst_count": 1}
+        for image, model in ((3, 1), (3, 3), (other, 2))
+    ]
+    estimates = write_estimates(tmp_path / "a.csv", desk())
+    assert len(list(estimate_rows(folder, estimates))) == 3  # Without a list: all of image 3.
+    (folder / "test_targets_bop19.json").write_text(json.dumps(targets))
+    rows = {(row.view, row.object): row for row in estimate_rows(folder, estimates)}
+    missed = f"000007_{other:06d}", "obj_000002"
+    assert set(rows) == {("000007_000003", f"obj_{k:06d}") for k in (1, 3)} | {missed}
+    assert rows.pop(missed).add is None and all(row.add < 1e-6 for row in rows.values())
+    (folder / "test_targets_bop19.json").write_text('[{"scene_id": 7, "im_id": 3}]')
+    with pytest.raises(SpecError, match="target 0: obj_id must be 1 number"):
+        list(estimate_rows(folder, estimates))
+
+
 def test_instances_of_a_model_are_paired(tmp_path):
     folder = write_bop(tmp_path / "desk", [desk()])
     file = folder / "test" / "000007" / "scene_gt.json"

@@ -2,10 +2,15 @@
 
     DATA/models_eval/obj_000001.ply, models_info.json      or models, models_cad [mm]
     DATA/SPLIT/SCENE/scene_camera.json, scene_gt.json, scene_gt_info.json, depth/IMAGE.png
+    DATA/test_targets_bop19.json
 
-Format: thodan/bop_toolkit, docs/bop_datasets_format.md. Poses map the model's frame to the
-camera's (OpenCV) in millimeters. GraspClutter6D has the same files below `scenes`, with models in
-meters in `models_m`.
+Compared field by field with docs/bop_datasets_format.md of thodan/bop_toolkit (commit a3b3256):
+`cam_K` and `cam_R_m2c` row by row; poses map the model's frame to the camera's (OpenCV, z ahead);
+models and translations in millimeters; depth times `depth_scale` is millimeters; `visib_fract` is
+the visible share of the silhouette; the diameter is the largest distance of two vertices of the
+evaluation model. Not read: `models_info.json` (diameters are computed, and ADD-S needs no
+symmetries), masks, `cam_R_w2c`, and files of several sensors (`scene_gt_CAMTYPE.json`).
+GraspClutter6D has the same files below `scenes`, with models in meters in `models_m`.
 """
 
 import re
@@ -18,7 +23,7 @@ import numpy as np
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.load_mesh import load_mesh
-from neoworld_mjx.io import read_object
+from neoworld_mjx.io import read_json, read_object
 
 from ..measures.depth_measure import Intrinsics
 from .true_views import PosedObject, TrueView, diameter_of, numbers, read_depth, rigid
@@ -33,6 +38,7 @@ MODELS = {
 }
 """Folders of meshes in the order of preference, and meters of a unit; models_m is
 GraspClutter6D's."""
+TARGETS = "test_targets_bop19.json"
 CAMERA, POSES, INFO = "scene_camera.json", "scene_gt.json", "scene_gt_info.json"
 LEAST_VISIBLE = 0.1
 """Least visible share of an object; BOP's targets have the same bound."""
@@ -71,6 +77,28 @@ def bop_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
             name = f"{scene}_{_number(image):06d}"
             if name in names:
                 yield _view(name, folder, image, cameras, poses[image], info.get(image), models)
+
+
+def bop_targets(path: Path) -> dict[str, set[str]]:
+    """Return the models to find in each view of BOP's evaluation; empty without its list.
+
+    Args:
+        path: the data set, a split, or a scene.
+
+    Raises:
+        SpecError: the list is broken.
+    """
+    files = (root / TARGETS for root in (path, path.parent, path.parent.parent))
+    file = next((file for file in files if file.is_file()), None)
+    targets: dict[str, set[str]] = {}
+    entries = [] if file is None else read_json(file, SpecError)
+    for index, entry in enumerate(entries if isinstance(entries, list) else [None]):
+        where = f"{file}, target {index}"
+        scene, image, model = (
+            int(numbers(entry, key, 1, where)[0]) for key in ("scene_id", "im_id", "obj_id")
+        )
+        targets.setdefault(f"{scene:06d}_{image:06d}", set()).add(f"obj_{model:06d}")
+    return targets
 
 
 def _view(

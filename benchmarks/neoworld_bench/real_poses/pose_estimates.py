@@ -4,7 +4,7 @@
     48,1,1,0.93,1 0 0 0 1 0 0 0 1,10.5 -3.2 812.0,0.05
 
 R has nine numbers row by row, t is in millimeters; both map the model's frame to the camera's
-(bop_toolkit, docs/bop_challenge_2019.md).
+(thodan/bop_toolkit, docs/bop_challenge_2019.md, commit 0eafdbe).
 """
 
 import csv
@@ -23,7 +23,7 @@ from neoworld_mjx.io.names import identifier
 
 from ..measures.pose_measure import RECALL, add, adi, recall
 from ..rows import Row
-from .bop import bop_views
+from .bop import bop_targets, bop_views
 from .true_views import PosedObject, TrueView, rigid
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t")
@@ -75,8 +75,9 @@ def read_estimates(file: Path) -> dict[str, list[PoseEstimate]]:
 def estimate_rows(data: Path, file: Path) -> Iterator[PoseEstimateRow]:
     """Score the estimates of a results file, for every true object of its views.
 
-    Of each model as many estimates count as it has instances, the best first; they are paired
-    with the instances by the least sum of ADD-S.
+    Where the data set lists BOP's targets, its objects and views are those, whether or not the
+    file has estimates for them. Of each model as many estimates count as it has instances, the
+    best first; they are paired with the instances by the least sum of ADD-S.
 
     Args:
         data: the data set, in the BOP format.
@@ -86,10 +87,10 @@ def estimate_rows(data: Path, file: Path) -> Iterator[PoseEstimateRow]:
         SpecError: a file cannot be read, or the data has none of its views.
     """
     views, method = read_estimates(file), f"poses:{identifier(file.stem, 'poses')}"
-    seen = False
-    for view in bop_views(data, views):
-        seen = True
-        yield from _rows(view, views[view.name], method)
+    targets, seen = bop_targets(data), False
+    for view in bop_views(data, targets or views):
+        seen = seen or view.name in views
+        yield from _rows(view, views.get(view.name, []), method, targets.get(view.name))
     if not seen:
         raise SpecError(f"{file}: {data} has none of its views, such as {next(iter(views), '')}")
 
@@ -104,10 +105,15 @@ def estimate_figures(rows: Collection[PoseEstimateRow]) -> dict[str, Any]:
     }
 
 
-def _rows(view: TrueView, estimates: list[PoseEstimate], method: str) -> Iterator[PoseEstimateRow]:
+def _rows(
+    view: TrueView, estimates: list[PoseEstimate], method: str, models: Collection[str] | None
+) -> Iterator[PoseEstimateRow]:
+    """Score the estimates of a view, for all its models or those that are named."""
     by_model: dict[str, list[PosedObject]] = {}
     for item in view.objects:
-        by_model.setdefault(item.name[: len("obj_000000")], []).append(item)
+        stem = item.name[: len("obj_000000")]
+        if models is None or stem in models:
+            by_model.setdefault(stem, []).append(item)
     for stem, items in by_model.items():
         own = [each for each in estimates if each.stem == stem][: len(items)]
         cost = np.array([[adi(item.vertices, e.pose, item.pose) for e in own] for item in items])

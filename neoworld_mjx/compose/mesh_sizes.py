@@ -1,0 +1,122 @@
+"""Sizes of posed objects by the heights at which they are given.
+
+A method that is wrong about the size of an object places its middle, but not its underside: what
+stands on a carton that is too small is given above it, and the carton itself above or in the table.
+Heights and sizes are corrected together, so that objects touch their supports and their surfaces
+move least: the mean square displacement of the points of each surface, summed over the objects. A
+vertical shift of all objects alike costs nothing; it says that the height of the support is wrong.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from ..spec import SceneObject, SceneSpec, bounds, scale, world_poses
+from ..spec.pose import Pose
+from ..spec.scale import scaled_state
+
+MOST = 0.2
+"""Largest relative change of a size; where more would be needed, a height is wrong, not a size."""
+
+
+def fitted_sizes(
+    given: SceneSpec, supported: SceneSpec, kept: Collection[str]
+) -> tuple[SceneSpec, list[str]]:
+    """Return the given scene with objects scaled about their middles.
+
+    Args:
+        given: objects at their given poses, without parents.
+        supported: the same objects on their supports, at the given sizes.
+        kept: objects whose sizes stay.
+
+    Returns:
+        The scene, and a note for each size that changed.
+    """
+    before, after = world_poses(given), world_poses(supported)
+    free = [item for item in supported.objects if not item.static]
+    column = {item.name: k for k, item in enumerate(free)}
+    # An object's rise is linear in the changes of size of itself and of all below it.
+    rises: dict[str, np.ndarray] = {}
+    moved, extent = np.zeros(len(free)), np.zeros(len(free))
+    for k, item in enumerate(free):
+        height, rise = _middle(item, after[item.name])[2], np.zeros(len(free))
+        underside = float(after[item.name].pos[2] + _lowest(item, after[item.name]))
+        rise[k] = height - underside
+        if item.parent in column:
+            below = supported.object(item.parent)
+            rise += rises[item.parent]
+            rise[column[item.parent]] += underside - _middle(below, after[item.parent])[2]
+        rises[item.name] = rise
+        moved[k] = height - _middle(given.object(item.name), before[item.name])[2]
+        extent[k] = _mean_square(item)
+    changes = _least_motion(
+        np.array(list(rises.values())), moved, extent, np.array([i.name in kept for i in free])
+    )
+    sizes = {i.name: 1 + float(c) for i, c in zip(free, changes, strict=True) if abs(c) > 1e-3}
+    objects = [
+        _scaled(item, before[item.name], sizes[item.name]) if item.name in sizes else item
+        for item in given.objects
+    ]
+    notes = [
+        f"{name} is scaled by {size:.2f}: it fits the given heights so"
+        for name, size in sizes.items()
+    ]
+    return given.model_copy(update={"objects": tuple(objects)}), notes
+
+
+def _least_motion(
+    rises: np.ndarray, moved: np.ndarray, extent: np.ndarray, known: np.ndarray
+) -> np.ndarray:
+    """Return the relative changes of size [n] at which surfaces move least.
+
+    Args:
+        rises: rise of each middle with each change of size [n, n] m.
+        moved: rise of each middle at the given sizes [n] m.
+        extent: mean square distance of each surface from its middle [n] m^2.
+        known: True for each object whose size stays [n].
+    """
+    known, told, n = known.copy(), np.ones(len(moved)), len(moved)
+    while True:
+        # Unknowns: the changes of size, and the shift of all objects.
+        heights = np.column_stack([rises, -np.ones(n)]) * told[:, None]
+        spread = np.column_stack([np.diag(np.sqrt(extent)), np.zeros(n)])
+        rows, right = np.vstack([heights, spread]), np.concatenate([-moved * told, np.zeros(n)])
+        rows[:, :n][:, known] = 0
+        changes = np.linalg.lstsq(rows, right)[0][:n]
+        worst = int(np.argmax(np.abs(changes)))
+        if abs(changes[worst]) <= MOST:
+            return changes
+        known[worst], told[worst] = True, 0.0
+
+
+def _middle(item: SceneObject, pose: Pose) -> np.ndarray:
+    """Return the middle of an object's bounding box in the world [m], [3]."""
+    return pose.apply(np.mean(bounds(item.spec, item.joint_state), axis=0))
+
+
+def _lowest(item: SceneObject, pose: Pose) -> float:
+    """Return the height of an object's underside above its origin [m]."""
+    return float(bounds(item.spec, item.joint_state, tuple(pose.quat.tolist()))[0][2])
+
+
+def _mean_square(item: SceneObject) -> float:
+    """Return the mean square distance of an object's surface from its middle [m^2]."""
+    middle, total, area = np.mean(bounds(item.spec, item.joint_state), axis=0), 0.0, 0.0
+    for part in item.spec.parts:
+        for geom in part.geoms:
+            vertices, faces = geom.shape.surface()
+            corners = (geom.pose().apply(vertices) - middle)[faces]
+            sides = corners[:, 1:] - corners[:, :1]
+            areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+            squares = (corners**2).sum(axis=(1, 2)) + (corners.sum(axis=1) ** 2).sum(axis=1)
+            total, area = total + float(areas @ squares) / 12, area + float(areas.sum())
+    return total / area
+
+
+def _scaled(item: SceneObject, pose: Pose, size: float) -> SceneObject:
+    """Return an object without a parent scaled about its middle."""
+    state = scaled_state(item.spec, item.joint_state, size)
+    shift = (1 - size) * (_middle(item, pose) - pose.pos)
+    x, y, z = (pose.pos + shift).tolist()
+    update = {"spec": scale(item.spec, size), "joint_state": state, "xy": (x, y), "z": z}
+    return item.model_copy(update=update)

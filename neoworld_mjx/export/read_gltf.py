@@ -1,0 +1,162 @@
+"""Read scenes of meshes from glTF 2.0 files: meters, Y up; objects are groups of nodes."""
+
+import io
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError
+from .file_camera import FileCamera
+from .gltf_colliders import COLLIDERS, KIND, OBJECT, Y_UP, stated_shapes
+from .load_mesh import check_claims, folder_buffers, gltf_document, merged_vertices, mesh_bytes
+from .mechanism import LinkShape, Triangles
+from .read_mesh_scene import MAX_NODES, MeshScene, mesh_object, rows_of
+
+SUFFIXES = (".glb", ".gltf")
+Z_UP = Y_UP.T
+"""Transform from glTF's axes (Y up) to those with Z up."""
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Transform from OpenCV's camera axes to glTF's (x right, y up, z back), and back."""
+
+
+def read_gltf(path: Path) -> MeshScene:
+    """Read a glTF file, text or binary: its objects, and the first perspective camera.
+
+    Raises:
+        SpecError: the file is broken or hostile.
+    """
+    import trimesh
+
+    data = mesh_bytes(path)
+    check_claims(path, path.suffix.lower(), data)
+    try:
+        loaded: Any = trimesh.load(
+            io.BytesIO(data),
+            file_type=path.suffix.lower()[1:],
+            resolver=folder_buffers(path),
+            force="scene",
+            process=False,
+            skip_materials=True,
+        )
+        count = len(loaded.graph.nodes_geometry)
+        if not 0 < count <= MAX_NODES:
+            raise SpecError(
+                f"{path} has {count} meshes in its nodes; expected are 1 to {MAX_NODES}"
+            )
+        posed = [_parts_below(loaded, node) for node in _object_nodes(loaded.graph)]
+        camera = _gltf_camera(gltf_document(data))
+    except SpecError:
+        raise
+    except Exception as error:  # trimesh raises errors of many types
+        raise SpecError(f"{path} is not glTF: {type(error).__name__}: {error}"[:300]) from None
+    objects = [
+        mesh_object(part.name, part.meshes, part.transform, shapes=part.shapes)
+        for part in posed
+        if part.meshes or part.shapes
+    ]
+    return MeshScene(objects, camera)
+
+
+def _object_nodes(graph: Any) -> list[Any]:
+    """Return the nodes of a glTF scene that are objects, with all meshes below them.
+
+    From the file's roots, the search descends while a level has a single node with meshes in or
+    below it, and that node has none of its own and does not say in its extras that it is an object.
+    """
+    own, tree = set(graph.nodes_geometry), graph.transforms
+    level = [graph.base_frame]
+    while len(level) == 1 and level[0] not in own:
+        extras = tree.edge_data.get((tree.parents.get(level[0]), level[0]), {}).get("metadata")
+        if extras and extras.get(KIND) == OBJECT:
+            break
+        level = [node for node in tree.children.get(level[0], []) if own & tree.successors(node)]
+    return level
+
+
+class NodeParts(NamedTuple):
+    """What the nodes below one hold, in its frame with Z up."""
+
+    name: str
+    transform: NDArray
+    """Affine transform [4, 4] to the world."""
+    meshes: list[Triangles]
+    shapes: list[LinkShape]
+    """Colliders that links state, and the meshes of those links."""
+
+
+def _parts_below(loaded: Any, node: Any) -> NodeParts:
+    """Return the meshes of a node of a trimesh scene, and the colliders stated below it."""
+    tree = loaded.graph.transforms
+    transform = Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
+    parts = NodeParts(str(node), transform, [], [])
+    below, taken = tree.successors(node), set()
+    for link in (n for n in below if _is_rigid(transform)):
+        extras = tree.edge_data.get((tree.parents.get(link), link), {}).get("metadata") or {}
+        inner = tree.successors(link)
+        seen = _meshes(loaded, link, inner) if COLLIDERS in extras else []
+        turn = Z_UP @ np.asarray(loaded.graph.get(link, frame_from=node)[0], float) @ Z_UP.T
+        stated = stated_shapes(extras.get(COLLIDERS), seen, turn) if _is_rigid(turn) else []
+        if stated:
+            parts.shapes.extend(stated + [LinkShape(mesh, turn, "visual") for mesh in seen])
+            taken |= inner
+    parts.meshes.extend(_meshes(loaded, node, below - taken))
+    return parts
+
+
+def _meshes(loaded: Any, frame: Any, nodes: set[Any]) -> list[Triangles]:
+    """Return the meshes of some nodes in the frame of another, with Z up."""
+    meshes = []
+    for node in (n for n in loaded.graph.nodes_geometry if n in nodes):
+        transform, key = loaded.graph.get(node, frame_from=frame)
+        mesh = loaded.geometry[key]
+        if hasattr(mesh, "faces"):  # Points and lines are no objects.
+            # A copy, as several nodes may have the same mesh; one that mirrors turns its faces.
+            placed = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
+            meshes.append(
+                merged_vertices(np.array(placed.vertices, float), np.array(placed.faces, np.int64))
+            )
+    return meshes
+
+
+def _is_rigid(transform: NDArray) -> bool:
+    turn = transform[:3, :3]
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() < 1e-5 and np.linalg.det(turn) > 0)
+
+
+def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
+    """Return the first perspective camera of a glTF file, if its node neither mirrors nor is flat.
+
+    trimesh reads only cameras that are children of the root and state their aspect ratio.
+    """
+    nodes = document.get("nodes", [])
+    parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+    for k, node in enumerate(nodes):
+        lens = document["cameras"][node["camera"]].get("perspective") if "camera" in node else None
+        if lens is None:
+            continue
+        pose, above = TO_OPENCV, k
+        while above is not None:
+            pose, above = _local(nodes[above]) @ pose, parents.pop(above, None)
+        pose = Z_UP @ pose
+        u, scales, v = np.linalg.svd(pose[:3, :3])
+        if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
+            return None
+        # Scales of the nodes above the camera have no effect on what it sees.
+        pose[:3, :3] = u @ v
+        return FileCamera(pose=rows_of(pose), fovy=float(lens["yfov"]))
+    return None
+
+
+def _local(node: dict[str, Any]) -> NDArray:
+    """Return the transform [4, 4] of a glTF node to its parent: a matrix, or T R S."""
+    from trimesh import transformations
+
+    if "matrix" in node:
+        return np.reshape(np.asarray(node["matrix"], float), (4, 4)).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    turn = transformations.quaternion_matrix([w, x, y, z])
+    turn[:3, :3] *= np.asarray(node.get("scale", (1.0, 1.0, 1.0)), float)
+    turn[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return turn
