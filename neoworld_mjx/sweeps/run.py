@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -174,9 +174,9 @@ class _Runner:
         self.on_iteration = on_iteration
         self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
         self.points = points(plan)
-        self.cases = _cases(plan, scenes, sources)
-        self.by_model = any(scored_by_model(point.options) for point in self.points)
         check_place(place)
+        self.cases = _cases(plan, scenes, sources, place)
+        self.by_model = any(scored_by_model(point.options) for point in self.points)
         if self.by_model and (place.remote or place.processes > 1):
             raise ConfigError("a sweep scored by a model has one ledger: it runs in one process")
         # Responses of a model arrive at any time, so such runs cannot share a computation.
@@ -346,16 +346,29 @@ class _Runner:
             "machine": {
                 "system": platform.platform(),
                 "cores": os.cpu_count(),
+                "processes": 1 if self.place.remote else self.place.processes,
                 "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
             },
             "groups": [] if self.folder is None else self.folder.groups,
         }
 
 
+def _read_case(name: str) -> Iterator[Case]:
+    yield case(name)
+
+
 def _cases(
-    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source] | None
+    plan: Plan | Ablation,
+    scenes: Sequence[Case | SceneSpec],
+    sources: Mapping[str, Source] | None,
+    place: Place = HERE,
 ) -> list[Case]:
-    cases = [case(name, sources) for name in plan.scenes]
+    if sources is None and not place.remote:
+        # A scene of the benchmark is composed first, which takes seconds.
+        named = {each.name: each for each in run_tasks(_read_case, plan.scenes, place)}
+        cases = [named[name] for name in plan.scenes]
+    else:
+        cases = [case(name, sources) for name in plan.scenes]
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
