@@ -32,7 +32,9 @@ from .figure_text import table
 CODE = ("neoworld_mjx/refinement", "neoworld_mjx/physics", "neoworld_mjx/measure")
 """Packages that the values of every sweep depend on."""
 COLUMNS = {column.name: column for column in TABLE_COLUMNS}
-SHOWN = ("passed", "merit", "xy_error_m", "rollouts_to_valid")
+SHOWN = ("passed", "merit", "xy_error_m", "yaw_error_deg", "rollouts_to_valid")
+"""Columns of the table; the merit only where it is compared, as it depends on options."""
+SOFTWARE = ("python", "jax", "mujoco")
 MINUS = "minus base: "
 NOISE = "noise"
 """Option of a sweep whose scenes are named bench:NAME@LEVEL."""
@@ -117,9 +119,10 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
         entry["holm_p"] = p
     by_value = {(name, each["point"]): each for name, each in compared}
     column = COLUMNS[swept.compared]
-    columns = ["option", "value", "n", *(COLUMNS[name].title for name in SHOWN)]
+    shown = [name for name in SHOWN if name != "merit" or swept.compared == "merit"]
+    columns = ["option", "value", "n", *(COLUMNS[name].title for name in shown)]
     columns += [MINUS + COLUMNS["passed"].title, MINUS + column.title, "scenes above:below", "p"]
-    cells = [_cells(factor, each, by_value, swept.compared) for factor, each in summaries]
+    cells = [_cells(factor, each, by_value, shown, swept.compared) for factor, each in summaries]
     if isinstance(plan, Ablation):
         order = sorted(range(len(cells)), key=lambda k: -summaries[k][1][swept.compared]["mean"])
         cells = [cells[k] for k in order]
@@ -132,7 +135,9 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
         command=f"{swept.command} {machine['processes']}",
         device=f"{machine['cores']} cores, {machine['processes']} processes; "
         f"{', '.join(machine['devices'])}",
-        software=", ".join(f"{name} {version}" for name, version in about["versions"].items()),
+        software=", ".join(
+            f"{name} {about['versions'][name]}" for name in SOFTWARE if name in about["versions"]
+        ),
         n=f"{len(about['points'])} points x {len(plan.seeds)} seeds x {scenes} initial scenes: "
         f"{len(rows)} runs",
         date=datetime.fromtimestamp((folder / ABOUT).stat().st_mtime, UTC).date().isoformat(),
@@ -212,12 +217,13 @@ def _cells(
     factor: Factor,
     summed: Mapping[str, Any],
     compared: Mapping[tuple[str, str], Mapping[str, Any]],
+    shown: Sequence[str],
     tested: str,
 ) -> list[str]:
     n, point = summed["n"], summed["point"]
     value = f"{factor.base} (base)" if point == BASE and factor.base != BASE else point
     cells = [factor.name, value, str(n)]
-    cells += [table_cell(summed.get(name), COLUMNS[name], n) for name in SHOWN]
+    cells += [table_cell(summed.get(name), COLUMNS[name], n) for name in shown]
     difference = compared.get((factor.name, point))
     if difference is None:
         return [*cells, "", "", "", ""]

@@ -393,6 +393,7 @@ def _cases(
 ) -> list[Case]:
     if sources is None and not place.remote:
         # A scene of the benchmark is composed first, which takes seconds.
+        report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
         named = {each.name: each for each in run_tasks(_read_case, plan.scenes, place)}
         cases = [named[name] for name in plan.scenes]
     else:

@@ -1,0 +1,68 @@
+"""A sweep of 64 points and 8 seeds in four shards, one of them killed, as commands."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from neoworld_mjx.sweeps.run_rows import read_runs
+from tests.support.scenes import stored_scene
+
+PLAN = {
+    "seeds": 8,
+    "base": {
+        "refine": {
+            "cem": {"population": 32, "iterations": 1, "hold_resting": False},
+            "settle": {"enabled": False},
+            "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 16},
+            "check_duration_s": 0.1,
+            "finalists": 1,
+        }
+    },
+    "axes": {
+        "refine.cem.sigma_yaw_deg": {"low": 2.0, "high": 30.0, "n": 8},
+        "refine.reward.w_drift": {"low": 0.25, "high": 4.0, "log": True, "n": 8},
+    },
+}
+
+
+def command(*words, wait=True):
+    line = [sys.executable, "-m", "neoworld_mjx.cli", "sweep", *map(str, words)]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    if wait:
+        _, said = process.communicate(timeout=900)
+        assert process.returncode == 0, said
+    return process
+
+
+def bits(folder):
+    return [
+        {k: v for k, v in row.items() if not k.endswith("_s") and k != "seconds"}
+        for row in read_runs(folder / "results.parquet")
+    ]
+
+
+@pytest.mark.slow
+def test_shards_of_which_one_was_killed_equal_one_sweep(tmp_path):
+    scene, plan = tmp_path / "scene.json", tmp_path / "plan.yaml"
+    scene.write_text(stored_scene("crowded_2").to_json())
+    plan.write_text(yaml.safe_dump(PLAN | {"scenes": [str(scene)]}))
+    command(plan, "--out", tmp_path / "whole")
+    shards = [tmp_path / f"shard{k}" for k in (1, 2, 3, 4)]
+    for k in (1, 2, 4):
+        command(plan, "--out", shards[k - 1], "--shard", f"{k}/4")
+    killed = command(plan, "--out", shards[2], "--shard", "3/4", wait=False)
+    while killed.poll() is None and not (shards[2] / "results.parquet").exists():
+        time.sleep(0.05)
+    killed.send_signal(signal.SIGKILL)
+    assert killed.wait() == -signal.SIGKILL
+    before = len(read_runs(shards[2] / "results.parquet"))
+    assert 0 < before < 128
+    command(plan, "--out", shards[2], "--shard", "3/4", "--resume")
+    command("merge", *shards, "--out", tmp_path / "merged")
+    whole = bits(tmp_path / "whole")
+    assert len(whole) == 512 and bits(tmp_path / "merged") == whole
+    assert len({row["reward"] for row in whole}) > 64
