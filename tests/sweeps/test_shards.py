@@ -15,7 +15,7 @@ PLAN = {
     "seeds": 8,
     "base": {
         "refine": {
-            "cem": {"population": 32, "iterations": 1, "hold_resting": False},
+            "cem": {"population": 16, "iterations": 1, "hold_resting": False},
             "settle": {"enabled": False},
             "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 16},
             "check_duration_s": 0.1,
@@ -66,3 +66,35 @@ def test_shards_of_which_one_was_killed_equal_one_sweep(tmp_path):
     whole = bits(tmp_path / "whole")
     assert len(whole) == 512 and bits(tmp_path / "merged") == whole
     assert len({row["reward"] for row in whole}) > 64
+
+
+@pytest.mark.slow
+def test_ray_loses_a_worker_and_its_driver_and_the_table_is_that_of_one_process(tmp_path):
+    pytest.importorskip("ray")
+    psutil = pytest.importorskip("psutil")
+    scene, plan = tmp_path / "scene.json", tmp_path / "plan.yaml"
+    scene.write_text(stored_scene("crowded_2").to_json())
+    plan.write_text(yaml.safe_dump(PLAN | {"scenes": [str(scene)], "seeds": 2}))
+    command(plan, "--out", tmp_path / "whole")
+    out, on_ray = tmp_path / "ray", ("--ray", "local", "--workers", 2)
+    driver = command(plan, "--out", out, *on_ray, wait=False)
+
+    def rows():
+        file = out / "results.parquet"
+        return len(read_runs(file)) if file.exists() else 0
+
+    def wait_for(more):
+        while driver.poll() is None and rows() < more:
+            time.sleep(0.2)
+
+    wait_for(2)
+    workers = [p for p in psutil.Process(driver.pid).children(recursive=True)
+               if any("work_there" in word for word in p.cmdline())]  # fmt: skip
+    assert workers
+    workers[0].kill()
+    wait_for(rows() + 8)
+    # Ray's own processes end when the driver's socket closes.
+    driver.send_signal(signal.SIGKILL)
+    assert driver.wait() == -signal.SIGKILL and 8 <= rows() < 128
+    command(plan, "--out", out, "--resume", *on_ray)
+    assert bits(out) == bits(tmp_path / "whole") and len(bits(out)) == 128
