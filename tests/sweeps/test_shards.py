@@ -31,7 +31,8 @@ PLAN = {
 
 def command(*words, wait=True):
     line = [sys.executable, "-m", "neoworld_mjx.cli", "sweep", *map(str, words)]
-    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    errors = subprocess.PIPE if wait else subprocess.DEVNULL
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=errors, text=True)
     if wait:
         _, said = process.communicate(timeout=900)
         assert process.returncode == 0, said
