@@ -2,6 +2,7 @@
 
     uv run python -m benchmarks.page                             # all pages and tables
     uv run python -m benchmarks.page --record NAME RESULT.json   # a figure before, from a suite
+    uv run python -m benchmarks.page --record NAME DIR           # or from the folder of a sweep
 
 `page.yaml` lists the pages of docs/benchmarks/ with their figures, the tables of the front page,
 the sections of docs/results.md, and the text between `<!-- NAME -->` and `<!-- end -->` in other
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from .figure import FIGURES, ROOT, read_figure, recorded
 from .figure_text import age, anchor, markdown, older, table
 from .results import Results, results_page
+from .sweep_figures import Swept, overview, sweep_figure
 
 MARK = "<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures. -->"
 REFERENCE = re.compile(r"\{([a-z0-9_]+)/([^{}/]+)/([^{}/]+)\}")
@@ -34,7 +36,9 @@ class Page(BaseModel):
     title: str
     intro: str
     figures: list[str]
-    """File names of figures without suffix."""
+    """File names of figures without suffix; those of `Contents.swept` may not exist yet."""
+    overview: bool = False
+    """True for a table of the options that the page's figures compare."""
 
 
 class Contents(BaseModel):
@@ -46,6 +50,8 @@ class Contents(BaseModel):
     key: list[str]
     """Figures whose tables are on the front page."""
     pages: list[Page]
+    swept: dict[str, Swept]
+    """Figures that plans of `configs` measure, by file name."""
     results: Results
     tables: dict[str, dict[str, str]]
     """Markdown with references, by file and by name of the mark in it."""
@@ -68,7 +74,7 @@ def pages() -> dict[Path, str]:
     written = {Path("docs/benchmarks.md"): _front_page(contents)}
     written[Path("docs/results.md")] = results_page(contents.results, MARK)
     for page in contents.pages:
-        written[Path("docs/benchmarks") / f"{page.name}.md"] = _page(page)
+        written[Path("docs/benchmarks") / f"{page.name}.md"] = _page(page, contents.swept)
     for path, tables in contents.tables.items():
         text = (ROOT / path).read_text(encoding="utf-8")
         for name, template in tables.items():
@@ -121,23 +127,54 @@ def _front_page(contents: Contents) -> str:
     parts.append("## All figures")
     lines = []
     for page in contents.pages:
-        titles = "; ".join(read_figure(name).title for name in page.figures)
+        titles = "; ".join(
+            read_figure(name).title if measured(name) else contents.swept[name].title
+            for name in page.figures
+        )
         lines.append(f"- [{page.title}](benchmarks/{page.name}.md): {titles}.")
     parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
 
 
-def _page(page: Page) -> str:
+def measured(name: str) -> bool:
+    """Return whether a figure of `benchmarks/figures` exists."""
+    return (FIGURES / f"{name}.yaml").is_file()
+
+
+def _page(page: Page, swept: dict[str, Swept]) -> str:
     parts = [f"# {page.title}", MARK, page.intro.strip()]
-    parts += [markdown(read_figure(name)) for name in page.figures]
-    return "\n\n".join(parts) + "\n"
+    if page.overview:
+        parts.append(overview([read_figure(name) for name in page.figures if measured(name)]))
+    for name in page.figures:
+        found = measured(name)
+        parts.append(markdown(read_figure(name)) if found else _unmeasured(name, swept[name]))
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _unmeasured(name: str, swept: Swept) -> str:
+    commands = (f"{swept.command} N", f"uv run python -m benchmarks.page --record {name} DIR")
+    lines = "\n".join(f"    {command}" for command in commands)
+    return f"## {swept.title}\n\n**Not measured yet.**\n\n{lines}\n\n{swept.text.strip()}"
 
 
 def write_figure(name: str, result: Path, code: tuple[str, ...]) -> None:
-    """Write a figure from a suite's JSON; title, texts and columns of an existing one are kept."""
+    """Write a figure from a suite's JSON or the folder of a sweep.
+
+    Of a suite's existing figure, title, texts and columns are kept.
+
+    Raises:
+        ValueError: `page.yaml` has no plan for a folder's figure; see also `recorded` and
+            `sweep_figure`.
+    """
     file = FIGURES / f"{name}.yaml"
-    known = read_figure(name) if file.exists() else None
-    figure = recorded(json.loads(result.read_text(encoding="utf-8")), known, list(code))
+    if result.is_dir():
+        swept = read_contents().swept
+        if name not in swept:
+            raise ValueError(f"no plan for {name}: page.yaml has {', '.join(swept)}")
+        figure = sweep_figure(result, swept[name])
+    else:
+        known = read_figure(name) if file.exists() else None
+        figure = recorded(json.loads(result.read_text(encoding="utf-8")), known, list(code))
     values = figure.model_dump(exclude_defaults=True)
     dump = {"sort_keys": False, "allow_unicode": True, "width": 160, "default_flow_style": None}
     file.write_text(yaml.dump(values, Dumper=_Dumper, **dump), encoding="utf-8")
@@ -160,7 +197,8 @@ def main(*, record: tuple[str, Path] | None = None, code: tuple[str, ...] = ()) 
     """Write all pages and tables.
 
     Args:
-        record: name of a figure in benchmarks/figures, and the JSON that a suite printed for it.
+        record: name of a figure in benchmarks/figures, and the JSON that a suite printed for it, or
+            the folder of its sweep or ablation.
         code: folders and files that the values of a new figure depend on.
     """
     if record is not None:

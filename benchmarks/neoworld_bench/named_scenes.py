@@ -1,4 +1,7 @@
-"""Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`, `photo:coffee`."""
+"""Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`, `photo:coffee`.
+
+`bench:desk_laptop@layout#1` is an initial scene with another noise level and number.
+"""
 
 import functools
 from collections.abc import Mapping
@@ -28,15 +31,19 @@ CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
 
 
 def bench_case(name: str) -> Case:
-    """Return the first initial scene of one of the thirty scenes.
+    """Return an initial scene of one of the thirty scenes.
 
     Args:
-        name: its name, with noise `all`, or NAME@LEVEL.
+        name: its name, with noise `all`, or NAME@LEVEL; #START behind it is the number of the
+            initial scene, 0 by default. Odd ones are the evaluation half.
 
     Raises:
-        SpecError: there is no such scene or noise level.
+        SpecError: there is no such scene, noise level or number.
     """
-    scene, at, level = name.partition("@")
+    level_of, hash_, start = name.partition("#")
+    if hash_ and not start.isdecimal():
+        raise SpecError(f"scene bench:{name}: #START takes the number of an initial scene")
+    scene, at, level = level_of.partition("@")
     if at and level not in get_args(NoiseLevel):
         raise SpecError(f"scene bench:{name}: noise {choices(level, get_args(NoiseLevel))}")
     noise: NoiseLevel = level if at else "all"  # pyright: ignore[reportAssignmentType]
@@ -44,7 +51,7 @@ def bench_case(name: str) -> Case:
         truth, response = _truth_and_response(scene)
     except SpecError as error:
         raise SpecError(f"scene bench:{name}: {error}") from None
-    number = noise_number(scene, seed=0, start=0)
+    number = noise_number(scene, seed=0, start=int(start or 0))
     composed = composed_start(truth, response, number, noise=noise)
     return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
 

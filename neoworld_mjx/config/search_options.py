@@ -314,7 +314,8 @@ class RefineOptions(Options):
         {},
         "Parameters of the strategy evosax:STRATEGY by their names in evosax, such as `std_init`, "
         "in units of the initial deviations; `learning_rate` is that of Adam where it has a "
-        "gradient optimizer.",
+        "gradient optimizer. `restart_spread` starts a strategy of a distribution again at the "
+        "initial layout where the absolute rewards of a population differ by less.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()

@@ -46,9 +46,9 @@ class TextTable(NamedTuple):
 
     def latex(self) -> str:
         """Return the table as LaTeX, for the package booktabs."""
-        head, *body = (
-            " & ".join(map(escape_latex, row)) + r" \\" for row in (self.head, *self.rows)
-        )
+        lines = (" & ".join(map(escape_latex, row)) for row in (self.head, *self.rows))
+        # After the end of a line, [ would be its argument.
+        head, *body = (f"{'{}' if line.startswith('[') else ''}{line} \\\\" for line in lines)
         columns = "l" + "r" * (len(self.head) - 1)
         lines = [f"% {self.note}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head]
         return "\n".join([*lines, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"]) + "\n"

@@ -24,6 +24,9 @@ from .cem import initial_sigma
 EVOSAX = "evosax"
 LEARNING_RATE = "learning_rate"
 """Parameter of strategies with a gradient optimizer: the learning rate of Adam."""
+RESTART = "restart_spread"
+"""Parameter of strategies of a distribution: they start again at the initial layout where the
+rewards of a population differ by less."""
 
 
 class StrategyState(NamedTuple):
@@ -49,6 +52,7 @@ class Strategy(eqx.Module):
     free: tuple[int, ...] = eqx.field(static=True)
     """Indices of the free numbers in a flattened layout."""
     learning_rate: float | None = eqx.field(static=True, default=None)
+    restart_spread: float | None = eqx.field(static=True, default=None)
 
     def init(self, mean: Layout) -> StrategyState:
         """Return the initial state."""
@@ -109,7 +113,22 @@ class Strategy(eqx.Module):
             first = es.init(later, unit, loss, self.params)
             pick = lambda new, old: jnp.where(state.started, new, old)
             updated = jax.tree.map(pick, updated, first)
+        elif self.restart_spread is not None:
+            updated = self._restarted(later, unit, loss, updated, self.restart_spread)
         return StrategyState(state.mean, updated, jnp.asarray(True))
+
+    def _restarted(
+        self, key: Key[Array, ""], unit: Any, loss: Any, state: Any, spread: float
+    ) -> Any:
+        """Return evosax's state, new if the losses differ by less than `spread`."""
+        from evosax.core import restart
+
+        limit = restart.RestartParams(min_fitness_spread=spread)
+        control = restart.SimpleRestart((restart.spread_cond,), limit)
+        count = control.init()
+        again, _ = control.restart(key, self._es(), state, self.params, count)
+        stuck = control.should_restart(unit, loss, state, self.params, count)
+        return jax.tree.map(lambda new, old: jnp.where(stuck, new, old), again, state)
 
     def _es(self) -> Any:
         return _built(self.name, self.population, len(self.free), self.learning_rate)
@@ -169,7 +188,7 @@ def open_strategy(
         name: its name in evosax, such as SNES.
         scene: the scene's arrays.
         options: population and initial deviations.
-        parameters: values of evosax's parameters by name, and LEARNING_RATE.
+        parameters: values of evosax's parameters by name, LEARNING_RATE and RESTART.
 
     Raises:
         ConfigError: there is no such strategy or parameter, or it cannot search the scene.
@@ -183,15 +202,21 @@ def open_strategy(
     has_rate = "optimizer" in inspect.signature(strategy).parameters
     if rate is not None and not has_rate:
         raise ConfigError(f"refine.strategy: {name} takes no {LEARNING_RATE}")
-    built = Strategy(name, options.population, sigma, None, free, rate)
+    spread = values.pop(RESTART, None)
+    built = Strategy(name, options.population, sigma, None, free, rate, spread)
     try:
+        if spread is not None and _by_population(built._es()):
+            raise ConfigError(
+                f"refine.strategy: {name} takes no {RESTART}: it keeps a population, and evosax "
+                "restarts strategies of a distribution alone"
+            )
         params = built._es().default_params
         fields = list(params.__dataclass_fields__)
         for key in values:
             if key not in fields:
                 raise ConfigError(
                     f"refine.strategy: {name}: "
-                    f"{choices(key, [*fields, *([LEARNING_RATE] if has_rate else [])])}"
+                    f"{choices(key, [*fields, RESTART, *([LEARNING_RATE] if has_rate else [])])}"
                 )
         params = params.replace(**{key: jnp.asarray(value) for key, value in values.items()})
         params = jax.tree.map(jnp.asarray, params)

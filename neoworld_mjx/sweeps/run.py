@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,10 @@ from .folder import FORMAT, RESULTS, SweepFolder
 from .group_runs import SweepPart, compute, forget_compiled, runs_at_once
 from .grouping import grouped, reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, Point, Request, points, read, shared_config
+from .plan import Ablation, Plan, Request, points, read, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row, read_runs, row_key
-from .study import check_study, run_study
+from .study import StudyTask, check_study, run_study
 from .trackers import OnIteration, TrackedRun
 
 
@@ -71,21 +71,34 @@ def sweep(
     """
     plan = read(plan, Plan)
     if plan.study is not None:
-        if shard != (1, 1) or place != HERE:
+        if shard != (1, 1):
             raise ConfigError(
-                "shard: the trials of a study depend on each other; run it in one process, without "
-                "--shard, --workers, --ray and --slurm"
+                "shard: the trials of a study depend on each other; run them with --workers, --ray "
+                "or --slurm instead"
             )
         check_study(plan)
+        check_place(place)
+        by_model = scored_by_model(shared_config(plan).refine)
+        _check_ledger(by_model or "refine.semantic.scorer" in plan.axes, place)
 
-        def run_point(point: Plan, scene: Case) -> SweepResult:
-            return _Runner(point, [scene], {}, engine, (1, 1), HERE, on_iteration).run(
-                None, resume=False, overwrite=False
-            )
+        def run_points(tasks: Sequence[StudyTask]) -> Iterator[tuple[int, SweepResult]]:
+            work = partial(_run_trial, engine=engine, threads=place.threads)
+            for task, result in run_tasks(work, tasks, place):
+                for row in result.rows if on_iteration is not None else ():
+                    _track(on_iteration, row, task.plan.axes)
+                yield task.trial, result
 
-        scenes = _cases(plan, cases, sources)
+        scenes = _cases(plan, cases, sources, place)
         path = None if out is None else Path(out)
-        return run_study(plan, scenes, run_point, path, resume=resume, overwrite=overwrite)
+        return run_study(
+            plan,
+            scenes,
+            run_points,
+            path,
+            width=place.processes,
+            resume=resume,
+            overwrite=overwrite,
+        )
     runner = _Runner(plan, cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
@@ -154,6 +167,27 @@ def check(
     return {"checked": len(rows), "missing": runner.total - len(rows)}
 
 
+def _check_ledger(by_model: bool, place: Place) -> None:
+    if by_model and (place.remote or place.processes > 1):
+        raise ConfigError("a sweep scored by a model has one ledger: it runs in one process")
+
+
+def _run_trial(
+    task: StudyTask, engine: Engine | None, threads: int
+) -> Iterator[tuple[StudyTask, SweepResult]]:
+    """Refine a scene with the only point of a trial's plan."""
+    runner = _Runner(task.plan, [task.case], {}, engine, (1, 1), HERE, None)
+    runner.threads = threads
+    yield task, runner.run(None, resume=False, overwrite=False)
+
+
+def _track(on_iteration: OnIteration | None, row: Row, values: Mapping[str, Any]) -> None:
+    if on_iteration is None:
+        return
+    for step in row["history"]:
+        on_iteration(TrackedRun(row["scene"], row["point"], row["seed"], dict(values)), step)
+
+
 class _Runner:
     """A validated plan with its scenes, points and groups, and the rows computed so far."""
 
@@ -171,14 +205,14 @@ class _Runner:
         if not 1 <= number <= of:
             raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{of}")
         self.plan, self.engine, self.place = plan, engine, place
+        self.threads = place.threads
         self.on_iteration = on_iteration
         self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
         self.points = points(plan)
-        self.cases = _cases(plan, scenes, sources)
-        self.by_model = any(scored_by_model(point.options) for point in self.points)
         check_place(place)
-        if self.by_model and (place.remote or place.processes > 1):
-            raise ConfigError("a sweep scored by a model has one ledger: it runs in one process")
+        self.cases = _cases(plan, scenes, sources, place)
+        self.by_model = any(scored_by_model(point.options) for point in self.points)
+        _check_ledger(self.by_model, place)
         # Responses of a model arrive at any time, so such runs cannot share a computation.
         self.fold = plan.fold and not self.by_model
         options = [point.options for point in self.points]
@@ -231,7 +265,7 @@ class _Runner:
                 for (point, seed), row in zip(part.runs, rows, strict=True):
                     key = (part.case.name, point.label, seed)
                     self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
-                    self._track(point, part.case.name, seed, row)
+                    _track(self.on_iteration, self.completed[key], point.values)
                 self.about["groups"].append(timing)
                 done = len(self.completed)
                 left = (self.total - done) * (time.perf_counter() - began) / (done - before)
@@ -250,12 +284,6 @@ class _Runner:
         if self.scores is not None:
             self.scores.close()
         return result
-
-    def _track(self, point: Point, scene: str, seed: int, row: Row) -> None:
-        if self.on_iteration is None:
-            return
-        for step in row["history"]:
-            self.on_iteration(TrackedRun(scene, point.label, seed, point.values), step)
 
     def _heads(self) -> dict[Key, Row]:
         """Return the columns that name each run."""
@@ -286,7 +314,7 @@ class _Runner:
                     runs = tuple(pending[first : first + size])
                     parts.append(
                         SweepPart(scene, scene_hash, options, runs, self.fold, self.engine,
-                             self.place.threads)
+                             self.threads)
                     )  # fmt: skip
         return parts
 
@@ -346,16 +374,30 @@ class _Runner:
             "machine": {
                 "system": platform.platform(),
                 "cores": os.cpu_count(),
+                "processes": 1 if self.place.remote else self.place.processes,
                 "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
             },
             "groups": [] if self.folder is None else self.folder.groups,
         }
 
 
+def _read_case(name: str) -> Iterator[Case]:
+    yield case(name)
+
+
 def _cases(
-    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source] | None
+    plan: Plan | Ablation,
+    scenes: Sequence[Case | SceneSpec],
+    sources: Mapping[str, Source] | None,
+    place: Place = HERE,
 ) -> list[Case]:
-    cases = [case(name, sources) for name in plan.scenes]
+    if sources is None and not place.remote:
+        # A scene of the benchmark is composed first, which takes seconds.
+        report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
+        named = {each.name: each for each in run_tasks(_read_case, plan.scenes, place)}
+        cases = [named[name] for name in plan.scenes]
+    else:
+        cases = [case(name, sources) for name in plan.scenes]
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")

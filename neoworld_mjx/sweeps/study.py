@@ -1,13 +1,13 @@
 """Adaptive search for options by Optuna (Akiba et al., arXiv:1907.10902; extra `optuna`).
 
 Each trial is a point of the sweep, refined with every seed on every scene. Its value is the mean of
-a column of its rows.
+a column of its rows. At a place with several processes as many trials run at a time.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import ConfigError, EngineError, RunError, choices
 from ..io.files import content_hash
@@ -15,13 +15,24 @@ from ..progress import report
 from .axes import read_axes
 from .cases import Case
 from .folder import SweepFolder, sweep_of
-from .plan import Plan, point_of, points, shared_config, takes_integers
+from .plan import Plan, Point, point_of, points, shared_config, takes_integers
 from .result import SweepResult, stored_result
 from .run_rows import COLUMNS, Row
 
 JOURNAL = "study.journal"
-RunPoint = Callable[[Plan, Case], SweepResult]
-"""Function that refines a scene with the only point of a plan."""
+
+
+class StudyTask(NamedTuple):
+    """A trial's refinements of a scene."""
+
+    trial: int
+    plan: Plan
+    """Plan of the trial's point alone."""
+    case: Case
+
+
+RunPoints = Callable[[Sequence[StudyTask]], Iterable[tuple[int, SweepResult]]]
+"""Function from tasks to the number of the trial and the rows of each, in any order."""
 
 
 def open_optuna() -> Any:
@@ -68,9 +79,10 @@ def check_study(plan: Plan) -> None:
 def run_study(
     plan: Plan,
     cases: Sequence[Case],
-    run_point: RunPoint,
+    run_points: RunPoints,
     out: Path | None,
     *,
+    width: int = 1,
     resume: bool,
     overwrite: bool,
 ) -> SweepResult:
@@ -83,8 +95,9 @@ def run_study(
     Args:
         plan: the plan, which `check_study` accepts.
         cases: the scenes.
-        run_point: refines a scene with a point.
+        run_points: refines scenes with points.
         out: folder of the sweep and of Optuna's journal; None keeps both in memory.
+        width: number of trials at a time; those do not know each other's values.
         resume: continue the study in `out`.
         overwrite: replace it.
 
@@ -92,7 +105,7 @@ def run_study(
         RunError: the folder cannot be written, or holds a study of another plan.
     """
     if out is None:
-        return _trials(plan, cases, run_point, None, [], None)
+        return _trials(plan, cases, run_points, width, None, [], None)
     with SweepFolder(out, "sweep", resume=resume, overwrite=overwrite) as folder:
         about = sweep_of(out) or {}
         if overwrite:
@@ -102,7 +115,7 @@ def run_study(
                 f"{out} holds a study of another plan: only study.trials may change; use "
                 "--overwrite, or name a new folder"
             )
-        return _trials(plan, cases, run_point, folder, folder.rows, about)
+        return _trials(plan, cases, run_points, width, folder, folder.rows, about)
 
 
 def _json(plan: Plan) -> dict[str, Any]:
@@ -117,7 +130,8 @@ def _identity(plan: Mapping[str, Any]) -> str:
 def _trials(
     plan: Plan,
     cases: Sequence[Case],
-    run_point: RunPoint,
+    run_points: RunPoints,
+    width: int,
     folder: SweepFolder | None,
     rows: list[Row],
     earlier: Mapping[str, Any] | None,
@@ -133,37 +147,51 @@ def _trials(
     about: dict[str, Any] = {"points": [p for p in found if p["label"] in labels], "groups": []}
     base = shared_config(plan).model_dump(mode="json")
     result: SweepResult | None = None
-    for number in range(len(ended), wanted.trials):
-        trial = study.ask()
-        point = point_of(base, _suggested(plan, trial))
-        trial.set_user_attr("point", point.label)
-        own: list[Row] = []
-        for case in cases:
-            one = plan.model_copy(
-                update={"axes": {k: [v] for k, v in point.values.items()}, "study": None}
+    for first in range(len(ended), wanted.trials, width):
+        asked = [study.ask() for _ in range(first, min(first + width, wanted.trials))]
+        chosen = [point_of(base, _suggested(plan, trial)) for trial in asked]
+        for trial, point in zip(asked, chosen, strict=True):
+            trial.set_user_attr("point", point.label)
+        own: list[list[Row]] = [[] for _ in asked]
+        left = list(range(len(asked)))
+        # With pruning scenes come one after the other, otherwise all at once.
+        for scenes in [[case] for case in cases] if wanted.prune else [cases]:
+            tasks = [StudyTask(k, _alone(plan, chosen[k]), case) for k in left for case in scenes]
+            for k, part in run_points(tasks):
+                own[k] += part.rows
+                groups = about["groups"] + part.about["groups"]
+                about = {**part.about, "points": about["points"], "groups": groups}
+            for k in left:
+                asked[k].report(_value(own[k], plan), step=len({row["scene"] for row in own[k]}))
+            if wanted.prune and scenes[-1] is not cases[-1]:
+                ending = [k for k in left if asked[k].should_prune()]
+                for k in ending:
+                    study.tell(asked[k], state=optuna.trial.TrialState.PRUNED)
+                left = [k for k in left if k not in ending]
+        for k, point in enumerate(chosen):
+            if k in left:
+                study.tell(asked[k], _value(own[k], plan))
+            if point.label not in by_point:
+                about["points"].append({"label": point.label, **point.values})
+            order = [case.name for case in cases]
+            by_point[point.label] = sorted(
+                own[k], key=lambda row: (order.index(row["scene"]), row["seed"])
             )
-            part = run_point(one.model_copy(update={"scenes": ()}), case)
-            own += part.rows
-            about = {**part.about, "points": about["points"],
-                     "groups": about["groups"] + part.about["groups"]}  # fmt: skip
-            trial.report(_value(own, plan), step=len({row["scene"] for row in own}))
-            if wanted.prune and case is not cases[-1] and trial.should_prune():
-                study.tell(trial, state=optuna.trial.TrialState.PRUNED)
-                break
-        else:
-            study.tell(trial, _value(own, plan))
-        if point.label not in by_point:
-            about["points"].append({"label": point.label, **point.values})
-        by_point[point.label] = own
-        report(f"trial {number + 1} of {wanted.trials}: {point.label}: "
-               f"{wanted.goal} {_value(own, plan):.4g}")  # fmt: skip
-        result = _saved(plan, cases, about, by_point, folder, number + 1 == wanted.trials)
+            report(f"trial {first + k + 1} of {wanted.trials}: {point.label}: "
+                   f"{wanted.goal} {_value(own[k], plan):.4g}")  # fmt: skip
+        result = _saved(plan, cases, about, by_point, folder, first + width >= wanted.trials)
     if result is None:
         if earlier is None or "kind" not in earlier:
             raise RunError("the study is complete, but its sweep.json is damaged; use --overwrite")
         about = {**earlier, "points": about["points"]}
         result = _saved(plan, cases, about, by_point, folder, finished=True)
     return result
+
+
+def _alone(plan: Plan, point: Point) -> Plan:
+    """Return a plan of one point alone, without scenes."""
+    axes = {path: [value] for path, value in point.values.items()}
+    return plan.model_copy(update={"axes": axes, "study": None, "scenes": ()})
 
 
 def _saved(

@@ -43,7 +43,7 @@ TABLE_COLUMNS = (
     TableColumn("seconds", "search, s"),
 )
 RATES = ("passed", "valid")
-TESTED = ("passed", "reward", "merit", "d_pen_m", "d_drift", "s_sem")
+TESTED = ("passed", "reward", "merit", "d_pen_m", "d_drift", "s_sem", "xy_error_m")
 """Columns whose differences are tested; p values are adjusted for the number of variants."""
 
 
@@ -156,13 +156,16 @@ def text_table(
     head = ["point", "n", "scenes", *(column.title for column in columns)]
     rows = [
         [row["point"], str(row["n"]), str(row["scenes"])]
-        + [_cell(row.get(column.name), column, row["n"], signed) for column in columns]
+        + [table_cell(row.get(column.name), column, row["n"], signed=signed) for column in columns]
         for row in summaries
     ]
     return TextTable(note, head, rows)
 
 
-def _cell(estimate: dict[str, Any] | None, column: TableColumn, n: int, signed: bool) -> str:
+def table_cell(
+    estimate: dict[str, Any] | None, column: TableColumn, n: int, *, signed: bool = False
+) -> str:
+    """Return a mean with its interval, and its number of values where that is not `n`."""
     if estimate is None:
         return ""
     mean, low, high = (

@@ -20,6 +20,7 @@ PLANS = sorted(CONFIGS.glob("*/*.yaml"))
     [
         ("bench:dominos", "scene bench:dominos: .*did you mean 'dominoes'"),
         ("bench:tents@al", "scene bench:tents@al: noise got 'al', valid are: exact, layout"),
+        ("bench:tents#one", "scene bench:tents#one: #START takes the number"),
         ("crowded:many", "number of objects from 1 to 100"),
         ("photo:cofee", "did you mean 'coffee'"),
         ("bensh:dominoes", "did you mean 'bench'"),
@@ -59,7 +60,7 @@ def test_plans_of_the_repository_name_existing_scenes(path):
     plan = read(path, Ablation if path.parent.name == "ablations" else Plan)
     assert len(points(plan)) > 1
     for name in plan.scenes:
-        kind, colon, inner = name.partition("@")[0].partition(":")
+        kind, colon, inner = name.partition("#")[0].partition("@")[0].partition(":")
         if not colon:
             assert (CONFIGS.parent / name).is_file()
         elif kind == "bench":
@@ -75,3 +76,10 @@ def test_a_bench_scene_has_the_noise_level_of_its_name():
     assert exact.name == "bench:tents@exact"
     errors = [each.errors(each.scene)["xy_m"] for each in (exact, every)]
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_a_bench_scene_has_the_number_of_its_name():
+    first, second = (case(f"bench:tents@exact#{start}", SOURCES) for start in (0, 1))
+    assert first.scene == case("bench:tents@exact", SOURCES).scene
+    noisy = case("bench:tents@layout#1", SOURCES)
+    assert noisy.name == "bench:tents@layout#1" and noisy.scene != second.scene

@@ -3,6 +3,7 @@
 from inspect import unwrap
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -75,3 +76,18 @@ def test_a_strategy_of_evosax_is_opened_by_its_name(scene):
         optimizer_factory("evosax:SNESS")
     with pytest.raises(ConfigError, match="std_int"):
         open_optimizer("evosax:SNES", scene, OPTIONS, {"std_int": 0.3})
+
+
+def test_a_strategy_restarts_where_the_rewards_hardly_differ(scene):
+    pytest.importorskip("evosax", reason="needs the extra baselines")
+    options, key = OPTIONS.model_copy(update={"population": 8}), jax.random.key(1)
+    es = open_optimizer("evosax:CMA_ES", scene, options, {"restart_spread": 0.1})
+    state = es.init(Layout.zero(1, scene.count))
+    layouts = es.ask(key, state, 8)
+    apart = es.tell_with_key(key, state, layouts, jnp.linspace(0.0, 1.0, 8))
+    alike = es.tell_with_key(key, state, layouts, jnp.linspace(0.0, 0.05, 8))
+    assert float(abs(apart.inner.mean).max()) > 0
+    assert float(abs(alike.inner.mean).max()) == 0 and float(alike.inner.std) == 1.0
+    assert int(alike.inner.generation_counter) == 0 < int(apart.inner.generation_counter)
+    with pytest.raises(ConfigError, match="PSO takes no restart_spread"):
+        open_optimizer("evosax:PSO", scene, options, {"restart_spread": 0.1})

@@ -2,12 +2,14 @@
 
 import csv
 import io
+import re
 import sys
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
+from neoworld_mjx.sweeps import table as sweep_table
 from neoworld_mjx.sweeps.figure import MAX_LINES, draw
 from neoworld_mjx.sweeps.folder import SweepFolder
 from neoworld_mjx.sweeps.rank_figure import cliques, draw_ranks, ranks
@@ -107,6 +109,35 @@ def test_latex_commands_in_cells_are_escaped():
     summed = summary([run(r"\input{x} 50 % & _", 0, 1, 1)], [r"\input{x} 50 % & _"])
     line = text_table("Ablation", summed).latex().splitlines()[5]
     assert line.startswith(r"\textbackslash{}input\{x\} 50 \% \& \_ & 1 & 1 & 100.0")
+
+
+def test_a_parser_of_latex_reads_every_cell():
+    """No TeX is needed: pylatexenc parses strictly, and the text of each cell is its own."""
+    walker = pytest.importorskip("pylatexenc.latexwalker")
+    from pylatexenc.latex2text import LatexNodes2Text
+
+    names = ["base", r"\input{x} 50 % & _", "[0.1, 0.2] ~ ^ # $x$", "a {b} c"]
+    rows = [run(name, 0, seed, 1, reward=0.1 * seed) for name in names for seed in range(3)]
+    tables = [
+        text_table("A", summary(rows, names)),
+        sweep_table.tests_table("B", differences(rows, names)),
+    ]
+    text = "\n".join(table.latex() for table in tables)
+    nodes, *_ = walker.LatexWalker(text, tolerant_parsing=False).get_latex_nodes()
+    found = [node for node in nodes if node.isNodeType(walker.LatexEnvironmentNode)]
+    assert [node.environmentname for node in found] == ["tabular", "tabular"]
+    for node, table in zip(found, tables, strict=True):
+        lines = node.latex_verbatim().partition("\\toprule\n")[2].partition("\\bottomrule")[0]
+        lines = [each for each in lines.split("\\\\\n") if each.strip()]
+        for line, row in zip(lines, [table.head, *table.rows], strict=True):
+            line = line.removeprefix("\\midrule\n")
+            # After a line's end, [ or * would be an argument of it.
+            assert not line.startswith(("[", "*"))
+            cells = re.split(r"(?<!\\)&", line)
+            read = [
+                LatexNodes2Text().latex_to_text(cell).strip().replace("ˆ", "^") for cell in cells
+            ]
+            assert read == [cell.strip() for cell in row]
 
 
 def test_differences_are_signed():

@@ -7,10 +7,12 @@ import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.places import Place
 from neoworld_mjx.sweeps import Case, sweep
 from neoworld_mjx.sweeps.run_rows import read_runs
 from tests.support.scenes import stored_scene
 
+pytestmark = pytest.mark.usefixtures("without_figures", "compiled_once")
 SCENES = [Case("two", stored_scene("crowded_2")), Case("three", stored_scene("crowded_3"))]
 DRIFT, N = "refine.reward.w_drift", "refine.cem.population"
 BASE = {
@@ -57,8 +59,51 @@ def test_an_invalid_study_is_one_message_before_anything_runs(study, axes, messa
 
 
 def test_a_study_is_not_sharded():
-    with pytest.raises(ConfigError, match="shard: the trials of a study depend"):
+    with pytest.raises(ConfigError, match=r"shard: the trials of a study depend .* --workers"):
         sweep(plan(), cases=SCENES, shard=(1, 2))
+
+
+def test_a_study_that_a_model_scores_has_one_ledger(monkeypatch):
+    pytest.importorskip("optuna", reason="needs the extra optuna")
+    scored = plan({"refine.semantic.scorer": ["geometric", "mllm"]})
+    with pytest.raises(ConfigError, match="has one ledger: it runs in one process"):
+        sweep(scored, cases=SCENES, place=Place(workers=2))
+
+
+@pytest.mark.parametrize("prune", [False, True])
+def test_as_many_trials_as_processes_run_at_a_time(prune, tmp_path, monkeypatch):
+    pytest.importorskip("optuna", reason="needs the extra optuna")
+    sizes, steps = [], []
+
+    def run_tasks(work, tasks, place):
+        """Run tasks here in reverse order, as processes may end them."""
+        if place.processes == 2:
+            sizes.append(len(tasks))
+        for task in reversed(tasks):
+            yield from work(task)
+
+    monkeypatch.setattr("neoworld_mjx.sweeps.run.run_tasks", run_tasks)
+    requests = plan(trials=3, sampler="random", prune=prune)
+    more = {"cases": SCENES, "engine": NativeEngine(), "place": Place(workers=2)}
+    result = sweep(requests, tmp_path, on_iteration=lambda *step: steps.append(step), **more)
+    # First the names of scenes, of which there are none. Then without pruning both scenes of two
+    # trials at once; with it, one scene of each at a time.
+    assert sizes[:2] == ([0, 4] if not prune else [0, 2])
+    rows = read_runs(tmp_path / "results.parquet")
+    assert len(result.points) == 3 and result.about["finished"] and len(steps) == len(rows)
+    scenes = [[r["scene"] for r in rows if r["point"] == p["point"]] for p in result.points]
+    assert all(each in (["two"], ["two", "three"]) for each in scenes)
+    assert prune or sum(map(len, scenes)) == 6 == len(rows)
+    assert {run.point for run, _ in steps} == {p["point"] for p in result.points}
+    assert all(set(run.values) == {DRIFT} for run, _ in steps)
+
+
+@pytest.mark.slow
+def test_trials_run_in_processes(tmp_path):
+    pytest.importorskip("optuna", reason="needs the extra optuna")
+    result = sweep(plan(trials=2, sampler="random"), cases=SCENES, place=Place(workers=2))
+    alone = sweep(plan(trials=2, sampler="random"), cases=SCENES)
+    assert [row["reward"] for row in result.rows] == [row["reward"] for row in alone.rows]
 
 
 class Stopping(NativeEngine):

@@ -21,7 +21,7 @@ from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
 from tests.support.notebooks import run_small
 from tests.support.scenes import stored_scene
 
-pytestmark = pytest.mark.usefixtures("without_figures")
+pytestmark = pytest.mark.usefixtures("without_figures", "compiled_once")
 SCENE = Case("two", stored_scene("crowded_2"))
 BASE = {
     "refine": {
@@ -42,22 +42,6 @@ def plan(seeds=(0, 1), **axes):
         "seeds": list(seeds),
         "axes": {named[name]: values for name, values in axes.items()},
     }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_once():
-    """Most of the time of a small sweep is compiling its scene, which these tests share."""
-    remaining, built = group_runs.compile_for_search, {}
-
-    def compiled(scene, o):
-        key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
-        if key not in built:
-            built[key] = remaining(scene, o)
-        return built[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(group_runs, "compile_for_search", compiled)
-        yield
 
 
 def without_times(rows):
