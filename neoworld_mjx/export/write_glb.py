@@ -71,9 +71,9 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
     for part in item.spec.parts:
         link = f"{item.name}-{part.name}"
         result.graph.update(frame_from=item.name, frame_to=link, matrix=transform(moved[part.name]))
-        for geom in part.geoms:
-            if geom.role == "collision":
-                continue
+        # As in MuJoCo, a part without visual shapes shows its colliders.
+        visible = [geom for geom in part.geoms if geom.role != "collision"]
+        for geom in visible or part.geoms:
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
             # Separate vertices for every corner keep edges sharp.
             mesh = trimesh.Trimesh(
