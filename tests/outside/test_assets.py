@@ -215,6 +215,9 @@ def test_a_mechanism_of_as_many_links_as_are_read(tmp_path):
 
 
 def test_a_mechanism_beyond_the_bounds(tmp_path):
+    geoms = _written(tmp_path / "geoms.xml", mjcf('<geom size=".1"/>' * 2001))
+    with pytest.raises(SpecError, match="2001 shapes; the limit is 2000"):
+        import_file(geoms)
     with pytest.raises(SpecError, match="401 links; the limit is 400"):
         import_file(_written(tmp_path / "star.xml", star(400, '<geom size=".1"/>')))
     chain = "".join(f'<body name="b{k}"><joint/><geom size=".1"/>' for k in range(1000))
