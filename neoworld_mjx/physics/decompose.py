@@ -20,14 +20,17 @@ from ..io.limited_worker import call_limited
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.03, 96), (0.08, 16)
 """Concavity threshold, relative to the mesh's size, and largest number of pieces, for closed and
-for open meshes. CoACD first wraps an open mesh, so more pieces would cost time without being
-thinner.
+for open meshes. An open mesh is split into connected components first, and CoACD wraps those that
+are open themselves, so more pieces would cost time without being thinner.
 """
 SIMPLIFIED = 0.004
 """Largest displacement of the surface of a closed mesh before it is split, relative to its size:
 CoACD's time grows with the number of faces."""
+SMALL_HOLE = 0.2
+"""Longest edge of a hole that is filled, relative to the size of its component. A wider one is the
+opening of a drawer or a bin."""
 MAX_CORNERS = 48
-CACHE_VERSION = "4"
+CACHE_VERSION = "5"
 SHEET_M = 0.002
 """Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
@@ -164,9 +167,49 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
 
     coacd.set_log_level("error")
     mesh = _merged(vertices, faces)
+    # Wrapping makes one thick shell of an open mesh, though most of what it consists of is closed.
+    components = [mesh]
+    if not mesh.is_watertight:
+        components = mesh.split(only_watertight=False, repair=False)
+        if len(components) > CLOSED[1]:
+            components = [mesh]
+    for component in components:
+        if 0 < _widest_hole(component) < SMALL_HOLE * np.ptp(component.vertices, axis=0).max():
+            component.fill_holes()
+    sizes = np.array([np.ptp(component.vertices, axis=0).max() for component in components])
+    return [
+        points
+        for component, size in zip(components, sizes, strict=True)
+        for points in _pieces(component, sizes.max() / size, size / sizes.sum())
+    ]
+
+
+def _widest_hole(mesh: Any) -> float:
+    """Return the length [m] of the longest edge that has a face on one side only."""
+    import trimesh
+
+    single = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
+    ends = mesh.vertices[single]
+    return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
+
+
+def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
+    """Split a connected mesh.
+
+    Args:
+        mesh: the mesh.
+        relative: size of the largest component, relative to this one's.
+        share: share of the pieces that it may have.
+    """
+    import coacd
+
     # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     concavity, max_pieces = CLOSED if closed else OPEN
+    concavity, max_pieces = concavity * relative, round(max_pieces * share)
+    if concavity >= 1 or max_pieces < 2 or flat(vertices) or is_convex(vertices, faces):
+        return [hull_points(vertices)]
     if closed:
         vertices, faces = _simplified(mesh)
     parts = coacd.run_coacd(
