@@ -26,9 +26,8 @@ are open themselves, so more pieces would cost time without being thinner.
 SIMPLIFIED = 0.004
 """Largest displacement of the surface of a closed mesh before it is split, relative to its size:
 CoACD's time grows with the number of faces."""
-SMALL_HOLE = 0.2
-"""Longest edge of a hole that is filled, relative to the size of its component. A wider one is the
-opening of a drawer or a bin."""
+SMALL_HOLES = 0.05
+"""Area of holes that are filled, relative to the mesh's; more is the opening of a drawer."""
 MAX_CORNERS = 48
 CACHE_VERSION = "5"
 SHEET_M = 0.002
@@ -173,9 +172,7 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
         components = mesh.split(only_watertight=False, repair=False)
         if len(components) > CLOSED[1]:
             components = [mesh]
-    for component in components:
-        if 0 < _widest_hole(component) < SMALL_HOLE * np.ptp(component.vertices, axis=0).max():
-            component.fill_holes()
+    components = [_filled(component) for component in components]
     sizes = np.array([np.ptp(component.vertices, axis=0).max() for component in components])
     return [
         points
@@ -184,13 +181,12 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
     ]
 
 
-def _widest_hole(mesh: Any) -> float:
-    """Return the length [m] of the longest edge that has a face on one side only."""
-    import trimesh
-
-    single = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
-    ends = mesh.vertices[single]
-    return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
+def _filled(mesh: Any) -> Any:
+    """Return a mesh without its small holes, if that closes it."""
+    filled = mesh.copy()
+    filled.fill_holes()
+    small = filled.is_watertight and filled.area < (1 + SMALL_HOLES) * mesh.area
+    return filled if small else mesh
 
 
 def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:

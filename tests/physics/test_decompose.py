@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
-from neoworld_mjx.physics.decompose import _coacd, _simplified, convex_pieces, installed
+from neoworld_mjx.physics.decompose import _coacd, _filled, _simplified, convex_pieces, installed
 
 pytestmark = pytest.mark.skipif(not installed(), reason="CoACD is not installed")
 OUTER, INNER = 0.1, 0.085
@@ -67,11 +67,21 @@ def test_an_open_mesh_is_split_into_its_components():
     assert volume == pytest.approx(2 * 0.3 * 0.02 + 3 * 0.3 * 0.78 * 0.02, rel=1e-6)
 
 
+def tray_of_a_box() -> trimesh.Trimesh:
+    box = trimesh.creation.box((0.4, 0.3, 0.2))
+    return _without(box, *np.flatnonzero(box.face_normals[:, 2] > 0.9))
+
+
+def test_small_holes_alone_are_filled():
+    tray = tray_of_a_box()
+    assert _filled(tray) is tray
+    column = _without(trimesh.creation.box((0.04, 0.04, 0.4)).subdivide(), 0)
+    assert _filled(column).is_watertight
+
+
 @pytest.mark.slow
 def test_an_open_box_stays_hollow():
-    box = trimesh.creation.box((0.4, 0.3, 0.2))
-    top = np.flatnonzero(box.face_normals[:, 2] > 0.9)
-    tray = _without(box, *top)
+    tray = tray_of_a_box()
     pieces = _coacd(Path("tray"), np.asarray(tray.vertices), np.asarray(tray.faces))
     assert len(pieces) > 1
     for piece in pieces:
