@@ -17,10 +17,12 @@ def run_suite(options: Faults) -> dict[str, Any]:
     kinds = Counter(row.get("fault", "lost") for row in rows)
     good = Counter(row.get("fault", "lost") for row in rows if not row["wrong"])
     moments = {(row.get("fault", "lost"), row.get("moment", "")) for row in rows}
+    photos = Counter(row.get("photo", options.photo) for row in rows)
     places = Counter(fault for fault, _ in moments)
     return {
         "machine": machine(),
-        "n": f"{len(rows)} faults of {len(kinds)} kinds in {options.photo} until {options.until}",
+        "n": f"{len(rows)} faults of {len(kinds)} kinds: "
+        + ", ".join(f"{n} in {photo}" for photo, n in sorted(photos.items())),
         "passed": good == kinds,
         "table": [
             {"fault": k, "n": n, "moments": places[k], "contained": good[k]}
