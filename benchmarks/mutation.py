@@ -24,6 +24,7 @@ from typing import Any
 
 import yaml
 
+from benchmarks.seed_rows import log_row, logged_rows
 from benchmarks.suites import Mutation
 from neoworld_mjx.errors import ConfigError
 
@@ -119,8 +120,7 @@ def run_suite(o: Mutation) -> dict[str, Any]:
     random.Random(o.seed).shuffle(places)
     mutants = filter(None, (mutate(*place) for place in places))
     rows = [*itertools.islice(mutants, o.sample or None)]
-    logged = o.log.read_text().splitlines() if o.log is not None and o.log.is_file() else []
-    known = {row["key"]: row["outcome"] for row in map(json.loads, logged)}
+    known = {row["key"]: row["outcome"] for row in logged_rows(o.log)}
     for row in rows:
         files = [ROOT / test.partition("::")[0] for test in modules[row["module"]]]
         texts = [row["text"], *(path.read_text() for path in files)]
@@ -188,11 +188,9 @@ def _try_all(
         finally:
             path.write_text((ROOT / row["module"]).read_text())
             copies.put(copy)
-        text = json.dumps({k: v for k, v in row.items() if k != "text"})
-        print(text, file=sys.stderr, flush=True)
-        if o.log is not None:
-            with o.log.open("a") as log:
-                log.write(text + "\n")
+        named = {k: v for k, v in row.items() if k != "text"}
+        print(json.dumps(named), file=sys.stderr, flush=True)
+        log_row(o.log, named)
 
     with ThreadPoolExecutor(o.workers) as pool:
         list(pool.map(try_one, rows))

@@ -132,9 +132,11 @@ class Inputs:
     """Read generated hostile inputs of every kind in a monitored process that may crash."""
 
     count: int = 1000
-    """Number of inputs; about 100 ms each."""
+    """Number of inputs; about a second each."""
     seed: int = 0
     """Seed of the first; the others are consecutive."""
+    log: Path | None = None
+    """File to which each outcome is appended; a repeated command skips those that are in it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +151,8 @@ class Faults:
     """Last step of the runs; faults of refine and export include an engine that returns NaN."""
     photo: str = "coffee.png"
     """Photograph in `examples`; microwave.jpg and drawers.png show articulated objects."""
+    log: Path | None = None
+    """File to which each outcome is appended; a repeated command skips those that are in it."""
 
 
 @dataclass(frozen=True, kw_only=True)

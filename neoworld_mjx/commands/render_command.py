@@ -51,7 +51,7 @@ class RenderCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Render the scene."""
-        from ..io.files import write_output
+        from ..io.files import check_output, write_output
         from ..render import render_scene, to_png
         from ..render.viewpoints import opened
         from ..view.pages.view_target import open_target
@@ -59,17 +59,19 @@ class RenderCommand(ConfiguredCommand):
         config = self.load_config()
         options = config.render
         scene = open_target(self.target, config).after
+        out = self.out or self._default_path("turntable.gif" if self.turntable else "render.png")
+        check_output(out, RunError)
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
             scene = opened(scene, self.open)
         width = self.width or options.width
         if self.turntable:
-            data, size, out = self._turntable(scene, width, options.supersample)
+            data, size = self._turntable(scene, width, options.supersample, out.suffix.lower())
         else:
             view = self._camera(scene, width)
             image = render_scene(scene, view, width=width, supersample=options.supersample)
-            data, out = to_png(image), self.out or self._default_path("render.png")
+            data = to_png(image)
             size = [image.color.shape[1], image.color.shape[0]]
         write_output(out, data, RunError)
         frames = {"frames": self.frames} if self.turntable else {}
@@ -80,18 +82,17 @@ class RenderCommand(ConfiguredCommand):
         return file_lines(result)
 
     def _turntable(
-        self, scene: "SceneSpec", width: int, supersample: int
-    ) -> tuple[bytes, list[int], Path]:
-        """Return the encoded animation, its size in pixels, and the output path."""
+        self, scene: "SceneSpec", width: int, supersample: int, suffix: str
+    ) -> tuple[bytes, list[int]]:
+        """Return the encoded animation and its size in pixels."""
         import numpy as np
 
         from ..progress import update
         from ..render.animation import FORMATS, encode_animation
         from ..render.viewpoints import around, subject_points, turntable
 
-        out = self.out or self._default_path("turntable.gif")
-        if out.suffix.lower() not in FORMATS:
-            raise SpecError(f"--out {out}: a turntable is written as {' or '.join(FORMATS)}")
+        if suffix not in FORMATS:
+            raise SpecError(f"--out {self.out}: a turntable is written as {' or '.join(FORMATS)}")
         if not 2 <= self.frames <= 360:
             raise SpecError(f"--frames: got {self.frames}, valid is from 2 to 360")
         if self.eye is not None or self.look_at is not None:
@@ -111,7 +112,7 @@ class RenderCommand(ConfiguredCommand):
             frames.append(frame)
             update(step="render", done=len(frames), of=self.frames, unit="frames")
         pause_ms = max(20, round(4000 / self.frames))
-        return encode_animation(frames, pause_ms, out.suffix.lower()), size, out
+        return encode_animation(frames, pause_ms, suffix), size
 
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
         """Return the camera that the flags define; None for the scene's own."""

@@ -39,7 +39,7 @@ DENSITY = 400.0
 """Density of links that state no mass, typical of furniture [kg/m^3]."""
 PLACEHOLDER_M = 0.001
 """Radius of the sphere that replaces a link without geometry [m]."""
-MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 10_000, 2000
+MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports late."""
 MAX_DENSITY = 30000.0

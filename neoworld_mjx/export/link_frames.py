@@ -3,6 +3,8 @@
 The frame of a link has its origin at the anchor of its joint and the orientation of the object.
 """
 
+from collections.abc import Set as AbstractSet
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +23,14 @@ def link_origins(spec: ObjectSpec) -> dict[str, NDArray]:
     return {spec.root: np.zeros(3)} | {joint.child: np.array(joint.pos) for joint in spec.joints}
 
 
-def link_name(spec: ObjectSpec, part: str) -> str:
-    """Return the name of a part's link in URDF and SDF; the root link is named after the object."""
-    if part != spec.root:
-        return part
-    return unused(spec.name, {other.name for other in spec.parts if other.name != spec.root})
+def link_names(spec: ObjectSpec) -> dict[str, str]:
+    """Return the name of each part's link in URDF and SDF; the root's is that of the object."""
+    names = {part.name: part.name for part in spec.parts}
+    root = spec.root
+    return names | {root: unused(spec.name, names.keys() - {root})}
 
 
-def unused(name: str, taken: set[str]) -> str:
+def unused(name: str, taken: AbstractSet[str]) -> str:
     """Append underscores to a name until it is not taken."""
     while name in taken:
         name += "_"

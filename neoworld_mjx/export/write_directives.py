@@ -10,7 +10,7 @@ import numpy as np
 
 from ..spec import SceneObject, SceneSpec, joint_value, world_poses
 from ..spec.pose import Pose, to_rpy
-from .link_frames import link_name
+from .link_frames import link_names
 from .meshes import number
 
 
@@ -34,7 +34,7 @@ def package_text(scene: SceneSpec) -> str:
 
 
 def _add(scene: SceneSpec, item: SceneObject, pose: Pose) -> list[str]:
-    root = link_name(item.spec, item.spec.root)
+    root = link_names(item.spec)[item.spec.root]
     lines = [
         "- add_model:",
         f"    name: {item.name}",

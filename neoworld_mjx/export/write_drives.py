@@ -109,7 +109,6 @@ def _posed(scene: SceneSpec | ObjectSpec) -> tuple[mujoco.MjModel, mujoco.MjData
     model = to_mjspec(scene).compile()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
-    mujoco.mj_forward(model, data)
     return model, data
 
 

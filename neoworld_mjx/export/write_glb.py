@@ -87,9 +87,9 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
         )
     for part in item.spec.parts:
         link, seen = f"{item.name}-{part.name}", list[NDArray]()
-        for geom in part.geoms:
-            if geom.role == "collision":
-                continue
+        # As in MuJoCo, a part without visual shapes shows its colliders.
+        visible = [geom for geom in part.geoms if geom.role != "collision"]
+        for geom in visible or part.geoms:
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
             seen.append(geom.pose().apply(vertices))
             # Separate vertices for every corner keep edges sharp.

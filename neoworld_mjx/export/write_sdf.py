@@ -26,7 +26,7 @@ from ..spec.finish import finish
 from ..spec.pose import Pose, pose, to_rpy
 from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_name, link_origins, unused
+from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins, unused
 from .meshes import collision_file, number, numbers, visual_file
 
 VERSION = "1.11"
@@ -50,7 +50,7 @@ def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
                 if any(joint.type != "fixed" for joint in item.spec.joints):
                     hold = ET.SubElement(model, "joint", name="hold_in_world_", type="fixed")
                     ET.SubElement(hold, "parent").text = "world"
-                    ET.SubElement(hold, "child").text = link_name(item.spec, item.spec.root)
+                    ET.SubElement(hold, "child").text = link_names(item.spec)[item.spec.root]
                 else:
                     ET.SubElement(model, "static").text = "true"
     ET.indent(root, " ")
@@ -75,27 +75,30 @@ def _add_sun(world: ET.Element) -> None:
 
 def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> ET.Element:
     model = ET.SubElement(parent, "model", name=name)
-    origins = link_origins(spec)
+    origins, links = link_origins(spec), link_names(spec)
     for part, _ in spec.ordered:
-        _add_link(model, spec, part, origins[part.name], folder)
+        link = ET.SubElement(model, "link", name=links[part.name])
+        _fill_link(link, spec, part, origins[part.name], folder)
+    # A joint's name differs from those of all links and other joints.
+    names, taken = {joint.name: joint.name for joint in spec.joints}, set(links.values())
+    for name in names.keys() & taken:
+        names[name] = unused(f"{name}_", taken | names.keys())
     for joint in spec.joints:
-        _add_joint(model, spec, joint)
-    taken = {link_name(spec, part.name) for part in spec.parts}
-    taken |= {_joint_name(spec, joint.name) for joint in spec.joints}
+        _add_joint(model, joint, names, links)
+    taken |= set(names.values())
     for frame in frames(spec):
         label = unused(frame.name, taken)
         taken.add(label)
-        attached = {"name": label, "attached_to": link_name(spec, frame.part)}
+        attached = {"name": label, "attached_to": links[frame.part]}
         offset = np.array(frame.pos) - origins[frame.part]
         _pose(ET.SubElement(model, "frame", attached), pose(offset))
-    add_filters(model, "sdf", spec, {p.name: link_name(spec, p.name) for p in spec.parts})
+    add_filters(model, "sdf", spec, links)
     return model
 
 
-def _add_link(
-    model: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, folder: str
+def _fill_link(
+    link: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, folder: str
 ) -> None:
-    link = ET.SubElement(model, "link", name=link_name(spec, part.name))
     _pose(link, pose(origin))
     mass = inertial(spec, part)
     element = ET.SubElement(link, "inertial")
@@ -165,24 +168,19 @@ def _add_material(visual: ET.Element, material: Material) -> None:
     _put(metal, "roughness", roughness)
 
 
-def _joint_name(spec: ObjectSpec, name: str) -> str:
-    """Return the name of a joint, which differs from all links and other joints of the model."""
-    taken = {link_name(spec, part.name) for part in spec.parts}
-    taken |= {joint.name for joint in spec.joints if joint.name != name}
-    return unused(name, taken)
-
-
-def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
-    element = ET.SubElement(model, "joint", name=_joint_name(spec, joint.name), type=joint.type)
-    ET.SubElement(element, "parent").text = link_name(spec, joint.parent)
-    ET.SubElement(element, "child").text = link_name(spec, joint.child)
+def _add_joint(
+    model: ET.Element, joint: JointSpec, names: dict[str, str], links: dict[str, str]
+) -> None:
+    element = ET.SubElement(model, "joint", name=names[joint.name], type=joint.type)
+    ET.SubElement(element, "parent").text = links[joint.parent]
+    ET.SubElement(element, "child").text = links[joint.child]
     if joint.type == "fixed":
         return
     axis = ET.SubElement(element, "axis")
     if joint.type != "ball":
         _put(axis, "xyz", joint.axis)
         if joint.mimic is not None:
-            leader = _joint_name(spec, joint.mimic.joint)
+            leader = names[joint.mimic.joint]
             mimic = ET.SubElement(axis, "mimic", joint=leader, axis="axis")
             _put(mimic, "multiplier", joint.mimic.multiplier)
             _put(mimic, "offset", joint.mimic.offset)

@@ -28,7 +28,7 @@ from ..spec.kinematics import welded
 from ..spec.pose import Pose, pose, to_rpy
 from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import Frame, frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_name, link_origins
+from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins
 from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
@@ -67,24 +67,24 @@ def urdf_text(spec: ObjectSpec) -> str:
     for material in spec.materials:
         look = ET.SubElement(robot, "material", name=material.name)
         ET.SubElement(look, "color", rgba=numbers(material.rgba))
-    origins = link_origins(spec)
+    origins, links = link_origins(spec), link_names(spec)
     for part, _ in spec.ordered:
         clearance = CLEARANCE_M if part.name in moving else 0.0
-        _add_link(robot, spec, part, origins[part.name], clearance)
+        link = ET.SubElement(robot, "link", name=links[part.name])
+        _fill_link(link, spec, part, origins[part.name], clearance)
     for _, joint in spec.ordered:
         if joint is not None:
             origin = origins[joint.parent]
-            ends = {"parent": link_name(spec, joint.parent), "child": joint.child}
+            ends = {"parent": links[joint.parent], "child": joint.child}
             named = joint.model_copy(update=ends)
             if joint.type == "ball":
                 _add_ball(robot, spec, named, origin)
             else:
                 _add_joint(robot, named, origin)
     taken = {part.name for part in spec.parts} | {joint.name for joint in spec.joints}
-    taken.add(link_name(spec, spec.root))
+    taken.add(links[spec.root])
     for frame in frames(spec):
-        _add_frame(robot, spec, frame, origins[frame.part], taken)
-    links = {part.name: link_name(spec, part.name) for part in spec.parts}
+        _add_frame(robot, links[frame.part], frame, origins[frame.part], taken)
     add_filters(robot, "urdf", spec, links)
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
@@ -93,15 +93,16 @@ def urdf_text(spec: ObjectSpec) -> str:
 def srdf_text(spec: ObjectSpec) -> str:
     """Return the SRDF with the pairs of links that never collide, for MoveIt and Pinocchio."""
     robot = ET.Element("robot", name=spec.name)
+    links = link_names(spec)
     for one, other in excluded_pairs(spec):
-        links = {"link1": link_name(spec, one), "link2": link_name(spec, other)}
-        ET.SubElement(robot, "disable_collisions", {**links, "reason": "Adjacent"})
+        pair = {"link1": links[one], "link2": links[other]}
+        ET.SubElement(robot, "disable_collisions", {**pair, "reason": "Adjacent"})
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
 def _add_frame(
-    robot: ET.Element, spec: ObjectSpec, frame: Frame, origin: NDArray, taken: set[str]
+    robot: ET.Element, parent: str, frame: Frame, origin: NDArray, taken: set[str]
 ) -> None:
     """Add a site or handle: a link that has only a pose."""
     name = frame.name
@@ -114,14 +115,13 @@ def _add_frame(
     ET.SubElement(inertia, "inertia", dict.fromkeys(TENSOR_ENTRIES, "0"))
     joint = ET.SubElement(robot, "joint", name=f"{name}_mount", type="fixed")
     _origin(joint, pose(np.array(frame.pos) - origin))
-    ET.SubElement(joint, "parent", link=link_name(spec, frame.part))
+    ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=name)
 
 
-def _add_link(
-    robot: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, clearance: float
+def _fill_link(
+    link: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, clearance: float
 ) -> None:
-    link = ET.SubElement(robot, "link", name=link_name(spec, part.name))
     colliding = [spec.material(geom.material) for geom in part.geoms if geom.role != "visual"]
     friction = round(float(np.mean([material.friction for material in colliding])), 4)
     ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=number(friction))

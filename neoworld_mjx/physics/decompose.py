@@ -20,14 +20,16 @@ from ..io.limited_worker import call_limited
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.03, 96), (0.08, 16)
 """Concavity threshold, relative to the mesh's size, and largest number of pieces, for closed and
-for open meshes. CoACD first wraps an open mesh, so more pieces would cost time without being
-thinner.
+for open meshes. An open mesh is split into connected components first, and CoACD wraps those that
+are open themselves, so more pieces would cost time without being thinner.
 """
 SIMPLIFIED = 0.004
 """Largest displacement of the surface of a closed mesh before it is split, relative to its size:
 CoACD's time grows with the number of faces."""
+SMALL_HOLES = 0.05
+"""Area of holes that are filled, relative to the mesh's; more is the opening of a drawer."""
 MAX_CORNERS = 48
-CACHE_VERSION = "4"
+CACHE_VERSION = "5"
 SHEET_M = 0.002
 """Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
@@ -164,9 +166,46 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
 
     coacd.set_log_level("error")
     mesh = _merged(vertices, faces)
+    # Wrapping makes one thick shell of an open mesh, though most of what it consists of is closed.
+    components = [mesh]
+    if not mesh.is_watertight:
+        components = mesh.split(only_watertight=False, repair=False)
+        if len(components) > CLOSED[1]:
+            components = [mesh]
+    components = [_filled(component) for component in components]
+    sizes = np.array([np.ptp(component.vertices, axis=0).max() for component in components])
+    return [
+        points
+        for component, size in zip(components, sizes, strict=True)
+        for points in _pieces(component, sizes.max() / size, size / sizes.sum())
+    ]
+
+
+def _filled(mesh: Any) -> Any:
+    """Return a mesh without its small holes, if that closes it."""
+    filled = mesh.copy()
+    filled.fill_holes()
+    small = filled.is_watertight and filled.area < (1 + SMALL_HOLES) * mesh.area
+    return filled if small else mesh
+
+
+def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
+    """Split a connected mesh.
+
+    Args:
+        mesh: the mesh.
+        relative: size of the largest component, relative to this one's.
+        share: share of the pieces that it may have.
+    """
+    import coacd
+
     # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     concavity, max_pieces = CLOSED if closed else OPEN
+    concavity, max_pieces = concavity * relative, round(max_pieces * share)
+    if concavity >= 1 or max_pieces < 2 or flat(vertices) or is_convex(vertices, faces):
+        return [hull_points(vertices)]
     if closed:
         vertices, faces = _simplified(mesh)
     parts = coacd.run_coacd(

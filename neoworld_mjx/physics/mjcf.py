@@ -11,6 +11,7 @@ A root body's frame is the object's frame; a child's frame has its origin at its
 the object's orientation, so every joint sits at its body's origin.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -320,18 +321,15 @@ def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
 def excluded_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
     """List pairs of parts that never collide: those fixed to either side of a joint."""
     group = welded(spec)
+    members: dict[str, list[str]] = {}
+    for part in spec.parts:
+        members.setdefault(group[part.name], []).append(part.name)
     pairs = []
     for joint in spec.joints:
         if joint.type == "fixed":
             pairs.append((joint.parent, joint.child))
             continue
-        above, below = group[joint.parent], group[joint.child]
-        pairs += [
-            (a.name, b.name)
-            for a in spec.parts
-            for b in spec.parts
-            if group[a.name] == above and group[b.name] == below
-        ]
+        pairs += itertools.product(members[group[joint.parent]], members[group[joint.child]])
     return pairs
 
 

@@ -39,10 +39,13 @@ def is_too_light(inertial: Inertial) -> bool:
 
 def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
     """Return a part's mass properties: authored, or summed over its collision pieces."""
-    return _cached(spec, part)
+    used = {geom.material for geom in part.geoms}
+    densities = {material.name: material.density for material in spec.materials}
+    # Without the other parts, as each look into the cache compares all of its key.
+    return _cached(part, tuple(sorted((name, densities[name]) for name in used)))
 
 
-def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
+def _summed(part: PartSpec, densities: tuple[tuple[str, float], ...]) -> Inertial:
     if part.inertia is not None and part.mass is not None:
         diagonal, quat = _principal(part.inertia.tensor())
         return Inertial(
@@ -52,7 +55,7 @@ def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
     bodies = []
     for geom, piece, _ in pieces(part):
         volume, centre, unit = mass_properties(piece)
-        m = volume * spec.material(geom.material).density
+        m = volume * dict(densities)[geom.material]
         rotation = rotate(geom.pose().quat, np.eye(3)).T
         tensor = rotation @ unit @ rotation.T * (m / max(volume, 1e-300))
         bodies.append((m, geom.pose().apply(centre), tensor))

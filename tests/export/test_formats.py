@@ -19,7 +19,7 @@ from neoworld_mjx.export import (
     read_usd,
     scene_files,
 )
-from neoworld_mjx.export.link_frames import link_name
+from neoworld_mjx.export.link_frames import link_names
 from neoworld_mjx.physics.mjcf import START, body_name, to_mjspec
 from neoworld_mjx.spec import (
     Box,
@@ -165,7 +165,7 @@ def test_forward_kinematics_agree_between_formats(folder, cabinet):
                 follows_a_mimic_of_a_mimic |= chain[at].name == "gear"
                 at = chain[at].parent
             if not follows_a_mimic_of_a_mimic:  # which yourdfpy does not resolve
-                frame = robot.get_transform(link_name(cabinet, part.name), "cabinet")
+                frame = robot.get_transform(link_names(cabinet)[part.name], "cabinet")
                 assert np.allclose(frame[:3, 3], want.pos, atol=1e-7), part.name
                 assert np.allclose(frame[:3, :3], matrix(want.quat), atol=1e-7)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_object, import_mjcf, import_urdf, read_usd
-from neoworld_mjx.export.link_frames import link_name
+from neoworld_mjx.export.link_frames import link_names
 from neoworld_mjx.spec import HollowBox, ObjectSpec, part_bounds, recentred
 from tests.support.mechanisms import WOOD, geom, joint, part
 
@@ -114,7 +114,7 @@ def test_shrunk_colliders_are_restored(folder, cabinet):
     for spec in (made, own):
         assert spec.parts
     for p in own.parts:
-        twin = made.part(link_name(cabinet, p.name))
+        twin = made.part(link_names(cabinet)[p.name])
         one, other = part_bounds(own, p), part_bounds(made, twin)
         # The ellipsoid is a mesh, and facets of round things lie within.
         assert np.allclose(one, other, atol=1e-3 if p.name == "knob" else 2e-5), p.name

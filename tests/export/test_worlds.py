@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.export.drake_contact import DRAKE
-from neoworld_mjx.export.link_frames import link_name
+from neoworld_mjx.export.link_frames import link_names
 from neoworld_mjx.export.write_sdf import sdf_text
 from neoworld_mjx.export.write_urdf import urdf_text
 from neoworld_mjx.physics.mjcf import excluded_pairs
@@ -137,14 +137,9 @@ def test_drake_reads_compliance_and_which_links_never_collide(form, cabinet):
         others = group.findall(f"{drake}ignored_collision_filter_group")
         groups[group.get("name")] = (member, [value(other) for other in others])
     never = {(one, groups[name][0]) for one, names in groups.values() for name in names}
-    joined = {
-        (link_name(cabinet, joint.parent), link_name(cabinet, joint.child))
-        for joint in cabinet.joints
-    }
-    meant = {
-        (link_name(cabinet, one), link_name(cabinet, other))
-        for one, other in excluded_pairs(cabinet)
-    }
+    links = link_names(cabinet)
+    joined = {(links[joint.parent], links[joint.child]) for joint in cabinet.joints}
+    meant = {(links[one], links[other]) for one, other in excluded_pairs(cabinet)}
     # Drake leaves out by itself what a joint joins.
     assert never == meant - joined
     assert never

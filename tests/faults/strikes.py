@@ -351,7 +351,8 @@ def main(first: int, count: int, aim: Aim) -> None:
         os.environ[VARIABLE] = str(home / "cache")
         expected = undisturbed(home, aim)
         for seed in range(first, first + count):
-            print(json.dumps(strike(seed, home, expected, aim)._asdict()), flush=True)
+            row = strike(seed, home, expected, aim)._asdict() | aim._asdict()
+            print(json.dumps(row), flush=True)
 
 
 if __name__ == "__main__":

@@ -19,12 +19,17 @@ FEW = FAULTS.index("slow provider")
 
 def strikes(first: int, count: int, *until: str) -> dict[str, dict]:
     """Return the outcomes of seeds, from a process without threads, which can be forked."""
-    command = [sys.executable, "-m", "tests.faults.strikes", str(first), str(count), *until]
+    return {row["fault"]: row for row in rows_of("tests.faults.strikes", first, count, *until)}
+
+
+def rows_of(module: str, first: int, count: int, *words: str) -> list[dict]:
+    """Return the rows that a module prints for seeds."""
+    command = [sys.executable, "-m", module, str(first), str(count), *words]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": "."}
     )
     assert done.returncode == 0, done.stderr
-    return {row["fault"]: row for row in map(json.loads, done.stdout.splitlines())}
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +60,9 @@ def test_a_search_continues_if_the_engine_returns_nan():
     fault = "engine NaN"
     row = strikes(SEARCH_FAULTS.index(fault), 1, "refine")[fault]
     assert row["moment"] == "a rollout" and row["wrong"] == "", row
+
+
+@pytest.mark.slow
+def test_a_search_that_ctrl_c_interrupts_is_resumed():
+    (row,) = rows_of("tests.faults.interrupted_searches", 0, 1, "coffee.png")
+    assert (row["moment"], row["wrong"]) == ("in the refinement", ""), row

@@ -7,6 +7,8 @@ from typing import get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
+from neoworld_mjx.fit.fit_tree import fit_tree
+from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.io.names import file_name, identifier, is_name, plain_text
 from neoworld_mjx.mllm.requests import Reply, Usage
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
@@ -189,6 +191,21 @@ def test_the_number_of_objects_is_bounded():
     data["objects"].append(answers.item("one_more"))
     with pytest.raises(ValueError, match="objects lists 101 entries, at most 100"):
         ParsedScene.model_validate(data)
+
+
+@pytest.mark.parametrize("shape", ["heap", "chain"])
+def test_the_checks_of_as_many_objects_as_are_read(shape):
+    """200 of them took over 100 s, in one heap or each on the one before."""
+    data = answers.answer()
+    box = {"left": 100, "top": 100, "right": 190, "bottom": 190}
+    for k in range(99):
+        parent = f"o{k - 1}" if shape == "chain" and k else "table"
+        at = (0.8, 0.0, 0.2 if shape == "heap" else 0.02 * k)
+        data["objects"].append(answers.item(f"o{k}", at, parent=parent, box=box))
+    tree = to_tree(read_response(json.dumps(data), ParsedScene), answers.photo())
+    fitted, _ = fit_tree(tree)
+    assert len(fitted.nodes) == 100
+    assert check_tree(fitted)
 
 
 def test_names_that_mujoco_reserves():

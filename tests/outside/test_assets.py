@@ -14,11 +14,12 @@ import pytest
 from neoworld_mjx.config import Config, FileOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import import_mjcf
+from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.importing_scene import import_file
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.verify.checking import check_object
-from tests.support.hostile_assets import ASSETS, star
+from tests.support.hostile_assets import ASSETS, mjcf, star
 
 
 @pytest.mark.parametrize("name", ASSETS)
@@ -196,6 +197,32 @@ def test_a_meshdir_within_the_folder(home):
     path = home / "a.xml"
     path.write_text('<mujoco><compiler meshdir="sub"/><include file="mesh.xml"/></mujoco>')
     assert len(import_mjcf(path).spec.parts) == 1
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_a_mechanism_of_as_many_links_as_are_read(tmp_path):
+    """Writers took the third power of the number of links, and glTF refused colliders alone."""
+    spec = import_file(_written(tmp_path / "a.xml", star(398, '<geom size=".1"/>'))).spec
+    assert len(spec.parts) == 399
+    write_formats(spec, tmp_path / "out", ["mjcf", "urdf", "usd", "usdz", "sdf", "glb"])
+    assert (tmp_path / "out" / "object.glb").stat().st_size > 100_000
+    for name, tag in (("object.urdf", "<link"), ("object.sdf", "<link"), ("object.xml", "<body")):
+        assert (tmp_path / "out" / name).read_text().count(tag) >= 399
+
+
+def test_a_mechanism_beyond_the_bounds(tmp_path):
+    geoms = _written(tmp_path / "geoms.xml", mjcf('<geom size=".1"/>' * 2001))
+    with pytest.raises(SpecError, match="2001 shapes; the limit is 2000"):
+        import_file(geoms)
+    with pytest.raises(SpecError, match="401 links; the limit is 400"):
+        import_file(_written(tmp_path / "star.xml", star(400, '<geom size=".1"/>')))
+    chain = "".join(f'<body name="b{k}"><joint/><geom size=".1"/>' for k in range(1000))
+    with pytest.raises(SpecError, match="nested more than 100 elements deep"):
+        import_file(_written(tmp_path / "chain.xml", mjcf(f"{chain}{'</body>' * 1000}")))
 
 
 def test_a_mechanism_of_many_joints_is_not_checked(tmp_path):

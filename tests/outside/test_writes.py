@@ -76,6 +76,17 @@ def test_commands_refuse_a_pipe_or_device_as_target(tmp_path, program, neoworld)
     assert stat.S_ISCHR(os.stat("/dev/full").st_mode)
 
 
+def test_the_target_of_an_image_is_checked_before_rendering(tmp_path, program, neoworld):
+    pipe = tmp_path / "pipe.gif"
+    os.mkfifo(pipe)
+    for out in ("/dev/full", pipe, tmp_path / "nowhere" / "a.png", tmp_path):
+        # Each would be refused, had it begun.
+        for words in (("--open", 7), ("--turntable", "--frames", 0)):
+            code, said = neoworld("render", program, "--out", out, *words)
+            assert code == 2, said
+            assert said.startswith(f"error: cannot write {out}: "), said
+
+
 def test_an_export_follows_no_link(tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("precious")

@@ -1,5 +1,7 @@
 """Convex decomposition of meshes that are more detailed than their collider needs to be."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,7 +10,7 @@ from scipy.spatial import ConvexHull
 from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
-from neoworld_mjx.physics.decompose import _simplified, convex_pieces, installed
+from neoworld_mjx.physics.decompose import _coacd, _filled, _simplified, convex_pieces, installed
 
 pytestmark = pytest.mark.skipif(not installed(), reason="CoACD is not installed")
 OUTER, INNER = 0.1, 0.085
@@ -43,6 +45,48 @@ def test_a_bowl_of_many_faces_stays_hollow(tmp_path, monkeypatch):
         pieces = convex_pieces(mesh.vertices, mesh.faces)
     assert len(pieces) > 1
     assert agreement(pieces) > 0.75 > 0.5 > agreement([np.asarray(mesh.vertices)])
+
+
+def _without(mesh: trimesh.Trimesh, *faces: int) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, faces, axis=0), process=False)
+
+
+def test_an_open_mesh_is_split_into_its_components():
+    """CoACD wraps an open mesh as a whole: a shelf of boxes became blocks of 16 pieces."""
+    boards = []
+    for extents, at in [((0.3, 0.02, 1), (0, -0.4, 0.5)), ((0.3, 0.02, 1), (0, 0.4, 0.5))] + [
+        ((0.3, 0.78, 0.02), (0, 0, z)) for z in (0.0, 0.5, 1.0)
+    ]:
+        board = trimesh.creation.box(extents).subdivide().subdivide().subdivide()
+        boards.append(_without(board.apply_translation(at), 7))
+    shelf = trimesh.util.concatenate(boards)
+    assert not shelf.is_watertight
+    pieces = _coacd(Path("shelf"), np.asarray(shelf.vertices), np.asarray(shelf.faces))
+    assert len(pieces) == 5
+    volume = sum(ConvexHull(piece).volume for piece in pieces)
+    assert volume == pytest.approx(2 * 0.3 * 0.02 + 3 * 0.3 * 0.78 * 0.02, rel=1e-6)
+
+
+def tray_of_a_box() -> trimesh.Trimesh:
+    box = trimesh.creation.box((0.4, 0.3, 0.2))
+    return _without(box, *np.flatnonzero(box.face_normals[:, 2] > 0.9))
+
+
+def test_small_holes_alone_are_filled():
+    tray = tray_of_a_box()
+    assert _filled(tray) is tray
+    column = _without(trimesh.creation.box((0.04, 0.04, 0.4)).subdivide(), 0)
+    assert _filled(column).is_watertight
+
+
+@pytest.mark.slow
+def test_an_open_box_stays_hollow():
+    tray = tray_of_a_box()
+    pieces = _coacd(Path("tray"), np.asarray(tray.vertices), np.asarray(tray.faces))
+    assert len(pieces) > 1
+    for piece in pieces:
+        planes = ConvexHull(piece).equations
+        assert (planes[:, 3] > 0).any(), "the middle of the tray is inside a piece"
 
 
 def test_simplification_moves_the_surface_by_a_few_thousandths_of_the_size():

@@ -71,9 +71,12 @@ def _gltf(nodes: int, primitives: int, count: int) -> bytes:
 
 def png(width: int, height: int, *, depth: int = 8, grey: bool = False) -> bytes:
     """Return a black PNG, of RGB unless `grey`."""
-    pack = zlib.compressobj(1)
     row = bytes(1 + (1 if grey else 3) * width * depth // 8)
-    rows = b"".join(pack.compress(row) for _ in range(height)) + pack.flush()
+    pack, end = zlib.compressobj(1, zlib.DEFLATED, -15), zlib.compressobj(1, zlib.DEFLATED, -15)
+    # Every row is a block of its own, so that one is packed for all; zeros have a simple checksum.
+    block = pack.compress(row) + pack.flush(zlib.Z_FULL_FLUSH)
+    checksum = (len(row) * height % 65521) << 16 | 1
+    rows = b"\x78\x01" + block * height + end.flush() + struct.pack(">I", checksum)
     head = struct.pack(">IIBBBBB", width, height, depth, 0 if grey else 2, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", rows), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
@@ -82,9 +85,17 @@ def png(width: int, height: int, *, depth: int = 8, grey: bool = False) -> bytes
     )
 
 
-def _pictured(width: int, height: int, before: str = TEXTURE, body: str = SHOWN) -> Writer:
+HFIELD = (
+    '<hfield name="h" file="p.png" size="1 1 1 1"/>',
+    '<geom type="hfield" hfield="h"/>',
+)
+
+
+def _pictured(
+    width: int, height: int, before: str = TEXTURE, body: str = SHOWN, **kind: Any
+) -> Writer:
     def write(folder: Path) -> str:
-        (folder / "p.png").write_bytes(png(width, height))
+        (folder / "p.png").write_bytes(png(width, height, **kind))
         return _text("pictured.xml", mjcf(body, f"<asset>{before}</asset>"))(folder)
 
     return write
@@ -139,11 +150,13 @@ ASSETS: dict[str, Writer] = {
     "spheres": _text("spheres.urdf", LINK.format(f"{SPHERE}</visual><visual>" * 60_000 + SPHERE)),
     "tendon": _text("tendon.xml", _tendon(50_000)),
     "texture": _pictured(15_000, 15_000),
-    "height field": _pictured(
-        *(15_000, 15_000),
-        '<hfield name="h" file="p.png" size="1 1 1 1"/>',
-        '<geom type="hfield" hfield="h"/>',
-    ),
+    "texture, larger": _pictured(26_000, 26_000),
+    "texture, grey": _pictured(26_000, 26_000, grey=True),
+    "texture, 16 bits": _pictured(20_000, 20_000, depth=16),
+    "height field": _pictured(15_000, 15_000, *HFIELD),
+    "height field, larger": _pictured(26_000, 26_000, *HFIELD),
+    "height field, grey": _pictured(26_000, 26_000, *HFIELD, grey=True),
+    "height field, 16 bits": _pictured(20_000, 20_000, *HFIELD, grey=True, depth=16),
     "rigid bodies": _text("bodies.usda", _bodies(20_000)),
     "declared indices": _crate,
 }
