@@ -152,7 +152,7 @@ def _page(page: Page, swept: dict[str, Swept]) -> str:
 
 
 def _unmeasured(name: str, swept: Swept) -> str:
-    commands = (f"{swept.command} N", f"uv run python -m benchmarks.page --record {name} DIR")
+    commands = (f"{swept.command} 8", f"uv run python -m benchmarks.page --record {name} DIR")
     lines = "\n".join(f"    {command}" for command in commands)
     return f"## {swept.title}\n\n**Not measured yet.**\n\n{lines}\n\n{swept.text.strip()}"
 
