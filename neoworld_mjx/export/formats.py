@@ -92,7 +92,9 @@ def lost(described: Described, kind: Format) -> list[str]:
         ],
     }
     general: dict[Format, list[str]] = {
-        "glb": ["colliders, joints, masses and friction"],
+        "glb": [
+            "joints; colliders, densities and friction for readers that do not know its extras"
+        ],
         "urdf": [
             "metallic and roughness of materials",
             "0.5 mm on each side of the colliders of moving parts; ellipsoids become meshes",

@@ -123,8 +123,9 @@ def rescue(
     """Put the objects of a scene upright on their supports, settle them, and search if need be.
 
     Shapes are not corrected. With a photograph, places, headings and sizes are aligned with its
-    contours; without one, places and headings stay but for what the search needs, and sizes follow
-    from the given heights (`fitted_sizes`). What rests as it is given stays as it is.
+    contours, if that brings the outlines nearer to it; otherwise places and headings stay but for
+    what the search needs, and sizes follow from the given heights (`fitted_sizes`). What rests as
+    it is given stays as it is.
 
     Args:
         given: objects at their poses without parents, as `import_file` reads them.
@@ -263,17 +264,31 @@ def _composed(
         and before.drift_m[item.name] <= RESTS_M
         and before.tilt_deg[item.name] <= RESTS_DEG
     ]
-    sizes = c.mesh_sizes and (photo is None or not c.align.enabled)
-    supported = with_supports(found, resting=resting, sizes=sizes)
-    notes, alignment = (*read.notes, *supported.notes), None
-    composed = supported.scene
+    supported = with_supports(found, resting=resting, sizes=c.mesh_sizes)
+    composed, notes, alignment = supported.scene, (*read.notes, *supported.notes), None
     if photo is not None and c.align.enabled:
+        unsized = with_supports(found, resting=resting)
         # The camera is given.
         keeps_camera = c.align.model_copy(update={"camera": False})
-        alignment = align(composed, photo.rgb, keeps_camera)
-        composed, sideways = in_contact(alignment.scene, c)
-        notes = (*notes, *sideways)
+        alignment = align(unsized.scene, photo.rgb, keeps_camera)
+        aligned, sideways = in_contact(alignment.scene, c)
+        without, with_alignment = (_median_outline(s, photo) for s in (composed, aligned))
+        if with_alignment > without:
+            alignment = None
+            refused = f"outlines would be {with_alignment:.1f} px off instead of {without:.1f} px"
+            notes = (*notes, f"the alignment is not applied: {refused}")
+        else:
+            supported, composed = unsized, aligned
+            notes = (*read.notes, *supported.notes, *sideways)
     return GivenScene(found.scene, before, supported.scene, alignment, composed, notes)
+
+
+def _median_outline(scene: SceneSpec, photo: Photographed) -> float:
+    """Return the median of the objects' outline errors [px], see `outline_errors`; 0 if the colors
+    tell none.
+    """
+    errors = [error for error in outline_errors(scene, photo.rgb).values() if error is not None]
+    return float(np.median(errors)) if errors else 0.0
 
 
 def _main_top(found: FoundSupports) -> float:

@@ -1,5 +1,6 @@
 """Rescue of posed meshes: supports, resting poses, and the command."""
 
+import dataclasses
 import json
 import re
 
@@ -23,6 +24,7 @@ from neoworld_bench.rescues.rescue_rows import (
 from PIL import Image
 
 from neoworld_mjx import cli
+from neoworld_mjx.align.align import align
 from neoworld_mjx.compose.mesh_supports import find_supports, with_supports
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
@@ -193,6 +195,40 @@ def test_example_comes_back_from_its_own_gltf(example_run, tmp_path):
     assert rescued.passed and {item.name for item in rescued.scene.objects} == names
     assert len(rescued.moves_m) >= 3 and max(rescued.moves_m.values()) < 2e-3
     assert max(rescued.turns_deg.values()) < 1 and set(rescued.sizes.values()) == {1.0}
+
+
+@pytest.mark.slow
+def test_example_comes_back_with_its_photograph(example_run, tmp_path):
+    """The contours alone would move what the response's boxes hold."""
+    scene = read_scene(example_run[0])
+    (tmp_path / "scene.glb").write_bytes(glb_bytes(scene))
+    stated = import_file(tmp_path / "scene.glb")
+    photo = photographed(example_run[0] / "photo.png", stated.camera, None)
+    rescued = rescue(stated, photo=photo)
+    assert rescued.passed and max(rescued.moves_m.values()) < 2e-3
+    for pair in rescued.outlines_px.values():
+        assert pair["rescued"] < pair["given"] + 0.5
+    assert any("the alignment is not applied" in note for note in rescued.notes)
+
+
+def test_alignment_that_takes_outlines_farther_is_not_applied(
+    photographed_meshes, tmp_path, monkeypatch
+):
+    """Objects that an alignment moves off their outlines stay where they are given."""
+
+    def misled(scene, photo, options):
+        found = align(scene, photo, options)
+        away = [
+            item if item.static else item.model_copy(update={"xy": (item.xy[0] + 0.04, item.xy[1])})
+            for item in scene.objects
+        ]
+        return dataclasses.replace(found, scene=scene.model_copy(update={"objects": tuple(away)}))
+
+    monkeypatch.setattr("neoworld_mjx.pipeline.rescue.align", misled)
+    photo = photographed(tmp_path / "photo.png", None, read_camera(tmp_path / "camera.json"))
+    rescued = rescue(import_file(photographed_meshes), photo=photo)
+    assert rescued.passed and max(rescued.moves_m.values()) < 0.03  # 2 cm of it are up
+    assert any("the alignment is not applied" in note for note in rescued.notes)
 
 
 @pytest.fixture
