@@ -74,7 +74,13 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
     if path.suffix.lower() in SUFFIXES:
         stage = open_usd(path)
         return read_assemblies(path, stage, apart=True), gravity_of(stage)
-    root = read_xml(path)
+    try:
+        root = read_xml(path)
+    except SpecError as error:
+        if path.suffix.lower() in FILES:
+            raise
+        known = ", ".join((*FILES, POSES))
+        raise SpecError(f"{error}; files that can be read: {known}") from None
     if root.tag == "robot":
         return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)], None
     if root.tag == "mujoco":
