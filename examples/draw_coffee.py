@@ -36,7 +36,7 @@ SIDE_DEG = 150.0
 
 
 def save(page: Page, file: Path, width: int = 900) -> None:
-    """Save what a page shows once it has come to rest."""
+    """Save a page's picture once it no longer changes."""
     picture = Image.fromarray(page.settled())
     size = (width, round(picture.height * width / picture.width))
     picture.resize(size, Image.Resampling.LANCZOS).save(file, quality=85)

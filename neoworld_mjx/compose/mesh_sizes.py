@@ -58,8 +58,7 @@ def fitted_sizes(
         for item in given.objects
     ]
     notes = [
-        f"{name} is scaled by {size:.2f}: it fits the given heights so"
-        for name, size in sizes.items()
+        f"{name} is scaled by {size:.2f} to fit the given heights" for name, size in sizes.items()
     ]
     return given.model_copy(update={"objects": tuple(objects)}), notes
 
@@ -75,18 +74,18 @@ def _least_motion(
         extent: mean square distance of each surface from its middle [n] m^2.
         known: True for each object whose size stays [n].
     """
-    known, told, n = known.copy(), np.ones(len(moved)), len(moved)
+    known, weights, n = known.copy(), np.ones(len(moved)), len(moved)
     while True:
         # Unknowns: the changes of size, and the shift of all objects.
-        heights = np.column_stack([rises, -np.ones(n)]) * told[:, None]
+        heights = np.column_stack([rises, -np.ones(n)]) * weights[:, None]
         spread = np.column_stack([np.diag(np.sqrt(extent)), np.zeros(n)])
-        rows, right = np.vstack([heights, spread]), np.concatenate([-moved * told, np.zeros(n)])
+        rows, right = np.vstack([heights, spread]), np.concatenate([-moved * weights, np.zeros(n)])
         rows[:, :n][:, known] = 0
         changes = np.linalg.lstsq(rows, right)[0][:n]
         worst = int(np.argmax(np.abs(changes)))
         if abs(changes[worst]) <= MOST:
             return changes
-        known[worst], told[worst] = True, 0.0
+        known[worst], weights[worst] = True, 0.0
 
 
 def _middle(item: SceneObject, pose: Pose) -> np.ndarray:

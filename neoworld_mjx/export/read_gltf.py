@@ -76,7 +76,7 @@ def _object_nodes(graph: Any) -> list[Any]:
 
 
 class NodeParts(NamedTuple):
-    """What the nodes below one hold, in its frame with Z up."""
+    """Content of the nodes below one, in its frame with Z up."""
 
     name: str
     transform: NDArray

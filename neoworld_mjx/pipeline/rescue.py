@@ -107,7 +107,7 @@ class GivenScene:
     alignment: Alignment | None
     """Alignment of those with the photograph, if there is one."""
     composed: SceneSpec
-    """What the search begins with."""
+    """The scene that the search starts from."""
     notes: tuple[str, ...]
 
 
@@ -284,9 +284,7 @@ def _composed(
 
 
 def _median_outline(scene: SceneSpec, photo: Photographed) -> float:
-    """Return the median of the objects' outline errors [px], see `outline_errors`; 0 if the colors
-    tell none.
-    """
+    """Return the median of the objects' outline errors [px]; 0 if all are unknown."""
     errors = [error for error in outline_errors(scene, photo.rgb).values() if error is not None]
     return float(np.median(errors)) if errors else 0.0
 

@@ -194,7 +194,7 @@ def test_a_folder_becomes_a_figure_and_its_page(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", sorted(page.read_contents().swept))
 def test_plans_of_figures_have_the_base_among_their_values(name):
-    """What `sweep_figure` refuses after hours is refused here."""
+    """Plans that `sweep_figure` would refuse after hours are refused at once."""
     swept = page.read_contents().swept[name]
     file, ablation = ROOT / swept.plan, "ablations" in swept.plan
     plan = read(file, Ablation) if ablation else read(file, Plan)
