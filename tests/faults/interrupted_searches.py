@@ -111,7 +111,8 @@ def strike(out: Path, photo: str, after: float) -> dict[str, Any]:
     if code != 130 or sum(line.startswith("error: interrupted") for line in lines) != 1:
         wrong = f"ended with {code}: {lines[-3:]}"
     elif any("Traceback" in line for line in lines):
-        wrong = f"printed a traceback: {lines[-3:]}"
+        first = next(k for k, line in enumerate(lines) if "Traceback" in line)
+        wrong = f"printed a traceback: {''.join(lines[max(first - 2, 0) :])}"
     elif wall_s > LIMIT_S:
         wrong = "took too long to end"
     elif left:

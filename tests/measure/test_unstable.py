@@ -68,6 +68,8 @@ def test_the_reason_is_the_first_that_applies():
     fallen = measure({"b": 0.1}, drop={"b": 0.1})
     why = named(unstable_objects(scene(), fallen))["b"][1]
     assert why == "table is not below it, or does not hold it"
+    lost = measure({"b": math.inf}, drop={"b": math.inf})
+    assert named(unstable_objects(scene(), lost))["b"] == ("diverges", "it does not rest on table")
     leaning = named(unstable_objects(scene(relation="leaning"), moved))["b"][1]
     assert leaning == "it stands on table, and nothing that it leans against holds it"
     (entry,) = unstable_objects(scene(relation="attached"), moved)

@@ -117,17 +117,17 @@ def test_the_papers_configuration_has_these_options():
 
 
 def test_the_factor_doubles_while_an_object_rests_in_no_candidate(scene):
-    problem, state = opened(scene, widest=6.0)
+    problem, state = opened(scene, widest=12.0)
     low, high, ball = (scene.names.index(name) for name in ("low", "high", "ball"))
     rested = np.ones((POP, 4), bool)
     rested[:, high] = False
     rested[1:, ball] = False  # the ball rests in one candidate
     seen = []
-    for _ in range(4):
+    for _ in range(5):
         layouts = propose(scene, problem, state, POP)
         state = update(scene, problem, state, layouts, scored(np.arange(POP), rested=rested))
         seen.append((float(state.factor[high]), bool(state.stuck[high])))
-    assert seen == [(2.0, False), (4.0, False), (6.0, False), (6.0, True)]
+    assert seen == [(2.0, False), (4.0, False), (8.0, False), (12.0, False), (12.0, True)]
     assert float(state.factor[low]) == float(state.factor[ball]) == 1.0
     assert not np.asarray(state.stuck)[[low, ball, scene.names.index("table")]].any()
 
@@ -271,6 +271,8 @@ def test_the_elites_mean_leaves_out_candidates_that_failed(scene):
     reward[[3, 5]] = 2.0, 4.0
     state = update(scene, problem, state, layouts, scored(reward))
     assert float(state.elite_mean) == pytest.approx(3.0)
+    state = update(scene, problem, state, layouts, scored(np.full(POP, -np.inf)))
+    assert float(state.elite_mean) == -np.inf
 
 
 def test_a_distribution_is_fitted_around_the_initial_layout_and_what_is_held_keeps_its_own(scene):

@@ -76,6 +76,7 @@ def test_the_first_candidate_that_passes_wins(models, plate_x):
     first = plate_x.index(STANDS)
     assert chosen.passed and chosen.index == (1, first) and chosen.tried == first + 1
     assert chosen.before.max_drift_m > chosen.measure.max_drift_m
+    assert len(chosen.layout.xy) == 1
     plate = chosen.scene.object("plate").xy[0]
     assert plate == pytest.approx(STANDS, abs=2e-3)
 

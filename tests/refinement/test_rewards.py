@@ -156,6 +156,8 @@ def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
     each = {"a": 4 / 4, "b": (9 + 16 + 1) / 4, "table": 0.0}
     assert found.by_object[0] == pytest.approx(np.array([each[n] for n in scene.names]), rel=1e-5)
     assert float(found.value[0]) == float(found.charged[0]) == pytest.approx((1 + 6.5) / 2)
+    alone = eqx.tree_at(lambda s: s.optimised, scene, jnp.arange(3) == b)
+    assert float(rewards.Prior(sigma)(alone, layouts, None).value[0]) == pytest.approx(6.5)
     there = rewards.Prior(sigma, layouts)(scene, layouts, None)
     assert not np.any(np.asarray(there.by_object))
 
@@ -257,6 +259,7 @@ def test_failed_candidates_score_minus_infinity_and_are_never_valid():
     found = scored(scene, layouts, broken)
     assert float(found.reward[1]) == float(found.absolute[1]) == -np.inf
     assert not bool(found.valid[1])
+    assert found.credit is not None and not np.any(np.isfinite(np.asarray(found.credit)[1]))
     assert np.all(np.isfinite(np.asarray(found.reward)[[0, 2, 3]]))
 
 

@@ -1,5 +1,6 @@
 """Inputs of `refine`: a scene or its path, an engine, and scores that arrive late."""
 
+import time
 from inspect import unwrap
 from types import SimpleNamespace
 
@@ -101,10 +102,12 @@ def test_scores_that_come_late_count_in_the_choice_of_the_winner():
 
 
 def test_the_parts_of_a_refinement_are_timed_and_reported():
+    began = time.perf_counter()
     refined = refine(scenes.blocks(), options(), engine="native")
-    parts = refined.seconds
+    whole, parts = time.perf_counter() - began, refined.seconds
     assert parts.keys() >= {"compile", "settle", "rollout", "score", "wait", "check", "search"}
-    assert all(0 <= parts[name] < 600 for name in ("compile", "wait", "check", "search"))
+    assert all(0 <= parts[name] <= whole for name in ("compile", "wait", "check", "search"))
+    assert parts["compile"] + parts["search"] + parts["check"] <= whole
     assert parts["check"] > 0 and parts["compile"] > 0
     assert not refined.scoring and "semantic" not in refined.history
     assert refined.engine == "native" and not refined.fallbacks
@@ -115,7 +118,7 @@ def test_a_model_scores_only_where_its_scores_weigh():
     with pytest.raises(ConfigError, match="needs the photograph and a model"):
         refine(scenes.blocks(), o, engine="native")
     weightless = options(semantic={"scorer": "mllm"}, reward={"w_sem": 0.0})
-    assert not refine(scenes.blocks(), weightless, engine="native").scoring
+    assert not refine(scenes.blocks(), weightless).scoring
 
 
 def test_the_delivered_scene_has_the_score_that_a_model_gave_its_candidate(monkeypatch):
@@ -123,3 +126,4 @@ def test_the_delivered_scene_has_the_score_that_a_model_gave_its_candidate(monke
     o = options(semantic={"scorer": "mllm"}, settle={"enabled": False})
     refined = refine(scenes.blocks(), o, engine="native")
     assert refined.winner[0] >= 0 and refined.delivered["s_sem"] == 0.25
+    assert np.all(refined.history["s_sem_from"] == Mark.SCORED)

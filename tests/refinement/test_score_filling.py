@@ -130,3 +130,12 @@ def test_the_summary_counts_each_kind_of_outcome(model, layouts, tmp_path):
     (note,) = scorer.fallbacks
     assert note.startswith("S_sem by estimates for 1 of 3 candidates") and "no answer" in note
     assert scorer.close() is None and scorer.summary()["unused"] == 1
+
+
+def test_the_first_failure_is_told(model, layouts, tmp_path):
+    failures = (0, 0, {"error": "no answer"}), (0, 1, {"error": "another"})
+    with replayed(model, layouts, tmp_path / "scores.jsonl", *failures) as scorer:
+        scorer.submit(0, [0, 1], layouts, model.place(layouts))
+        scorer.collect(0)
+    (note,) = scorer.fallbacks
+    assert note.endswith("failed; the first: no answer")

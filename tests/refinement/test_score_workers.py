@@ -109,11 +109,12 @@ def test_awaited_candidates_come_first_then_by_iteration_rank_and_submission(wor
         if pool._queue[0][1].identity == (1, 0):
             break
         waiting.join(0.001)
+    pool.put([job(0, 0, 0)])
     go.set()
     waiting.join(10)
-    rest = [(0, 3), (0, 5), (0, 7), (0, 8), (1, 1)]
+    rest = [(0, 0), (0, 3), (0, 5), (0, 7), (0, 8), (1, 1)]
     everything = pool.take("final", rest, rest=True)
-    assert drawn == ["0 5", "1 0", "0 3", "0 7", "0 8", "1 1"]
+    assert drawn == ["0 5", "1 0", "0 0", "0 3", "0 7", "0 8", "1 1"]
     assert [(s.identity, s.used) for s in found] == [((1, 0), 1)]
     assert [s.identity for s in everything] == rest
     assert all(s.used == "final" for s in everything)
@@ -163,6 +164,14 @@ def test_consecutive_failures_end_the_requests(workers):
     pool.put([job(1, 0)])
     (late,) = pool.take(1, [(1, 0)], rest=True)
     assert late.error == f"not requested: {pool.stopped}" and panel.asked == 6
+
+
+def test_failures_count_from_the_first_request(workers):
+    panel = ScriptedPanel(ModelError("broken"), ModelError("broken"), 2)
+    pool = workers(panel, give_up_after=2)
+    pool.put([job(0, k, k) for k in range(3)])
+    pool.take(0, [(0, k) for k in range(3)], rest=True)
+    assert panel.asked == 2 and pool.stopped is not None
 
 
 def test_the_limit_of_costs_counts_what_this_search_spends(workers):

@@ -54,6 +54,16 @@ def test_estimates_are_those_of_the_definition(scored, size):
     assert surrogate_scores(*given) == pytest.approx(expected, abs=1e-9)
 
 
+def test_repeated_candidates_have_finite_estimates():
+    """Repeated rows have eigenvalues of zero, up to rounding."""
+    rng = np.random.default_rng(3)
+    z, g = np.repeat(rng.normal(size=(4, 12)), 3, axis=0), np.repeat(rng.uniform(0.3, 0.5, 4), 3)
+    given = z + 0.1, g, z, g, g + 0.1 * z[:, 0] + 0.3
+    expected, predicted = by_definition(*given)
+    assert np.ptp(predicted) > 0.01
+    assert surrogate_scores(*given) == pytest.approx(expected, abs=1e-9)
+
+
 def test_the_mean_difference_is_shrunk_by_one_candidate():
     z, g = np.zeros((2, 3)), np.array([0.2, 0.9])
     known = np.arange(9.0).reshape(3, 3), np.array([0.1, 0.2, 0.3])
