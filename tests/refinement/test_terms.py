@@ -254,7 +254,8 @@ def sometimes(scene, layouts, rollout):
 
 
 def test_a_term_that_is_nan_for_a_part_of_the_population_is_refused(scene):
-    message = r"term sometimes \(.*test_terms\.py:\d+\) is nan for \d of 12 candidates in iteration 1(?!\.)"
+    where = r"sometimes \(.*test_terms\.py:\d+\)"
+    message = where + r" is nan for \d of 12 candidates in iteration 1(?!\.)"
     with pytest.raises(ConfigError, match=message):
         refine(scene, options(), terms=[Term("sometimes", sometimes, 1.0)])
 
