@@ -2,6 +2,10 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -93,3 +97,41 @@ def test_three_photographs_are_reconstructed_from_their_tapes(photos, tmp_path):
     for name in ("coffee", "drawers", "microwave"):
         assert (tmp_path / "out" / name / "tree.json").is_file()
     assert about["mllm"]["calls"] > 3 and about["mllm"]["max_cost_usd"] == 3.0
+
+
+def reconstruction(photos, out, *words):
+    line = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", photos, "--out", out]
+    line += ["--provider", "replay", "--until", "compose", "--set", "verify.duration_s=0.5", *words]
+    return subprocess.Popen([*map(str, line)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def composed(out):
+    return {p.parts[-3]: p.read_bytes() for p in sorted(out.glob("*/compose/scene.json"))}
+
+
+@pytest.mark.slow
+def test_ray_loses_a_worker_and_its_driver_and_the_scenes_are_those_of_one_process(
+    photos, tmp_path
+):
+    pytest.importorskip("ray")
+    psutil = pytest.importorskip("psutil")
+    assert reconstruction(photos, tmp_path / "alone").wait(900) == 0
+    out, on_ray = tmp_path / "ray", ("--ray", "local", "--workers", 2)
+    driver = reconstruction(photos, out, *on_ray)
+
+    def await_one(pattern):
+        while driver.poll() is None and not any(out.glob(pattern)):
+            time.sleep(0.05)
+
+    await_one("*/tree.json")
+    workers = [p for p in psutil.Process(driver.pid).children(recursive=True)
+               if any("work_there" in word for word in p.cmdline())]  # fmt: skip
+    assert workers
+    workers[0].kill()
+    await_one("*/compose/scene.json")
+    # Ray's own processes end when the driver's socket closes.
+    driver.send_signal(signal.SIGKILL)
+    assert driver.wait() == -signal.SIGKILL and len(composed(out)) < 3
+    assert reconstruction(photos, out, "--resume", *on_ray).wait(900) == 0
+    assert composed(out) == composed(tmp_path / "alone") and len(composed(out)) == 3
+    assert json.loads((out / "photos.json").read_text())["finished"]
