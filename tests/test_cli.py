@@ -1,3 +1,4 @@
+import ctypes
 import gc
 import json
 import os
@@ -261,6 +262,23 @@ def test_a_ctrl_c_that_python_ignores_is_repeated(monkeypatch, capfd):
     hook = sys.unraisablehook
     assert cli.run(DoctorCommand(json=True)) == 130
     assert sys.unraisablehook is hook
+    assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
+
+
+def test_a_ctrl_c_that_native_code_prints_is_repeated(monkeypatch, capfd):
+    """`PyErr_Print` hands an exception to `sys.excepthook` and forgets it."""
+
+    def works(command):
+        assert ctypes.pythonapi.PyRun_SimpleString(b"raise KeyboardInterrupt") == -1
+        for _ in range(500):
+            time.sleep(0.01)
+        return {"passed": True}
+
+    hook = sys.excepthook
+    monkeypatch.setattr(DoctorCommand, "run", works)
+    monkeypatch.setattr(interrupts, "GRACE_S", 60.0)
+    assert cli.run(DoctorCommand()) == 130
+    assert sys.excepthook is hook
     assert capfd.readouterr().err == "error: interrupted; continue with --resume\n"
 
 

@@ -64,21 +64,31 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _repeated_interrupts() -> Iterator[None]:
-    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback."""
-    report, timers = sys.unraisablehook, list[threading.Timer]()
+    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback, or that
+    native code prints and forgets.
+    """
+    hooks, timers = (sys.unraisablehook, sys.excepthook), list[threading.Timer]()
 
-    def repeat(ignored: Any) -> None:
-        if not issubclass(ignored.exc_type, KeyboardInterrupt):
-            report(ignored)
-            return
+    def repeated(kind: type[BaseException]) -> bool:
+        if not issubclass(kind, KeyboardInterrupt):
+            return False
         # Not at once: the callback is still running.
         timers.append(threading.Timer(0.02, _thread.interrupt_main))
         timers[-1].start()
+        return True
 
-    sys.unraisablehook = repeat
+    def ignored(what: Any) -> None:
+        if not repeated(what.exc_type):
+            hooks[0](what)
+
+    def printed(kind: type[BaseException], *rest: Any) -> None:
+        if not repeated(kind):
+            hooks[1](kind, *rest)
+
+    sys.unraisablehook, sys.excepthook = ignored, printed
     try:
         yield
     finally:
-        sys.unraisablehook = report
+        sys.unraisablehook, sys.excepthook = hooks
         for timer in timers:
             timer.cancel()
