@@ -143,6 +143,8 @@ def test_the_status_line_shows_step_rate_cost_and_time_left():
                 r"4 calls, 0.26 USD · waiting for 2 responses",
                 line.text(),
             )
+            progress.update(unanswered=1)
+            assert line.text().endswith("waiting for 1 response")
             progress.report("export: begun", step="export")
             progress.update(unanswered=0)
             assert line.text() == "export 0 s · 4 calls, 0.26 USD · computing"
