@@ -97,8 +97,10 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     expected = f"{program}:5:1: error type: "
     assert code == 1 and out.splitlines()[0].startswith(expected)
     assert "\n    p.ad(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n    hint: did you mean" in out
-    code, checked, _ = neoworld("check", program)
-    assert code == 1 and checked.splitlines()[0] == out.splitlines()[0]
+    for words in (("check", program), ("check", program, "-v"), ("build", program, "-v")):
+        place = () if words[0] == "check" else ("--out", tmp_path / "out")
+        code, again, _ = neoworld(*words, *place)
+        assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
     program.write_text('print("size", 3)\n' + GOOD)
     code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
     assert code == 0
