@@ -151,7 +151,7 @@ def run(command: "Runnable") -> int:
                 print(json.dumps(strict), file=out)
             elif "error" not in result:
                 lines = None if command.verbose else command.lines(result)
-                lines = list(_details(result)) if lines is None else lines
+                lines = [*command.listings(result), *_details(result)] if lines is None else lines
                 print(printable("\n".join(lines)), file=out)
             out.flush()
         except OSError as error:

@@ -97,8 +97,10 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     expected = f"{program}:5:1: error type: "
     assert code == 1 and out.splitlines()[0].startswith(expected)
     assert "\n    p.ad(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n    hint: did you mean" in out
-    code, checked, _ = neoworld("check", program)
-    assert code == 1 and checked.splitlines()[0] == out.splitlines()[0]
+    for words in (("check", program), ("check", program, "-v"), ("build", program, "-v")):
+        place = () if words[0] == "check" else ("--out", tmp_path / "out")
+        code, again, _ = neoworld(*words, *place)
+        assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
     program.write_text('print("size", 3)\n' + GOOD)
     code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
     assert code == 0
@@ -143,6 +145,8 @@ def test_the_status_line_shows_step_rate_cost_and_time_left():
                 r"4 calls, 0.26 USD · waiting for 2 responses",
                 line.text(),
             )
+            progress.update(unanswered=1)
+            assert line.text().endswith("waiting for 1 response")
             progress.report("export: begun", step="export")
             progress.update(unanswered=0)
             assert line.text() == "export 0 s · 4 calls, 0.26 USD · computing"

@@ -50,6 +50,10 @@ class Runnable(Protocol):
         """Return a short summary of a result; None prints all details."""
         ...
 
+    def listings(self, result: CommandResult) -> list[str]:
+        """Return the lines that precede all details."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -77,6 +81,10 @@ class Command:
     def lines(self, result: CommandResult) -> list[str] | None:
         """Return a short summary of a result; None, the default, prints all details."""
         return None
+
+    def listings(self, result: CommandResult) -> list[str]:
+        """Return the lines that precede all details; by default none."""
+        return []
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,7 +69,11 @@ class CheckCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, _listings(self.target, result))
+        return object_check_lines(result, self.listings(result))
+
+    def listings(self, result: CommandResult) -> list[str]:
+        """Return the output and the signals of the object's program."""
+        return _listings(self.target, result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +131,11 @@ class BuildCommand(ConfiguredCommand):
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return build_lines(result, _listings(self.program, result))
+        return build_lines(result, self.listings(result))
+
+    def listings(self, result: CommandResult) -> list[str]:
+        """Return the output and the signals of the program."""
+        return _listings(self.program, result)
 
     def _convert(self) -> CommandResult:
         """Convert a URDF, MJCF or USD file."""

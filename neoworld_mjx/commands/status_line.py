@@ -15,6 +15,7 @@ from rich.text import Text
 
 from ..io.names import printable
 from ..progress import LOGGER
+from .result_lines import count
 
 REFRESHES_PER_SECOND = 2.0
 SILENT_S = 30.0
@@ -110,7 +111,7 @@ class StatusLine(logging.Handler):
             cost = facts.get("cost_usd")
             parts.append(f"{facts['calls']} calls" + (f", {cost:.2f} USD" if cost else ""))
         waiting = facts.get("unanswered")
-        parts.append(f"waiting for {waiting} responses" if waiting else "computing")
+        parts.append(f"waiting for {count(waiting, 'response')}" if waiting else "computing")
         return " · ".join(parts)
 
     def _print(self, text: str) -> None:

@@ -1,6 +1,6 @@
 """Requests to the critics of Step 2 for geometry, articulation and export, and their verdicts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -91,7 +91,6 @@ Its links:
 {links}
 Its joints:
 {joints}"""
-_LEANS = 'In the crop {way}, and in "made" as well; "opened" shows it upright.\n'
 
 
 def critic_request(
@@ -119,12 +118,21 @@ def critic_request(
         label=node.label,
         description=node.description,
         moving=moving_parts(node),
-        posed=tilt_in_words(node, _LEANS),
+        posed=tilt_in_words(node, _posed_in({picture.label for picture in pictures})),
         measures=measures,
     )
     system = package_text(__package__, f"{critic}_critic")
     name = f"judge-{critic}:{node.name}"
     return Request("critic", name, system, prompt, CRITIQUES[critic], pictures)
+
+
+def _posed_in(labels: Set[str]) -> str:
+    """Return the template of an object's tilt: which of these pictures show it."""
+    upright = [f'"{label}"' for label in ("exported", "opened") if label in labels]
+    text = "In the crop {way}" + (', and in "made" as well' if "made" in labels else "")
+    if upright:
+        text += f"; {' and '.join(upright)} {'show' if upright[1:] else 'shows'} it upright"
+    return f"{text}.\n"
 
 
 def mean_score(critiques: Mapping[str, Critique]) -> float:

@@ -20,7 +20,7 @@ Edge = Annotated[float, Field(gt=0, le=100)]
 Edges = Annotated[list[Edge], Field(min_length=3, max_length=3)]
 VIEW = (
     "direction of view: the camera stands {azimuth} from the object's front and {elevation} "
-    "degrees above it{left}\n"
+    "degrees {above} it{left}\n"
 )
 OPENED = (
     ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
@@ -66,7 +66,8 @@ def view_in_words(node: TreeNode, camera: Camera | None) -> str:
         names = {0: "-y, its own right", 1: "+x, its front", 2: "+y, its own left"}
         left = f"; the picture's left is its {names.get(round(turn / 90) % 4, '-x, its back')}"
     around = "0 degrees" if turn == 0 else f"{abs(turn)} degrees {side}"
-    return VIEW.format(azimuth=around, elevation=up, left=left)
+    above = "below" if up < 0 else "above"
+    return VIEW.format(azimuth=around, elevation=abs(up), above=above, left=left)
 
 
 def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:

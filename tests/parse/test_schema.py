@@ -223,6 +223,15 @@ def test_the_instructions_have_one_rule_for_tables_robots_cloths_and_cut_objects
     assert "robots, hands and people are left out on purpose" in critic
 
 
+def test_the_instructions_say_what_of_the_background_which_end_of_a_knob_and_what_is_too_heavy():
+    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
+    critic = " ".join(package_text("neoworld_mjx.parse", "critic").split())
+    assert "What stands in the background on something that you do not list" in guide
+    assert "things in the background whose support is not listed" in critic
+    assert "of a knob, 0 is its lowest position (off) and 1 its highest" in guide
+    assert "too heavy for a robot arm to push (a fridge or a wardrobe; a microwave oven" in guide
+
+
 def test_the_uncertainty_of_the_camera_reaches_the_tree():
     data = answers.desk()
     data["camera"] |= {"pitch_doubt_deg": 3.0, "height_doubt": 0.2}

@@ -251,6 +251,28 @@ def test_requests_to_programmer_and_critic_state_the_tilt(axis, degrees, words):
 
 
 @pytest.mark.parametrize(
+    ("critic", "labels", "words"),
+    [
+        ("geometry", ["made"], 'own front, and in "made" as well.'),
+        (
+            "articulation",
+            ["made", "opened"],
+            'own front, and in "made" as well; "opened" shows it upright.',
+        ),
+        ("export", ["exported"], 'own front; "exported" shows it upright.'),
+        ("export", ["exported", "opened"], 'own front; "exported" and "opened" show it upright.'),
+    ],
+)
+def test_the_tilt_is_stated_of_the_pictures_that_a_critic_gets(critic, labels, words):
+    tilt = tuple(from_axis_angle((0, 1, 0), np.radians(90)).tolist())
+    spec = build(GOOD).spec
+    assert spec is not None
+    pictures = [Picture(label, crop()) for label in ["crop", *labels]]
+    prompt = critic_request(critic, node(base_tilt=tilt), spec, pictures).prompt
+    assert f"its top towards its {words}\n" in prompt
+
+
+@pytest.mark.parametrize(
     ("yaw", "words"),
     [
         (180, "0 degrees from the object's front and 25 degrees above it; the picture's left is "
@@ -274,6 +296,18 @@ def test_the_request_states_the_direction_of_view(yaw, words):
         "direction of view"
         not in program_request(subject._replace(camera=None), StageInput()).prompt
     )
+
+
+@pytest.mark.parametrize(
+    ("degrees", "words"), [(0, "25 degrees above it;"), (-90, "65 degrees below it\n")]
+)
+def test_a_view_from_below_is_stated_without_a_sign(degrees, words):
+    camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
+    box = Box3D(position=(2, 0, 0), size=(0.4, 0.6, 0.5), yaw=float(np.radians(180)))
+    # Its top lies away from the camera, which therefore looks at its bottom.
+    tilt = tuple(from_axis_angle((0, 1, 0), np.radians(degrees)).tolist())
+    subject = Subject(node(box3d=box, base_tilt=tilt), Picture("crop", crop()), camera=camera)
+    assert words in program_request(subject, StageInput()).prompt
 
 
 def test_the_verdict_revise_overrules_the_scores():

@@ -351,6 +351,25 @@ def test_a_camera_that_the_alignment_leaves_is_not_listed(finished):
     assert "not there yet" in words
 
 
+@pytest.mark.parametrize(
+    ("on", "words"),
+    [
+        (["cup"], "The photograph itself is printed on flat faces of cup."),
+        (["cup", "jar", "lid"], "printed on flat faces of cup, jar, lid."),
+        ([], None),
+    ],
+)
+def test_the_objects_that_carry_the_photographs_print_are_named(finished, on, words):
+    _align(finished, {"cup": _place("pixels")})
+    objects = [
+        {"name": name, "spec": {"materials": [{}, {"photo": {} if name in on else None}]}}
+        for name in ("cup", "jar", "lid")
+    ]
+    (finished / "compose" / "scene.json").write_text(json.dumps({"objects": objects}))
+    said = _photograph(finished)
+    assert words in said if words else "printed" not in said
+
+
 def test_a_run_without_alignment_has_no_section_about_it(finished):
     assert _photograph(finished) == ""
     _align(finished, {})

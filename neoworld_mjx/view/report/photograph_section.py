@@ -40,7 +40,7 @@ def photograph_section(folder: Path) -> Markup:
     return elements.section(
         TITLE,
         elements.div("pictures", picture(folder / "pictures" / "outlines.png", _CAPTION)),
-        elements.paragraph(_camera(aligned) + _exposure(folder)),
+        elements.paragraph(_camera(aligned) + _looks(folder)),
         elements.table(heads, [_row(name, change) for name, change in objects.items()]),
         elements.paragraph(_NOTE, "dim"),
     )
@@ -59,17 +59,25 @@ def _camera(aligned: dict[str, Any]) -> str:
     )
 
 
-def _exposure(folder: Path) -> str:
-    """Return a sentence with the exposure of the pictures; empty if it is the photograph's own."""
-    camera = (read_json(folder / "compose" / "scene.json") or {}).get("camera") or {}
-    if "gain" not in camera:
-        return ""
-    red, green, blue = camera["gain"]
-    return (
-        f" The pictures of the scene have one exposure and white balance, estimated from all "
-        f"objects: {green:.2f} times the light, red by {_signed(100 * (red / green - 1), 0)} % and "
-        f"blue by {_signed(100 * (blue / green - 1), 0)} % relative to green."
-    )
+def _looks(folder: Path) -> str:
+    """Return sentences on what the pictures of the scene take from the photograph."""
+    scene = read_json(folder / "compose" / "scene.json") or {}
+    text, gain = "", (scene.get("camera") or {}).get("gain")
+    if gain is not None:
+        red, green, blue = gain
+        text += (
+            f" The pictures of the scene have one exposure and white balance, estimated from all "
+            f"objects: {green:.2f} times the light, red by {_signed(100 * (red / green - 1), 0)} % "
+            f"and blue by {_signed(100 * (blue / green - 1), 0)} % relative to green."
+        )
+    prints = [
+        item["name"]
+        for item in scene.get("objects", ())
+        if any(material.get("photo") is not None for material in item["spec"]["materials"])
+    ]
+    if prints:
+        text += f" The photograph itself is printed on flat faces of {', '.join(prints)}."
+    return text
 
 
 def _row(name: str, change: dict[str, Any]) -> list[str]:
