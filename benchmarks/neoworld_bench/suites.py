@@ -384,7 +384,7 @@ SUITES = {
 """Suites that `neoworld bench run NAME` runs."""
 
 DEVELOPER_SUITES = (
-    *("battery", "composing", "decisions", "faults", "frames", "inputs", "mutation", "programs"),
-    *("readers", "round-trips", "scoring", "templates", "verify"),
+    *("battery", "cameras", "composing", "decisions", "faults", "frames", "inputs", "mutation"),
+    *("programs", "readers", "round-trips", "scoring", "templates", "verify"),
 )
 """Suites that `python -m benchmarks NAME` runs from a clone of the repository."""

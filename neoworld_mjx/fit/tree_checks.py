@@ -85,13 +85,15 @@ def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
     """Return the score of a parse in [0, 1]: the mean of its agreement and its freedom from issues.
 
-    For the latter, an object with an error counts 0, and each warning costs a third.
+    For the latter, an object with an error counts 0, and each warning costs a third. A camera with
+    issues counts as another object.
     """
     objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
     mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
     lost = {node.name: 0.0 for node in tree.nodes}
     for issue in issues:
-        lost[issue.node] += 1.0 if issue.severity == "error" else 1 / 3
+        cost = 1.0 if issue.severity == "error" else 1 / 3
+        lost[issue.node] = lost.get(issue.node, 0.0) + cost
     clean = 1.0 - sum(min(value, 1.0) for value in lost.values()) / len(lost)
     return (mean_agreement + clean) / 2
 

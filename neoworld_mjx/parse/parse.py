@@ -20,6 +20,7 @@ from ..fit.fit_tree import fit_tree
 from ..fit.tree_checks import SceneIssue, check_score, check_tree
 from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree
+from .camera_checks import CAMERA, camera_issue
 from .draw import draw_parse
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
@@ -152,11 +153,13 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         if correction is None:
             return None
         try:
-            response = correction.applied(last.response)
+            response = correction.applied(last.response, photo.size)
         except ValidationError as error:
             return SceneAttempt(last.response, None, None, phrase(error))
-        same = response == last.response
-        return None if same else await _fit_and_check(photo, response, options)
+        if response == last.response:
+            return None
+        asked = any(issue.node == CAMERA for attempt in attempts for issue in attempt.checks)
+        return await _fit_and_check(photo, response, options, asked=asked)
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
@@ -175,16 +178,30 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
 
 
 async def _fit_and_check(
-    photo: Photo, response: ParsedScene, options: ParseOptions
+    photo: Photo, response: ParsedScene, options: ParseOptions, *, asked: bool = False
 ) -> SceneAttempt:
-    """Fit a response to its 2D boxes and check it."""
+    """Fit a response to its 2D boxes and check it.
+
+    Args:
+        photo: the photograph.
+        response: the response.
+        options: whether to fit.
+        asked: True if the model was asked about its camera.
+    """
     try:
         response_tree = tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, None, str(error))
+    issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, asked=asked)
+    if issue is not None:
+        # Numbers that the picture contradicts count as guesses.
+        doubted = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
+        response_tree = tree = tree.model_copy(update=doubted)
     report, checks = None, check_tree(response_tree)
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-        remaining = {(issue.node, issue.code) for issue in check_tree(tree)}
-        checks = tuple(issue for issue in checks if (issue.node, issue.code) in remaining)
+        remaining = {(found.node, found.code) for found in check_tree(tree)}
+        checks = tuple(found for found in checks if (found.node, found.code) in remaining)
+    if issue is not None and camera_issue(photo.rgb, tree) is not None:
+        checks = (issue, *checks)
     return SceneAttempt(response, tree, response_tree, checks=checks, fit=report)

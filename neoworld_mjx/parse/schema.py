@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from ..errors import SpecError
 from ..io.names import MAX_NAME, NAME_RULE, RESERVED, is_name, plain_text
 from ..spec import SceneTree
+from .camera_change import moved_with_camera
 from .object_schema import ParsedCamera, ParsedObject
 from .photo import Photo
 from .response_bounds import out_of_bounds, too_long
@@ -59,8 +60,12 @@ class SceneCorrection(ResponsePart):
         default_factory=list, description="Names of the earlier objects that do not exist."
     )
 
-    def applied(self, earlier: ParsedScene) -> ParsedScene:
-        """Return the corrected response.
+    def applied(self, earlier: ParsedScene, size: tuple[int, int]) -> ParsedScene:
+        """Return the corrected response, in which unchanged objects keep their pixels.
+
+        Args:
+            earlier: the response to correct.
+            size: width and height of the picture that the model saw [px].
 
         Raises:
             ValidationError: the corrected scene is inconsistent; its messages are for the model.
@@ -68,6 +73,8 @@ class SceneCorrection(ResponsePart):
         changed = {obj.name: obj for obj in self.objects}
         names = [obj.name for obj in earlier.objects]
         kept = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
+        if self.camera is not None:
+            kept = moved_with_camera(kept, earlier.camera, self.camera, size, placed=changed)
         added = [obj for obj in self.objects if obj.name not in names]
         data = {
             "observations": self.observations or earlier.observations,

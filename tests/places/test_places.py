@@ -103,6 +103,8 @@ def test_a_dead_ray_address_is_one_message(address, error, message):
         check_place(Place(ray=address))
 
 
+# Ray forks; JAX warns of that where an earlier test has imported it.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.slow
 def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
     pytest.importorskip("ray")
