@@ -7,10 +7,9 @@ import pytest
 from neoworld_mjx.physics import native
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from tests.support import scenes
-from tests.support.scenes import noisy_layouts, stored_scene
+from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
 
 
 @pytest.fixture(scope="module", params=["primitives", "meshes"])
