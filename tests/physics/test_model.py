@@ -9,6 +9,7 @@ import pytest
 
 from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics import model
 from neoworld_mjx.physics.layout import Layout, place
 from neoworld_mjx.physics.model import load_scene
 from neoworld_mjx.physics.model_fields import model_fields
@@ -32,7 +33,7 @@ def test_repr_names_scene_objects_and_sizes_in_two_lines(blocks):
 
 def test_a_type_error_names_the_function_to_call(blocks):
     # Shape checks at run time would refuse the arguments first.
-    roll_out, load, compile_ = map(inspect.unwrap, (rollout, load_scene, compile_scene))
+    roll_out, load, compile_ = map(inspect.unwrap, (rollout, load_scene, model.compile_scene))
     layouts = Layout.zero(2, 4)
     with pytest.raises(SpecError, match=r"SceneSpec, not a SceneModel.*compile_scene"):
         roll_out(scenes.blocks(), layouts)
