@@ -128,8 +128,8 @@ def blocks_model():
     """The compiled scene of `scenes.blocks`; what is jitted with it is compiled once for all
     tests.
     """
-    from neoworld_mjx.physics.model import compile_scene
     from tests.support import scenes
+    from tests.support.scenes import compile_scene
 
     return compile_scene(scenes.blocks())
 

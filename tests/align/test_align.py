@@ -25,13 +25,37 @@ DISPLACED = {
 
 
 @pytest.fixture(scope="module")
-def five():
-    return desk.five()
+def displaced(five):
+    return desk.displaced(five, **DISPLACED)
 
 
 @pytest.fixture(scope="module")
-def photo(five):
-    return desk.photograph(five, 640)
+def aligned(displaced, photo):
+    """The alignment of the displaced objects."""
+    return align(displaced, photo)
+
+
+@pytest.fixture(scope="module")
+def with_boxes(five):
+    """The displaced objects with parsed boxes."""
+    return desk.displaced(desk.boxed(five), **DISPLACED)
+
+
+@pytest.fixture(scope="module")
+def aligned_with_boxes(with_boxes, photo):
+    return align(with_boxes, photo)
+
+
+@pytest.fixture(scope="module")
+def on_black(five, photo):
+    """The alignment with a black photograph."""
+    return align(five, np.zeros_like(photo))
+
+
+@pytest.fixture(scope="module")
+def unmoved(five, photo):
+    """The alignment of a scene that is right."""
+    return align(five, photo)
 
 
 def many():
@@ -64,11 +88,10 @@ def flat_photograph(scene, width=480):
     return (255 * colors[seen] + 0.5).astype(np.uint8)
 
 
-def test_displaced_objects_come_back(five, photo):
-    wrong = desk.displaced(five, **DISPLACED)
+def test_displaced_objects_come_back(five, displaced, aligned):
+    wrong, result = displaced, aligned
     before = desk.distances(wrong, five)
     assert list(before.values()) == pytest.approx([12.0] * 5, abs=0.5)
-    result = align(wrong, photo)
     after = desk.distances(result.scene, five)
     # What is left is mostly common to all, along the view, of which contours say least.
     assert np.mean(list(after.values())) < 12.0 / 3
@@ -95,15 +118,14 @@ def test_displaced_objects_come_back(five, photo):
     assert result.scene.object("desk").model_copy(update=place) == wrong.object("desk")
 
 
-def test_with_parsed_boxes_displaced_objects_come_back_too(five, photo):
-    right = desk.boxed(five)
-    result = align(desk.displaced(right, **DISPLACED), photo)
+def test_with_parsed_boxes_displaced_objects_come_back_too(five, aligned_with_boxes, unmoved):
+    result = aligned_with_boxes
     assert np.mean(list(desk.distances(result.scene, five).values())) < 4.0
-    known, plain = result.objects["brick"].uncertainty, align(five, photo).objects["brick"]
+    known, plain = result.objects["brick"].uncertainty, unmoved.objects["brick"]
     assert known.across < 1.01 * plain.uncertainty.across
 
 
-@pytest.mark.parametrize("degrees", [12.0, -12.0])
+@pytest.mark.parametrize("degrees", [12.0, pytest.param(-12.0, marks=pytest.mark.slow)])
 def test_a_misjudged_field_of_view_comes_back(degrees):
     scene = many()
     wrong = desk.misjudged(scene, degrees)
@@ -118,9 +140,9 @@ def test_a_misjudged_field_of_view_comes_back(degrees):
     assert which.startswith("a camera")
 
 
-def test_a_scene_that_is_right_hardly_moves(five, photo):
-    for scene in (five, desk.boxed(five)):
-        result = align(scene, photo)
+def test_a_scene_that_is_right_hardly_moves(five, photo, unmoved):
+    boxed = desk.boxed(five)
+    for scene, result in ((five, unmoved), (boxed, align(boxed, photo))):
         # All objects together are less certain along the view than to one another.
         assert max(desk.distances(result.scene, five).values()) < 5.0
         assert max(desk.distances(result.scene, five, common=False).values()) < 2.0
@@ -131,8 +153,8 @@ def test_a_scene_that_is_right_hardly_moves(five, photo):
         assert list(result.notes(scene)) == []
 
 
-def test_a_camera_that_is_not_aligned_stays(five, photo):
-    wrong = desk.displaced(desk.boxed(five), **DISPLACED)
+def test_a_camera_that_is_not_aligned_stays(five, photo, with_boxes, aligned_with_boxes):
+    wrong = with_boxes
     result = align(wrong, photo, AlignOptions(camera=False))
     changes = result.pitch_deg, result.roll_deg, result.fovy_deg, result.height_m
     assert changes == (0.0, 0.0, 0.0, 0.0)
@@ -140,7 +162,7 @@ def test_a_camera_that_is_not_aligned_stays(five, photo):
     assert now == pytest.approx(was, abs=1e-12)
     assert now[-2:] == was[-2:]
     assert np.mean(list(desk.distances(result.scene, five).values())) < 4.0
-    assert align(wrong, photo).scene.camera != wrong.camera
+    assert aligned_with_boxes.scene.camera != wrong.camera
 
 
 def test_a_measured_parameter_of_the_camera_moves_less(five, photo):
@@ -151,8 +173,8 @@ def test_a_measured_parameter_of_the_camera_moves_less(five, photo):
     assert free.pitch_deg == pytest.approx(-1.5, abs=0.75)
 
 
-def test_without_contours_no_pixel_is_read(five, photo):
-    wrong = desk.displaced(desk.boxed(five), **DISPLACED)
+def test_without_contours_no_pixel_is_read(five, photo, displaced, with_boxes):
+    wrong = with_boxes
     options = AlignOptions(contours=False)
     black = align(wrong, np.zeros_like(photo), options)
     result = align(wrong, photo, options)
@@ -161,14 +183,14 @@ def test_without_contours_no_pixel_is_read(five, photo):
     before, after = (desk.distances(s, five) for s in (wrong, result.scene))
     assert np.mean(list(after.values())) < 0.8 * np.mean(list(before.values()))
     # Nor is there anything else without boxes.
-    nothing = align(desk.displaced(five, **DISPLACED), photo, options)
+    nothing = align(displaced, photo, options)
     assert {change.evidence for change in nothing.objects.values()} == {"none"}
     assert max(abs(v) for c in nothing.objects.values() for v in c.shift_m) < 1e-12
 
 
-def test_a_black_photograph_moves_nothing(five, photo):
-    black = np.zeros_like(photo)
-    result, composed = align(five, black), align(five, black, AlignOptions(contours=False))
+def test_a_black_photograph_moves_nothing(five, photo, on_black):
+    result = on_black
+    composed = align(five, np.zeros_like(photo), AlignOptions(contours=False))
     assert max(desk.distances(result.scene, five).values()) < 1e-6
     for name, change in result.objects.items():
         known, prior = (c.uncertainty.model_dump() for c in (change, composed.objects[name]))
@@ -215,7 +237,11 @@ def test_an_object_of_its_background_s_color_keeps_its_place():
     assert desk.distances(found.scene, colored)["same"] < 3.5
 
 
-@pytest.mark.parametrize("xy", [(-0.2, 0.32), (-0.42, -0.1)], ids=["left", "below"])
+@pytest.mark.parametrize(
+    "xy",
+    [(-0.2, 0.32), pytest.param((-0.42, -0.1), marks=pytest.mark.slow)],
+    ids=["left", "below"],
+)
 def test_an_object_that_the_border_cuts_stays(five, xy):
     scene = with_thing(five, desk.block("cut", 0.2, 0.2, 0.1, "blue"), xy)
     shown = desk.drawn(scene, 320).owner == 6
@@ -227,7 +253,7 @@ def test_an_object_that_the_border_cuts_stays(five, xy):
         assert result.objects["cut"].size_ratio == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("color", ["white", "blue"])
+@pytest.mark.parametrize("color", ["white", pytest.param("blue", marks=pytest.mark.slow)])
 def test_a_cloth_does_not_push_what_stands_on_it(color):
     cloth = desk.block("cloth", 0.35, 0.35, 0.004, color)
     box = desk.block("on", 0.1, 0.1, 0.08, "red")
@@ -253,9 +279,9 @@ def test_scenes_without_a_camera_or_free_objects_are_returned(five, photo):
     assert list(result.notes(empty)) == []
 
 
-def test_the_size_of_the_photograph_hardly_matters(five, photo):
-    wrong = desk.displaced(five, **DISPLACED)
-    one, other = align(wrong, photo), align(wrong, desk.photograph(five, 400))
+def test_the_size_of_the_photograph_hardly_matters(five, photo, displaced, aligned):
+    wrong, one = displaced, aligned
+    other = align(wrong, desk.photograph(five, 400))
     for name, distance in desk.distances(one.scene, other.scene).items():
         assert distance < 2.0, name
     assert one.fovy_deg == pytest.approx(other.fovy_deg, abs=0.2)
@@ -265,8 +291,8 @@ def test_the_size_of_the_photograph_hardly_matters(five, photo):
     assert max(desk.distances(one.scene, half.scene).values()) < 1e-6
 
 
-def test_the_report_is_json(five, photo):
-    result = align(desk.displaced(five, **DISPLACED), photo)
+def test_the_report_is_json(aligned):
+    result = aligned
     data = json.loads(json.dumps(result.to_json()))
     assert data == result.to_json()
     assert set(data["objects"]) == set(DISPLACED)
@@ -324,8 +350,8 @@ def test_a_camera_that_moved_is_noted(five, change, noted):
     assert list(Alignment(five, **change).notes(five.model_copy(update={"camera": None}))) == []
 
 
-def test_a_picture_of_one_color_places_nothing(five):
-    result = align(five, np.zeros((480, 640, 3), np.uint8))
+def test_a_picture_of_one_color_places_nothing(on_black):
+    result = on_black
     assert {change.evidence for change in result.objects.values()} == {"none"}
     assert result.objects["box"].reason == NO_CONTOUR
 

@@ -1,5 +1,6 @@
 """S_photo: the pixels' evidence for populations of layouts, and its place in the search."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from neoworld_mjx.config import CEMOptions, RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.rewards import photo_agreement, s_photo
 from tests.align import desk
+from tests.support.scenes import compile_scene
 
 SHIFTS = (0.0, 0.006, 0.012, 0.024)
 SMALL = RefineOptions(
@@ -21,13 +22,8 @@ SMALL = RefineOptions(
 
 
 @pytest.fixture(scope="module")
-def five():
-    return desk.five()
-
-
-@pytest.fixture(scope="module")
-def photo(five):
-    return desk.photograph(five, 640)
+def model(five, photo):
+    return with_photo(compile_scene(five), photo)
 
 
 def shifted(scene, axis):
@@ -38,38 +34,39 @@ def shifted(scene, axis):
     return Layout(jnp.asarray(xy), zero.yaw, zero.log_scale)
 
 
+by_object = eqx.filter_jit(lambda scene, layouts: photo_agreement(scene, layouts).by_object)
+
+
 def test_without_a_photograph_it_is_zero(five):
     model = compile_scene(five)
     assert np.asarray(s_photo(model, shifted(five, 0))) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_it_falls_as_objects_leave_their_pixels(five, photo, axis):
-    model = with_photo(compile_scene(five), photo)
+def test_it_falls_as_objects_leave_their_pixels(five, model, axis):
     value = np.asarray(s_photo(model, shifted(five, axis)))
     assert value[0] > 0.85
     assert (np.diff(value) < 0).all()
     assert value[0] - value[-1] > 0.15
 
 
-def test_only_the_moved_object_loses(five, photo):
-    model = with_photo(compile_scene(five), photo)
+def test_only_the_moved_object_loses(five, model):
     zero = Layout.zero(2, len(five.objects))
     xy = np.zeros(zero.xy.shape, np.float32)
     xy[1, five.index("can"), 1] = 0.03
-    each = photo_agreement(model, Layout(jnp.asarray(xy), zero.yaw, zero.log_scale)).by_object
+    layouts = Layout(jnp.asarray(xy), zero.yaw, zero.log_scale)
+    each = by_object(model, layouts)
     lost = np.asarray(each[0] - each[1])
     assert lost[five.index("can")] > 0.05
     assert np.delete(lost, five.index("can")) == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_sum_over_cells_is_that_over_pixels(five, photo):
+def test_the_sum_over_cells_is_that_over_pixels(five, photo, model):
     """The cells of a candidate at the composed scene add up to the pixels' mean sign."""
     evidence, window = photo_evidence(five, photo)
     owner = desk.drawn(five, 640).owner
-    model = with_photo(compile_scene(five), photo)
     zero = Layout.zero(1, len(five.objects))
-    each = np.asarray(photo_agreement(model, zero).by_object)[0] * (len(five.objects) - 1)
+    each = np.asarray(by_object(model, zero))[0] * (len(five.objects) - 1)
     for k in range(1, len(five.objects)):
         rows, columns = np.nonzero(owner == k)
         low, high = window[k, :2], window[k, 2:]

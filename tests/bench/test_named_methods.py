@@ -18,7 +18,7 @@ from neoworld_mjx.io.parquet_files import write_rows
 SMALL = {
     "refine": {
         "cem": {"population": 8, "iterations": 1},
-        "rollout": {"duration_s": 0.2, "samples_per_object": 64},
+        "rollout": {"duration_s": 0.2, "samples_per_object": 32},
         "check_duration_s": 0.2,
         "finalists": 1,
     },

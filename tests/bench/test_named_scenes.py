@@ -7,9 +7,9 @@ from neoworld_bench.named_scenes import SOURCES
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.sweeps.cases import case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
+from tests.support.scenes import compile_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PLANS = sorted(CONFIGS.glob("*/*.yaml"))

@@ -26,12 +26,12 @@ from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.io.parquet_files import write_rows
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.physics.support import footprint
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
+from tests.support.scenes import compile_scene
 
 CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")
 

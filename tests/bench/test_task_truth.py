@@ -24,7 +24,8 @@ def failures(scene: SceneSpec) -> list[SceneCheck]:
     return [check for check in scene_checks(measured(scene, o), o) if not check.passed]
 
 
-@pytest.mark.parametrize("name", FAILED_IN_VERSION_1)
+# The slow run checks all tasks.
+@pytest.mark.parametrize("name", FAILED_IN_VERSION_1[::4])
 def test_true_scenes_of_version_1_that_failed_pass(name):
     scene = find_task(name).scene
     assert failures(scene) == []

@@ -11,7 +11,6 @@ from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -35,6 +34,7 @@ from neoworld_mjx.spec.opening import opening_value
 from neoworld_mjx.spec.pose import IDENTITY, angle_between, from_axis_angle, from_yaw, rotate
 from tests.support import scenes
 from tests.support.mechanisms import geom, part
+from tests.support.scenes import compile_scene
 
 LIGHT = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)

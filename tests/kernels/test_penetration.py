@@ -18,10 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.physics.colliders import collect_colliders
 from neoworld_mjx.physics.layout import rotation
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.sampling import surface_samples
 from neoworld_mjx.spec import Box, Capsule, Cylinder, Ellipsoid, Lathe, Mesh, SceneObject, Sphere
-from tests.support.scenes import noisy_layouts, single, stored_scene
+from tests.support.scenes import compile_scene, noisy_layouts, single, stored_scene
 
 CORNERS = ((0.0, 0.0, 0.04), (0.03, 0.0, -0.02), (-0.02, 0.03, -0.02), (-0.02, -0.03, -0.02))
 SHAPES = {

@@ -8,12 +8,12 @@ import jax
 import numpy as np
 
 from neoworld_mjx.config import load_config
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measured_in_chunks
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-a-reward.md"
 

@@ -2,7 +2,8 @@
 
 Of the slow ones, the default suite makes the same calls elsewhere: Algorithm 1 by hand in
 tests/refinement/test_algorithm.py, one program for several weights in tests/refinement/test_cem.py,
-a loop over MJX steps in test_mjx_loop.py.
+a reward of the rollout in tests/refinement/test_rewards.py, a loop over MJX steps in
+test_mjx_loop.py.
 """
 
 import re
@@ -43,6 +44,7 @@ def test_one_program_searches_with_several_weights(capsys):
     assert len(drifts) == 9 and drifts[8] < drifts[6]  # Weights 4 and 0, at the end.
 
 
+@pytest.mark.slow
 def test_a_reward_reads_the_rollout(capsys):
     said = run("3_reward_of_the_rollout.py", capsys)
     assert said.startswith("33 rollouts")

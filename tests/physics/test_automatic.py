@@ -13,11 +13,11 @@ from neoworld_mjx.physics.automatic import AutomaticEngine
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.settling import with_held_joints
 from neoworld_mjx.refinement import scene_refinement
 from neoworld_mjx.refinement.scene_refinement import refine
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 
 @pytest.fixture(autouse=True)

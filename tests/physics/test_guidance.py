@@ -17,10 +17,10 @@ from neoworld_mjx.physics.guidance import (
     springs,
 )
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 RATE, STEP = 12.0, 5e-4
 NEVER_FADES = Guidance(rate=RATE, fade_s=1e9, max_speed=1e9)

@@ -17,9 +17,9 @@ from neoworld_mjx.physics.layout import (
     place,
     rotation,
 )
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 HALF = np.sqrt(0.5)
 ABOUT_X = (HALF, HALF, 0.0, 0.0)

@@ -8,11 +8,10 @@ import pytest
 from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import Box, HollowBox, Material, ObjectSpec, Sphere, recentred
 from tests.support.mechanisms import geom, joint, part
-from tests.support.scenes import WOOD, on_table, single
+from tests.support.scenes import WOOD, compile_scene, on_table, single
 
 G, SLOPE = 9.81, 0.35
 """Pull [m/s^2], and its share along +x, as on a slope of 20 degrees."""

@@ -4,13 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics import native
+from neoworld_mjx.physics import model, native
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from tests.support import scenes
-from tests.support.scenes import noisy_layouts, stored_scene
+from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
 
 
 @pytest.fixture(scope="module", params=["primitives", "meshes"])
@@ -62,7 +61,7 @@ def test_overwritten_models_equal_fresh_copies(monkeypatch):
     again = NativeEngine().rollout(scene, scene.place(second), duration=0.1)
     # Another compilation of the scene has no copies yet; chunks of 3 overwrite them once.
     monkeypatch.setattr(native, "NATIVE_CHUNK", 3)
-    other = compile_scene(stored_scene("crowded_6"))
+    other = model.compile_scene(stored_scene("crowded_6"))
     fresh = NativeEngine().rollout(other, other.place(second), duration=0.1)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
         assert np.array_equal(a, b)

@@ -9,7 +9,6 @@ import pytest
 
 from neoworld_mjx.physics import placed
 from neoworld_mjx.physics.layout import Layout, Poses
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.placed import (
     TILTED,
     TOPPLED,
@@ -22,6 +21,7 @@ from neoworld_mjx.physics.placed import (
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.spec import Box, Sphere
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 SMALL_TURN = np.radians(9.0)
 

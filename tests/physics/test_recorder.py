@@ -5,9 +5,9 @@ import pytest
 
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, Schedule
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.recorder import Recorder
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 STEPS = 5
 """Of a segment; 0.02 s."""

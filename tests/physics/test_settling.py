@@ -8,7 +8,6 @@ from neoworld_mjx.config import SettleOptions
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import (
     DOWN,
@@ -22,6 +21,7 @@ from neoworld_mjx.physics.settling import moved, settle, settle_scene, with_held
 from neoworld_mjx.spec import Box, Sphere, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose, quat_mul
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 OPTIONS = SettleOptions()
 

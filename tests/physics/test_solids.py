@@ -8,9 +8,9 @@ import pytest
 
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.manifold import PosedSolid, manifolds
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.solids import geom_pairs, geom_solids
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 GEOM = mujoco.mjtGeom
 KINDS = (GEOM.mjGEOM_BOX, GEOM.mjGEOM_SPHERE, GEOM.mjGEOM_CAPSULE, GEOM.mjGEOM_CYLINDER)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.outline import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import raster, visibility
 from neoworld_mjx.render import render
 from neoworld_mjx.spec import Box, Cylinder, Material, SceneObject
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 see = eqx.filter_jit(lambda scene, layouts: visibility(scene, scene.place(layouts)))
 CELLS = {"columns": 64, "rows": 48}

@@ -13,10 +13,9 @@ from neoworld_mjx.compilations import compilations
 from neoworld_mjx.physics import warp_engine
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from tests.support import scenes
-from tests.support.scenes import random_layout
+from tests.support.scenes import compile_scene, random_layout
 
 
 class Room(NamedTuple):

@@ -9,7 +9,6 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.algorithm import (
     converged,
     init,
@@ -19,6 +18,7 @@ from neoworld_mjx.refinement.algorithm import (
 )
 from neoworld_mjx.refinement.objective import Scores
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 POP = 40
 PAPER = {"hold_resting": False, "widest": 1.0, "credit": "scene", "sigma_floor": 0.0}

@@ -9,7 +9,6 @@ import pytest
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import Rollout
 from neoworld_mjx.physics.layout import Poses
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
 from neoworld_mjx.physics.sharding import PART, WHOLE
@@ -29,6 +28,7 @@ from neoworld_mjx.refinement.batching import (
     tile_of,
 )
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 ENGINE = NativeEngine(threads=1)
 

@@ -6,7 +6,6 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import choosing
 from neoworld_mjx.refinement.choosing import choose
 from neoworld_mjx.refinement.finishing import finish
@@ -14,6 +13,7 @@ from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.spec import Box
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 OPTIONS = RefineOptions(finalists=3, check_duration_s=0.5)
 UNSETTLED = OPTIONS.model_copy(update={"settle": SettleOptions(enabled=False)})

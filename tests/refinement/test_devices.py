@@ -44,8 +44,9 @@ o = RefineOptions.model_validate({
 })
 model = compile_for_search(stored_scene("crowded_2"), o)
 saved = {"devices": len(jax.local_devices())}
+tiles = {"candidates": 1, "runs": 8}
 for name, device, tile in (
-    ("alone", jax.local_devices()[0], 1), ("candidates", None, 1), ("runs", None, 8)
+    ("alone", jax.local_devices()[0], 1), ("shared", None, tiles[sys.argv[2]])
 ):
     used.clear()
     loop.tile_of = lambda runs, population: tile
@@ -63,13 +64,12 @@ np.savez(sys.argv[1], **saved)
 """
 
 
-@pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    """Results of a search on one and on all devices of a process that has eight."""
-    out = tmp_path_factory.mktemp("devices") / "found.npz"
+def search(shared, folder):
+    """Search on one and on all devices of a process that has eight."""
+    out = folder / "found.npz"
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
     process = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(out)],
+        [sys.executable, "-c", SCRIPT, str(out), shared],
         env=os.environ | {"XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"},
         cwd=ROOT,
         capture_output=True,
@@ -80,10 +80,11 @@ def found(tmp_path_factory):
     return np.load(out)
 
 
-@pytest.mark.parametrize("shared", ["candidates", "runs"])
-def test_eight_devices_give_the_winners_of_one(found, shared):
+@pytest.mark.parametrize("shared", ["candidates", pytest.param("runs", marks=pytest.mark.slow)])
+def test_eight_devices_give_the_winners_of_one(shared, tmp_path):
+    found = search(shared, tmp_path)
     assert found["devices"] == 8
-    assert not found["alone_used"].size and list(found[f"{shared}_used"]) == [8]
-    np.testing.assert_array_equal(found[f"{shared}_index"], found["alone_index"])
-    np.testing.assert_allclose(found[f"{shared}_reward"], found["alone_reward"], atol=1e-5)
-    np.testing.assert_allclose(found[f"{shared}_xy"], found["alone_xy"], atol=1e-6)
+    assert not found["alone_used"].size and list(found["shared_used"]) == [8]
+    np.testing.assert_array_equal(found["shared_index"], found["alone_index"])
+    np.testing.assert_allclose(found["shared_reward"], found["alone_reward"], atol=1e-5)
+    np.testing.assert_allclose(found["shared_xy"], found["alone_xy"], atol=1e-6)

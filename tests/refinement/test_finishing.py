@@ -7,12 +7,12 @@ from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.measure import passes
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import finishing
 from neoworld_mjx.refinement.finishing import finish, freed, held, moved_away
 from neoworld_mjx.spec import Box, Ellipsoid, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 OPTIONS = RefineOptions(check_duration_s=0.5)
 

@@ -8,10 +8,10 @@ import pytest
 
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.spec import Box
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 
 @pytest.fixture(scope="module")

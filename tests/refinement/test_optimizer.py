@@ -10,7 +10,6 @@ import pytest
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.cem import CEM, open_cem
 from neoworld_mjx.refinement.optimizer import (
     OPTIMIZERS,
@@ -19,6 +18,7 @@ from neoworld_mjx.refinement.optimizer import (
     optimizer_factory,
 )
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 OPTIONS = CEMOptions(zero_candidate=False)
 

@@ -19,9 +19,9 @@ from tests.support import scenes
 
 OPTIONS = RefineOptions.model_validate(
     {
-        "cem": {"population": 4, "iterations": 1, "hold_resting": False},
+        "cem": {"population": 8, "iterations": 1, "hold_resting": False},
         "settle": {"enabled": False},
-        "rollout": {"duration_s": 0.0, "samples_per_object": 16},
+        "rollout": {"duration_s": 0.0, "samples_per_object": 32},
         "check_duration_s": 0.05,
     }
 )
@@ -110,8 +110,8 @@ def test_a_scene_in_which_nothing_moves_has_means_of_zero():
 def test_the_history_has_all_candidates_and_terms(searched):
     model, result = searched
     history = refined(searched).history
-    assert history["reward"].shape == history["d_pen"].shape == (1, 4)
-    assert history["xy"].shape == (1, 4, 4, 2)
+    assert history["reward"].shape == history["d_pen"].shape == (1, 8)
+    assert history["xy"].shape == (1, 8, 4, 2)
     np.testing.assert_array_equal(history["merit"][0], result.rounds[0].scores.merit)
     np.testing.assert_array_equal(history["valid"][0], result.rounds[0].scores.valid)
     weights = dict(zip(history["term_names"], history["term_weights"], strict=True))
@@ -121,7 +121,7 @@ def test_the_history_has_all_candidates_and_terms(searched):
         "d_pen": pytest.approx(-reward.w_pen), "d_drift": pytest.approx(-reward.w_drift),
     }  # fmt: skip
     assert history["object_names"].tolist() == list(model.names)
-    marks = np.zeros((1, 4), np.int8)
+    marks = np.zeros((1, 8), np.int8)
     assert "s_sem_from" not in history
     assert refined(searched, semantic=marks).history["s_sem_from"] is marks
 
@@ -129,7 +129,7 @@ def test_the_history_has_all_candidates_and_terms(searched):
 def test_what_was_done_is_stated(searched):
     _, known = searched
     result = refined(searched, result=replace(known, first_valid=FirstValid(1, 4)))
-    assert (result.iterations, result.rollouts, result.winner) == (1, 4, (0, 2))
+    assert (result.iterations, result.rollouts, result.winner) == (1, 8, (0, 2))
     assert (result.finalists_tried, result.engine, result.first_valid) == (3, "native", (1, 4))
     assert set(result.kept) == {"low", "high", "ball"} and result.passed
     assert result.fallbacks == () and result.scoring == {}
@@ -137,7 +137,7 @@ def test_what_was_done_is_stated(searched):
     m = result.measure
     assert repr(result) == (
         f"Refined({result.scene.name}: passed the check\n"
-        f"  1 iterations, 4 rollouts, 2.0 s on native; winner (0, 2)\n"
+        f"  1 iterations, 8 rollouts, 2.0 s on native; winner (0, 2)\n"
         f"  depth {m.max_depth_m * 1e3:.2f} mm (was {m.max_depth_m * 1e3:.2f} mm), "
         f"moved {m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg\n"
         f"  mean shift 0.0 mm, turn 0.0 deg, log scale +0.000)"
@@ -170,6 +170,6 @@ def test_what_an_iteration_did_not_draw_has_no_merit_and_is_not_counted(searched
     (whole,) = known.rounds
     part = jax.tree.map(lambda x: np.asarray(x)[:1], whole)
     result = refined(searched, result=replace(known, rounds=[part, whole]))
-    assert result.rollouts == 1 + 4
+    assert result.rollouts == 1 + 8
     assert (result.history["merit"][0, 1:] == -np.inf).all()
     assert np.isfinite(result.history["merit"][0, 0])

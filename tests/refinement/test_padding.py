@@ -7,7 +7,6 @@ from jax import monitoring
 
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics import model
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.placed import placed_at_rest
 from neoworld_mjx.physics.scene_arrays import (
     SMALLEST_BUCKET,
@@ -23,12 +22,13 @@ from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import Box
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 
 @pytest.fixture(scope="module")
 def scene():
     """Furniture with joints: boxes, hulls and slides."""
-    return compile_scene(scenes.furnished(), samples=64)
+    return compile_scene(scenes.furnished(), samples=32)
 
 
 def unpadded(tree, scene):
@@ -57,7 +57,7 @@ def test_padded_equals_unpadded(scene):
     padded = pad_scene(scene)
     cem, wide = (open_cem(of, o.cem) for of in (scene, padded))
     key = jax.random.key(1)
-    layouts, drawn = (c.ask(key, c.init(), 32) for c in (cem, wide))
+    layouts, drawn = (c.ask(key, c.init(), 8) for c in (cem, wide))
     jax.tree.map(np.testing.assert_array_equal, unpadded(drawn, scene), unpadded(layouts, scene))
     objective = open_objective(o)
     one, two = (
@@ -95,8 +95,8 @@ def test_a_second_scene_compiles_nothing(monkeypatch):
         None,
         {
             "refine": {
-                "cem": {"population": 32, "iterations": 2},
-                "rollout": {"samples_per_object": 64},
+                "cem": {"population": 8, "iterations": 2},
+                "rollout": {"samples_per_object": 32},
             }
         },
     ).refine

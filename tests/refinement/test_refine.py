@@ -12,7 +12,6 @@ from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.engine import Guidance
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import Term, refine
 from neoworld_mjx.refinement.loop import search
@@ -20,6 +19,7 @@ from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.spec import Box, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 UNSETTLED = SettleOptions(enabled=False)
 

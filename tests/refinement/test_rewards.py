@@ -12,7 +12,6 @@ from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed, pair_depths, placed_at_rest
 from neoworld_mjx.physics.visibility import as_parsed
@@ -27,7 +26,7 @@ from neoworld_mjx.refinement.objective import (
 )
 from neoworld_mjx.spec import Box
 from tests.support import scenes
-from tests.support.scenes import random_layout
+from tests.support.scenes import compile_scene, random_layout
 
 
 @functools.cache
@@ -53,14 +52,14 @@ def test_d_pen_of_two_boxes_is_their_overlap(depth):
 
 
 def test_d_pen_has_the_right_gradient():
-    scene = two_boxes(-0.01)
+    scene = two_boxes(0.0)
     loss = lambda dx: rewards.d_pen(scene, shifted_by(scene, dx))[0]
     shifted_by = lambda s, dx: Layout(
         jnp.zeros((1, 3, 2)).at[0, 2, 0].set(dx), jnp.zeros((1, 3)), jnp.zeros((1, 3))
     )
-    slope = jax.grad(loss)(0.0)
+    slope = jax.grad(loss)(-0.01)
     step = 1e-3
-    numeric = (loss(step) - loss(-step)) / (2 * step)
+    numeric = (loss(-0.01 + step) - loss(-0.01 - step)) / (2 * step)
     assert float(slope) == pytest.approx(-1.0, abs=1e-3)
     assert float(slope) == pytest.approx(float(numeric), abs=1e-2)
 
@@ -187,7 +186,7 @@ def test_an_overlap_of_one_direction_counts_whichever_object_comes_first(first):
     scene = compile_scene(spec, samples=32)
     zero = Layout.zero(1, 3)
     poses = scene.place(zero)
-    depth = pair_depths(scene, poses)
+    depth = jax.jit(lambda at: pair_depths(scene, at))(poses)
     a, b = scene.names.index("small"), scene.names.index("big")
     assert float(depth[0, b, a]) == 0.0
     assert float(depth[0, a, b]) == pytest.approx(0.004, abs=1e-6)
@@ -303,21 +302,28 @@ def test_an_unknown_term_is_named(path):
         named_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
 
 
+@functools.cache
+def gaps_of_two_boxes():
+    """The scene, its gaps, and the gradient of the gap of its two boxes."""
+    scene = two_boxes(0.0)
+    a, b = scene.names.index("a"), scene.names.index("b")
+    between = lambda layouts, start=None: rewards.gaps(scene, layouts, start)
+    return scene, jax.jit(between), jax.jit(jax.grad(lambda z: between(z)[0, a, b]))
+
+
 @pytest.mark.parametrize("gap", [0.03, 0.002, -0.004])
 def test_the_gap_of_two_boxes_is_signed(gap):
-    scene = two_boxes(gap)
-    found = np.asarray(rewards.gaps(scene, Layout.zero(1, 3)))[0]
+    scene, between, slope_of = gaps_of_two_boxes()
+    here, moved = shifted(scene, gap), shifted(scene, gap + 0.01)
+    found = np.asarray(between(here))[0]
     a, b, table = (scene.names.index(name) for name in ("a", "b", "table"))
     assert found[a, b] == found[b, a] == pytest.approx(gap, abs=2e-6)
     assert found[a, table] == pytest.approx(0.0, abs=1e-5)
     assert np.isinf(found.diagonal()).all()
-    moved = shifted(scene, 0.01)
-    assert float(rewards.gaps(scene, moved)[0, a, b]) == pytest.approx(gap + 0.01, abs=2e-6)
+    assert float(between(moved)[0, a, b]) == pytest.approx(gap + 0.01, abs=2e-6)
     start = unmoved(scene, scene.place(moved))
-    assert rewards.gaps(scene, Layout.zero(1, 3), start)[0, a, b] == pytest.approx(
-        gap + 0.01, abs=2e-6
-    )
-    slope = jax.grad(lambda z: rewards.gaps(scene, z)[0, a, b])(Layout.zero(1, 3))
+    assert between(here, start)[0, a, b] == pytest.approx(gap + 0.01, abs=2e-6)
+    slope = slope_of(here)
     assert float(slope.xy[0, b, 0]) == pytest.approx(1.0, abs=1e-3)
     assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
 
@@ -373,19 +379,18 @@ class TestCompiled:
                 call()
 
     def test_they_jit_vmap_and_differentiate(self):
-        scene = two_boxes(-0.01)
-        layouts = shifted(scene, 0.002, pop=2)
+        scene = two_boxes(0.0)
+        layouts = shifted(scene, -0.008, pop=2)
         many = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 0 * x]), layouts)
         for term in (rewards.d_pen, rewards.s_sem):
             plain = term(scene, layouts)
-            assert np.allclose(jax.jit(lambda z, t=term: t(scene, z))(layouts), plain, atol=1e-6)
-            mapped = jax.vmap(lambda z, t=term: t(scene, z))(many)
+            mapped = jax.jit(jax.vmap(lambda z, t=term: t(scene, z)))(many)
             assert np.allclose(mapped[0], plain, atol=1e-6)
         slope = jax.grad(lambda z: jnp.sum(rewards.d_pen(scene, z)))(layouts)
         assert np.allclose(slope.xy[:, scene.names.index("b"), 0], -1.0, atol=1e-3)
 
     def test_drift_is_differentiable_in_the_motion(self):
-        scene = two_boxes(0.05)
+        scene = two_boxes(0.0)
         still = unmoved(scene, scene.place(Layout.zero(1, 3)))
         drift = lambda dx: rewards.d_drift(
             scene, Layout.zero(1, 3), eqx.tree_at(lambda r: r.pos, still, still.pos + dx)

@@ -24,7 +24,7 @@ def options(**given):
     return RefineOptions.model_validate(
         {
             "cem": {"population": 8, "iterations": 1},
-            "rollout": {"duration_s": 0.1, "samples_per_object": 16},
+            "rollout": {"duration_s": 0.1, "samples_per_object": 32},
             "check_duration_s": 0.1,
             **given,
         }

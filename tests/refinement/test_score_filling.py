@@ -5,11 +5,11 @@ import pytest
 
 from neoworld_mjx.config import CEMOptions, SemanticOptions
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import scorer as scorers
 from neoworld_mjx.refinement.score_log import Job, ScoreLog, layout_digest
 from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 SIGMA = CEMOptions(sigma_xy=0.1, sigma_yaw_deg=9.0, sigma_log_scale=0.2)
 GEOMETRIC = np.array([0.5, 0.6, 0.7, 0.8])

@@ -17,12 +17,12 @@ from neoworld_mjx.errors import ConfigError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Tape
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.score_log import Score, read_scores
 from neoworld_mjx.refinement.score_worker import drawer
 from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
 from tests.support import scenes
 from tests.support.messages import MessagesServer, judged, levels_of
+from tests.support.scenes import compile_scene
 
 POP = 24
 GEOMETRIC = np.linspace(0.4, 0.8, POP)

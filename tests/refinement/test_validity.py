@@ -8,12 +8,12 @@ import pytest
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import Box
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 OPTIONS = RefineOptions()
 DEPTH, DRIFT = np.float32(OPTIONS.max_depth_m), OPTIONS.reward.drift_scale_m

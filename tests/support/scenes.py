@@ -1,10 +1,12 @@
 """Small objects and scenes that tests share, and stored larger scenes."""
 
+import functools
 import math
 from pathlib import Path
 
 import numpy as np
 
+from neoworld_mjx.physics import model
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
     CSG,
@@ -44,6 +46,19 @@ three blocks of which two overlap, none overlaps, or the third is turned (three_
 def stored_scene(name):
     """Read a scene of STORED."""
     return read_scene(STORED / f"{name}.json")
+
+
+def compile_scene(scene, **options):
+    """Return the compiled scene, one for all equal scenes and options of a process.
+
+    JAX compiles every program again for another SceneModel, even if it is equal.
+    """
+    return _compiled(scene.to_json(), tuple(sorted(options.items())))
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(scene, options):
+    return model.compile_scene(SceneSpec.model_validate_json(scene), **dict(options))
 
 
 def single(name, *shapes, material=WOOD):

@@ -5,12 +5,12 @@ import pytest
 
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, list_options, option_values
-from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.algorithm import open_problem
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.compiling import reach_of
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
+from tests.support.scenes import compile_scene
 
 MODEL = compile_scene(scenes.blocks(), samples=16)
 

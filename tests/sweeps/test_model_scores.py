@@ -20,10 +20,10 @@ WITHOUT = {"without S_sem": {"refine.reward.w_sem": 0}}
 
 def plan(url="", **more):
     search = {
-        "cem": {"population": 6, "iterations": 2, "elite_ratio": 0.5, "hold_resting": False},
+        "cem": {"population": 8, "iterations": 2, "elite_ratio": 0.5, "hold_resting": False},
         # Otherwise the composed scene settles and passes, and nothing is scored.
         "settle": {"enabled": False},
-        "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 64},
+        "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 32},
         "semantic": {"scorer": "mllm", "top": 3, "wait": "all", "picture_px": 64},
         "check_duration_s": 0.1,
         "finalists": 2,

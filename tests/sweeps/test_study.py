@@ -19,7 +19,7 @@ BASE = {
     "refine": {
         "cem": {"population": 8, "iterations": 1, "hold_resting": False},
         "settle": {"enabled": False},
-        "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 64},
+        "rollout": {"engine": "native", "duration_s": 0.1, "samples_per_object": 32},
         "check_duration_s": 0.1,
         "finalists": 1,
     }
