@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.align.photo_evidence import photo_evidence, with_photo
-from neoworld_mjx.config import CEMOptions, RefineOptions, RewardOptions
+from neoworld_mjx.config import CEMOptions, RefineOptions, RewardOptions, RolloutOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.physics.layout import Layout
@@ -17,7 +17,9 @@ from tests.support.scenes import compile_scene
 
 SHIFTS = (0.0, 0.006, 0.012, 0.024)
 SMALL = RefineOptions(
-    cem=CEMOptions(population=16, iterations=1), reward=RewardOptions(terms={"s_photo": 1.0})
+    cem=CEMOptions(population=8, iterations=1),
+    reward=RewardOptions(terms={"s_photo": 1.0}),
+    rollout=RolloutOptions(samples_per_object=32),
 )
 
 

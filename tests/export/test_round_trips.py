@@ -8,7 +8,9 @@ from tests.support import mechanisms
 
 
 @pytest.mark.parametrize("kind", READERS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=[pytest.mark.slow] * (seed > 0)) for seed in range(4)]
+)
 def test_random_trees_survive_a_round_trip(kind, seed):
     differences = round_trip(random_object(seed), kind)
     assert differences.pop("extent_m") < 0.005

@@ -193,7 +193,7 @@ def test_the_number_of_objects_is_bounded():
         ParsedScene.model_validate(data)
 
 
-@pytest.mark.parametrize("shape", ["heap", "chain"])
+@pytest.mark.parametrize("shape", [pytest.param("heap", marks=pytest.mark.slow), "chain"])
 def test_the_checks_of_as_many_objects_as_are_read(shape):
     """200 of them took over 100 s, in one heap or each on the one before."""
     data = answers.answer()

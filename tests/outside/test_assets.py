@@ -21,8 +21,12 @@ from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.verify.checking import check_object
 from tests.support.hostile_assets import ASSETS, mjcf, star
 
+# Of the pictures, one of each kind: the others differ in size or format.
+LARGER = [name for name in ASSETS if name.startswith(("texture,", "height field,"))]
+CASES = [pytest.param(name, marks=[pytest.mark.slow] if name in LARGER else []) for name in ASSETS]
 
-@pytest.mark.parametrize("name", ASSETS)
+
+@pytest.mark.parametrize("name", CASES)
 def test_a_small_asset_that_asks_for_much(tmp_path, name):
     path = tmp_path / ASSETS[name](tmp_path)
     before = resource.getrusage(resource.RUSAGE_SELF)
@@ -72,7 +76,7 @@ def _spin_and_tell(path: Path) -> None:
     _spin(path)
 
 
-@pytest.mark.parametrize("end", ["interrupt", "kill"])
+@pytest.mark.parametrize("end", [pytest.param("interrupt", marks=pytest.mark.slow), "kill"])
 def test_a_reader_ends_with_its_caller(tmp_path, end):
     code = (
         "import sys\nfrom pathlib import Path\nfrom neoworld_mjx.config import FileOptions\n"
@@ -204,6 +208,7 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_mechanism_of_as_many_links_as_are_read(tmp_path):
     """Writers took the third power of the number of links, and glTF refused colliders alone."""
     spec = import_file(_written(tmp_path / "a.xml", star(398, '<geom size=".1"/>'))).spec

@@ -169,6 +169,7 @@ cli.main({[str(word) for word in words]!r})
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow  # tests/faults fills the disk of a run.
 def test_a_run_whose_files_cannot_grow_is_resumed(tmp_path):
     words = ("reconstruct", EXAMPLES / "coffee.png", "--out", tmp_path / "out", "--until", "parse")
     done = limited(60, *words)
@@ -182,7 +183,9 @@ def test_a_run_whose_files_cannot_grow_is_resumed(tmp_path):
     assert (tmp_path / "out/tree.json").exists()
 
 
-@pytest.mark.parametrize("words", [("render", "--width", "256"), ("export",)])
+@pytest.mark.parametrize(
+    "words", [pytest.param(("render", "--width", "256"), marks=pytest.mark.slow), ("export",)]
+)
 def test_a_command_whose_files_cannot_grow_leaves_none(program, tmp_path, words):
     out = tmp_path / ("out.png" if words[0] == "render" else "out")
     done = limited(0, words[0], program, "--out", out, *words[1:])

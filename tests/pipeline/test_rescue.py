@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -68,8 +69,8 @@ def test_supports_are_what_carries():
         assert world_poses(supported.scene)[name].pos == pytest.approx(at.pos, abs=5e-4)
 
 
-def test_sunk_objects_are_lifted_onto_their_support():
-    supported = with_supports(find_supports(scene_of_meshes(disturbed(standing(2), 2)).spec))
+def test_sunk_objects_are_lifted_onto_their_support(disturbed_meshes):
+    supported = with_supports(find_supports(disturbed_meshes))
     for item in supported.scene.objects[1:]:
         assert item.parent == "table"
         assert lowest(supported.scene, item.name) == pytest.approx(TABLE_Z, abs=1e-3)
@@ -130,7 +131,9 @@ def test_what_states_its_supports_is_refused():
         find_supports(SceneSpec(objects=(fixed,)))
 
 
-@pytest.mark.parametrize(("seed", "photo"), [(2, False), (4, True)])
+@pytest.mark.parametrize(
+    ("seed", "photo"), [pytest.param(2, False, marks=pytest.mark.slow), (4, True)]
+)
 def test_disturbed_meshes_stand_where_they_stood(seed, photo):
     """10 % wrong, 2 cm in the table and tilted by 5 degrees: the check fails before, not after."""
     rows = list(rescue_rows(seed, photo=photo))
@@ -231,24 +234,37 @@ def test_alignment_that_takes_outlines_farther_is_not_applied(
     assert any("the alignment is not applied" in note for note in rescued.notes)
 
 
+@pytest.fixture(scope="module")
+def disturbed_meshes():
+    return scene_of_meshes(disturbed(standing(2), 2)).spec
+
+
+@pytest.fixture(scope="module")
+def photograph(tmp_path_factory):
+    """The photograph of the undisturbed meshes."""
+    file = tmp_path_factory.mktemp("photograph") / "photo.png"
+    Image.fromarray(photograph_of(scene_of_meshes(standing(2)).spec).rgb).save(file)
+    return file
+
+
 @pytest.fixture
-def photographed_meshes(tmp_path):
+def photographed_meshes(photograph, disturbed_meshes, tmp_path):
     """A poses.json of disturbed meshes, the photograph of the undisturbed ones, and its camera."""
-    good = scene_of_meshes(standing(2)).spec
-    given = scene_of_meshes(disturbed(standing(2), 2)).spec
-    Image.fromarray(photograph_of(good).rgb).save(tmp_path / "photo.png")
+    shutil.copy(photograph, tmp_path)
     (tmp_path / "camera.json").write_text(camera_file().model_dump_json(exclude_none=True))
-    return write_poses(tmp_path / "given", given)
+    return write_poses(tmp_path / "given", disturbed_meshes)
 
 
-def with_camera(file):
+def with_camera(file, given):
     """Write the disturbed meshes as glTF with the camera of their photograph."""
-    given = scene_of_meshes(disturbed(standing(2), 2)).spec
     return write_glb(file, given, camera=(CAMERA, pose((0, 0, 0))))
 
 
-def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(photographed_meshes, tmp_path):
-    photo, stated = tmp_path / "photo.png", import_file(with_camera(tmp_path / "a.glb")).camera
+def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(
+    photographed_meshes, disturbed_meshes, tmp_path
+):
+    photo = tmp_path / "photo.png"
+    stated = import_file(with_camera(tmp_path / "a.glb", disturbed_meshes)).camera
     own = read_camera(tmp_path / "camera.json")
     views = [photographed(photo, *pair).view for pair in ((stated, None), (None, own))]
     for view in views:
@@ -258,8 +274,10 @@ def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(photographed
     assert wide.fovy == pytest.approx(1.2) and wide.pitch == pytest.approx(CAMERA.pitch)
 
 
-def test_report_of_a_rescue_says_what_was_checked(photographed_meshes, tmp_path, capfd):
-    file = with_camera(tmp_path / "scene.glb")
+def test_report_of_a_rescue_says_what_was_checked(
+    photographed_meshes, disturbed_meshes, tmp_path, capfd
+):
+    file = with_camera(tmp_path / "scene.glb", disturbed_meshes)
     command = ["refine", str(tmp_path / "out"), "--from", str(file)]
     command += ["--photo", str(tmp_path / "photo.png")]
     with pytest.raises(SystemExit, match="0"):

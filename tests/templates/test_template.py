@@ -100,7 +100,14 @@ def test_an_unknown_template_is_named():
         template("drawer_cabinets")
 
 
-@pytest.mark.parametrize("name", templates())
+# One of eight; the slow run builds all.
+CASES = [
+    pytest.param(name, marks=[pytest.mark.slow] if k % 8 else [])
+    for k, name in enumerate(templates())
+]
+
+
+@pytest.mark.parametrize("name", CASES)
 def test_every_template_builds_to_its_box(name: str):
     drawn = template(name)
     for values in ({}, drawn.draw(0)):
