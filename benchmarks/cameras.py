@@ -21,8 +21,6 @@ log = logging.getLogger(__name__)
 
 PITCH_OFF = math.radians(4.6)
 """Error of a wrong pitch [rad]: that of a response to a real photograph, by a sensor's depth."""
-
-
 SIGMAS = (2.5, 3.5, 5.0)
 """Significances at which cameras are counted [standard deviations]; the parse's is 3.5."""
 
@@ -41,7 +39,7 @@ def run_suite(options: Cameras) -> dict[str, Any]:
             "camera": kind,
             "cameras": len(results),
             "with_edges": sum(edges is not None for edges in results),
-            "noticed": sum(edges is not None and edges.contradicts for edges in results),
+            "noticed": sum(edges is not None and bool(edges.contradicts) for edges in results),
             **{f"at_{sigma:g}": sum(_at(sigma, edges) for edges in results) for sigma in SIGMAS},
         }
         for (group, kind), results in found.items()
@@ -51,7 +49,7 @@ def run_suite(options: Cameras) -> dict[str, Any]:
 
 def _at(sigma: float, edges: UprightEdges | None) -> bool:
     """Return whether edges exclude a camera with another significance than the parse's."""
-    return edges is not None and edges.sigma > sigma and edges.deviation > LEAST_DEVIATION
+    return edges is not None and bool(edges.sigma > sigma and edges.deviation > LEAST_DEVIATION)
 
 
 def _scenes(options: Cameras) -> Iterator[tuple[str, SceneSpec]]:
@@ -63,14 +61,14 @@ def _scenes(options: Cameras) -> Iterator[tuple[str, SceneSpec]]:
 
 def _responses(truth: SceneTree, count: int) -> Iterator[tuple[str, SceneTree]]:
     """Yield kinds of cameras and responses: right ones, wrong fields of view, and wrong pitches."""
-    yield "right, exact", truth
+    yield "exact", truth
     for number in range(count):
         response = noisy_response(truth, number)
-        yield "right, with noise", response
-        yield "field of view 12 to 16 degrees off", _misjudged(response, number)
+        yield "noise", response
+        yield "fovy off", _misjudged(response, number)
         pitch = truth.camera.pitch + PITCH_OFF * (1 if number % 2 else -1)
         camera = response.camera.model_copy(update={"pitch": pitch})
-        yield "pitch 4.6 degrees off", response.model_copy(update={"camera": camera})
+        yield "pitch off", response.model_copy(update={"camera": camera})
 
 
 def _misjudged(response: SceneTree, number: int) -> SceneTree:

@@ -211,7 +211,7 @@ class Cameras:
     """Count right and wrong cameras of responses that the parse notices in rendered pictures.
 
     Right: the true camera, and that of a noisy response. Wrong: a field of view that is 12 to 16
-    degrees off, and a pitch that is 4.6 degrees off. An hour on two cores.
+    degrees off, and a pitch that is 4.6 degrees off. Five minutes on two cores.
     """
 
     scenes: int = 30
