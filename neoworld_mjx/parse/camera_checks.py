@@ -44,7 +44,7 @@ UPRIGHT_TILT = math.radians(1.0)
 SIGMA = 3.5
 """Significance of a deviation that is an issue, of two degrees of freedom, in standard deviations.
 Of 210 right cameras of 70 rendered scenes (exact, or with the noise of a response) none has an
-issue, at 3.0 one."""
+issue, at 2.5 one."""
 LEAST_DEVIATION = math.radians(3.0)
 """Minimum deviation that is an issue [rad]: fit and alignment correct smaller ones."""
 CERTAIN = 2.5
