@@ -43,6 +43,6 @@ def test_the_arm_pushes_the_drawer_closed(pushed, capfd):
 @pytest.mark.slow
 def test_the_arm_pushes_the_drawer_closed_in_mjx(pushed, capfd):
     exec(compile(BLOCKS["push_mjx.py"], "push_mjx.py", "exec"), pushed)
-    # Until the gripper hits the handle, they are 1e-6 apart. MuJoCo 3.17 then puts the contacts of two
-    # boxes at the face of one, MJX in the middle of the overlap, here 4 mm beside.
+    # Until the gripper hits the handle, they are 1e-6 apart. Then MuJoCo 3.17 puts the contacts of
+    # two boxes at the face of one, MJX in the middle of the overlap, here 4 mm beside.
     assert pushed["apart"] < 2e-3
