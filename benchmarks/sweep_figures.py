@@ -232,7 +232,8 @@ def _cells(
         text = table_cell(estimate, COLUMNS[name], difference["n"], signed=True)
         cells.append(f"**{text}**" if estimate["low"] > 0 or estimate["high"] < 0 else text)
     entry = difference[tested]
-    return [*cells, f"{entry['wins']}:{entry['losses']}", f"{entry['holm_p']:.3f}"]
+    p = entry["holm_p"]
+    return [*cells, f"{entry['wins']}:{entry['losses']}", f"{p:.3f}" if p >= 0.001 else "< 0.001"]
 
 
 def _label(values: Mapping[str, Any], group: Sequence[str]) -> str:

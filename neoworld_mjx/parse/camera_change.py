@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 
 from ..spec import Camera
 from .object_schema import ParsedCamera, ParsedObject
+from .response_to_tree import camera_of
 
 FARTHEST = 3.0
 """Maximum ratio, in both directions, of the distances from the camera after and before."""
@@ -36,7 +37,7 @@ def moved_with_camera(
     Raises:
         ValidationError: a camera is invalid.
     """
-    old, new = (_camera(parsed, size) for parsed in (before, after))
+    old, new = (camera_of(parsed, size) for parsed in (before, after))
     return [obj if obj.name in placed else _moved(obj, old, new) for obj in objects]
 
 
@@ -53,14 +54,3 @@ def _moved(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
         return obj
     there = {"x": float(distance * ray[0]), "y": float(distance * ray[1])}
     return obj.model_copy(update={"position": at.model_copy(update=there)})
-
-
-def _camera(parsed: ParsedCamera, size: tuple[int, int]) -> Camera:
-    return Camera(
-        width=size[0],
-        height_px=size[1],
-        fovy=math.radians(parsed.fovy_deg),
-        height=parsed.height,
-        pitch=math.radians(parsed.pitch_deg),
-        roll=math.radians(parsed.roll_deg),
-    )

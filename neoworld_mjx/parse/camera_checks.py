@@ -34,8 +34,8 @@ VERTICAL = 0.5
 PITCH_RANGE, ROLL_RANGE, GRID = math.radians(16.0), math.radians(8.0), math.radians(0.25)
 """Largest deviations that are considered, and their step [rad]."""
 MOST_OF_ONE = 6.0
-"""Number of votes of one object, or of one of STRIPS columns of the background: edges of one thing
-are wrong together."""
+"""Number of votes of one object, or of one of STRIPS columns of the background: edges of one
+object are wrong together."""
 STRIPS = 8
 MOST_SEGMENTS = 150
 """Number of segments, the longest ones."""
@@ -131,7 +131,7 @@ def camera_issue(
 def upright_edges(rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree) -> UprightEdges | None:
     """Estimate pitch and roll from the vertical edges of a photograph.
 
-    Edges within the boxes of things without vertical edges do not vote: flat supports, and objects
+    Edges within the boxes of objects without vertical edges do not vote: flat supports, and objects
     that are tilted, open, tapered or of unknown shape.
 
     Args:

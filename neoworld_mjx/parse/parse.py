@@ -194,9 +194,9 @@ async def _fit_and_check(
         return SceneAttempt(response, None, None, str(error))
     issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, asked=asked)
     if issue is not None:
-        # Numbers that the picture contradicts count as guesses.
-        doubted = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
-        response_tree = tree = tree.model_copy(update=doubted)
+        # Numbers that the picture contradicts count as estimates.
+        estimated = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
+        response_tree = tree = tree.model_copy(update=estimated)
     report, checks = None, check_tree(response_tree)
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)

@@ -32,6 +32,22 @@ _TOWARDS = {
 """Axis of the rotation, in the object's frame, that moves the object's top in a direction."""
 
 
+def camera_of(parsed: ParsedCamera, size: tuple[int, int]) -> Camera:
+    """Return a response's camera of a picture of a width and height [px].
+
+    Raises:
+        ValidationError: the camera is invalid.
+    """
+    return Camera(
+        width=size[0],
+        height_px=size[1],
+        fovy=math.radians(parsed.fovy_deg),
+        height=parsed.height,
+        pitch=math.radians(parsed.pitch_deg),
+        roll=math.radians(parsed.roll_deg),
+    )
+
+
 def build_tree(
     camera: ParsedCamera,
     objects: Sequence[ParsedObject],
@@ -52,20 +68,12 @@ def build_tree(
     Raises:
         ValidationError: the tree is invalid.
     """
-    tree_camera = Camera(
-        width=size[0],
-        height_px=size[1],
-        fovy=math.radians(camera.fovy_deg),
-        height=camera.height,
-        pitch=math.radians(camera.pitch_deg),
-        roll=math.radians(camera.roll_deg),
-    )
     nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in objects)
     names = dict.fromkeys(camera.measured)
     measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
     pitch_sd = camera.pitch_doubt_deg
     return SceneTree(
-        camera=tree_camera,
+        camera=camera_of(camera, size),
         camera_measured=tuple(measured),
         pitch_sd=None if pitch_sd is None else math.radians(pitch_sd),
         height_sd=camera.height_doubt,

@@ -44,5 +44,5 @@ def test_the_arm_pushes_the_drawer_closed(pushed, capfd):
 def test_the_arm_pushes_the_drawer_closed_in_mjx(pushed, capfd):
     exec(compile(BLOCKS["push_mjx.py"], "push_mjx.py", "exec"), pushed)
     # Until the gripper hits the handle, they are 1e-6 apart. Then MuJoCo 3.17 puts the contacts of
-    # two boxes at the face of one, MJX in the middle of the overlap, here 4 mm beside.
+    # two boxes at the face of one, MJX in the middle of the overlap, here 4 mm apart.
     assert pushed["apart"] < 2e-3

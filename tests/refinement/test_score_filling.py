@@ -132,7 +132,7 @@ def test_the_summary_counts_each_kind_of_outcome(model, layouts, tmp_path):
     assert scorer.close() is None and scorer.summary()["unused"] == 1
 
 
-def test_the_first_failure_is_told(model, layouts, tmp_path):
+def test_the_first_failure_is_reported(model, layouts, tmp_path):
     failures = (0, 0, {"error": "no answer"}), (0, 1, {"error": "another"})
     with replayed(model, layouts, tmp_path / "scores.jsonl", *failures) as scorer:
         scorer.submit(0, [0, 1], layouts, model.place(layouts))
