@@ -19,12 +19,17 @@ from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .acceptance import gain, shown_at
-from .alignment import Alignment, Evidence, ObjectAlignment
-from .alignment_prior import camera_deviations, is_misjudged, prior_precision
+from .alignment import Alignment, Evidence, JointAlignment, ObjectAlignment
+from .alignment_prior import (
+    camera_deviations,
+    is_misjudged,
+    opening_deviation,
+    prior_precision,
+)
 from .colors import LabImage
 from .contacts import SceneGeoms, contacts
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
-from .rasterize import DrawnObjects, draw_objects, height_of
+from .rasterize import DrawnObjects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
 SAME_ASPECT = 0.02
@@ -97,12 +102,12 @@ def align(
             f"the photograph has {size} pixels, which is not the aspect ratio of the scene's "
             f"camera ({camera.width} x {camera.height_px})"
         )
-    unknowns = Unknowns.of(scene, camera)
+    o = options or AlignOptions()
+    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours)
     if not len(unknowns.free):
         return Alignment(scene)
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in (COARSE_PX, FINE_PX)}
-    o = options or AlignOptions()
-    colliders = SceneGeoms.of(scene) if o.contacts else None
+    colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
     problem = _Problem(unknowns, o, frozenset(measured), colliders)
     try:
         return _solution(problem, images)
@@ -135,11 +140,18 @@ def _solution(problem: "_Problem", images: dict[int, LabImage]) -> Alignment:
         reasons |= dict.fromkeys(refused, "its colors do not tell it from what surrounds it")
         reset = equations.solved(without=refused)
         for k in refused:
-            x[unknowns.columns(k)] = reset[unknowns.columns(k)]
+            own = [*range(*unknowns.columns(k).indices(unknowns.size)), *unknowns.joint_columns(k)]
+            x[own] = reset[own]
+        for _ in range(last.steps):
+            equations, drawn = problem.linearized(x, images[last.width], last, reasons)
+            x = problem.solved(equations)
+    closed = problem.refused_joints(equations, drawn, images[last.width].bins)
+    if closed:
+        problem = replace(problem, held=closed)
         for _ in range(last.steps):
             equations, _ = problem.linearized(x, images[last.width], last, reasons)
             x = problem.solved(equations)
-    return _result(unknowns, x, equations, reasons)
+    return _result(problem, x, equations, reasons)
 
 
 @dataclass(frozen=True)
@@ -151,6 +163,8 @@ class _Problem:
     """None if objects may overlap."""
     misjudged: bool = True
     """True if the field of view is misjudged, or not yet known not to be."""
+    held: frozenset[int] = frozenset()
+    """Open joints that stay as composed."""
 
     def linearized(
         self,
@@ -169,8 +183,7 @@ class _Problem:
         """
         unknowns = self.unknowns
         now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
-        meshes = [unknowns.mesh(now, k) for k in range(len(unknowns.surfaces))]
-        drawn = draw_objects(meshes, now.camera, stage.width)
+        drawn = unknowns.draw(now, stage.width)
         deviations = camera_deviations(self.measured, misjudged=self.misjudged)
         if not self.options.camera:
             deviations = np.full(CAMERA, 1e-9)
@@ -199,10 +212,41 @@ class _Problem:
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
         """Return new values of the unknowns; a camera that is not estimated stays as it is."""
-        x = equations.solved()
+        x = equations.solved(held=self.as_composed(equations))
         if not self.options.camera:
             x[:CAMERA] = 0.0
         return x
+
+    def as_composed(self, equations: NormalEquations) -> dict[int, float]:
+        """Return the joints that stay as composed: held ones, and those without a contour."""
+        first = self.unknowns.first_joint
+        return {
+            first + j: 0.0
+            for j, joint in enumerate(self.unknowns.joints)
+            if j in self.held or joint.object not in equations.with_contour
+        }
+
+    def refused_joints(
+        self,
+        equations: NormalEquations,
+        drawn: DrawnObjects,
+        bins: Int[np.ndarray, "row column"],
+    ) -> frozenset[int]:
+        """Return the joints whose changes make their objects explain the photograph less well."""
+        unknowns, held = self.unknowns, self.as_composed(equations)
+        now = unknowns.place(equations.solved(held=held)[None])[0]
+        refused = []
+        for j, joint in enumerate(unknowns.joints):
+            u = unknowns.first_joint + j
+            if u in held:
+                continue
+            other = unknowns.place(equations.solved(held=held | {u: 0.0})[None])[0]
+            moved, composed = (
+                shown_at(unknowns, place, drawn, joint.object) for place in (now, other)
+            )
+            if gain(moved, composed, bins) < 0:
+                refused.append(j)
+        return frozenset(refused)
 
     def refused(
         self,
@@ -212,10 +256,12 @@ class _Problem:
     ) -> tuple[int, ...]:
         """Return the objects whose contours make them explain the photograph less well."""
         unknowns = self.unknowns
-        now = unknowns.place(equations.solved()[None])[0]
+        held = self.as_composed(equations)
+        now = unknowns.place(equations.solved(held=held)[None])[0]
         refused = []
         for k in equations.with_contour:
-            other = unknowns.place(equations.solved(without=(k,))[None])[0]
+            still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
+            other = unknowns.place(equations.solved(without=(k,), held=still)[None])[0]
             with_contour, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
             if gain(with_contour, without, bins) < 0:
                 refused.append(k)
@@ -223,11 +269,12 @@ class _Problem:
 
 
 def _result(
-    unknowns: Unknowns,
+    problem: _Problem,
     x: Float[np.ndarray, " u"],
     equations: NormalEquations,
     reasons: dict[int, str],
 ) -> Alignment:
+    unknowns, composed = problem.unknowns, problem.as_composed(equations)
     scene = unknowns.scene_at(x)
     before, after = unknowns.camera, scene.camera
     assert after is not None
@@ -240,7 +287,9 @@ def _result(
         if k in equations.with_contour:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)
-        uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])
+        joints = _joints(unknowns, scene, k, covariance, composed)
+        known = {name: joint.deviation for name, joint in joints.items()}
+        uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)], known)
         items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
         shift = (float(own[0]), float(own[1]))
         objects[items[k].name] = ObjectAlignment(
@@ -250,6 +299,7 @@ def _result(
             math.degrees(own[2]),
             math.exp(own[3]),
             uncertainty,
+            joints,
         )
     return Alignment(
         scene.model_copy(update={"objects": tuple(items)}),
@@ -261,8 +311,33 @@ def _result(
     )
 
 
+def _joints(
+    unknowns: Unknowns,
+    scene: SceneSpec,
+    k: int,
+    covariance: Float[np.ndarray, "u u"],
+    composed: Collection[int],
+) -> dict[str, JointAlignment]:
+    """Return the changes of an object's open joints; some unknowns are as composed."""
+    found = {}
+    for u in unknowns.joint_columns(k):
+        joint = unknowns.joints[u - unknowns.first_joint]
+        slides = scene.objects[k].spec.joint(joint.name).type == "prismatic"
+        value, change = scene.objects[k].joint_state[joint.name], 0.0
+        deviation = opening_deviation(joint)
+        if u not in composed:
+            change = (value - joint.value) * math.copysign(1.0, joint.value)
+            deviation = math.sqrt(covariance[u, u])
+        found[joint.name] = JointAlignment(slides, value, change, deviation)
+    return found
+
+
 def _uncertainty(
-    unknowns: Unknowns, now: Placement, k: int, rows: Float[np.ndarray, "4 u"]
+    unknowns: Unknowns,
+    now: Placement,
+    k: int,
+    rows: Float[np.ndarray, "4 u"],
+    joints: dict[str, float],
 ) -> PoseUncertainty:
     """Return the calibrated deviations of an object, given its rows of the covariance."""
     block = rows[:, unknowns.columns(k)]
@@ -272,5 +347,7 @@ def _uncertainty(
         # The wall determines the distance.
         along, across = 0.0, math.sqrt(block[0, 0])
     yaw, log_scale = np.sqrt(np.diag(block)[2:])
-    values = np.array([along, across, yaw, log_scale]) * CALIBRATION
-    return PoseUncertainty(**dict(zip(PoseUncertainty.model_fields, values.tolist(), strict=True)))
+    along, across, yaw, log_scale = (
+        np.array([along, across, yaw, log_scale]) * CALIBRATION
+    ).tolist()
+    return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale, joints=joints)

@@ -18,6 +18,31 @@ Evidence = Literal["pixels", "box", "none"]
 
 
 @dataclass(frozen=True)
+class JointAlignment:
+    """Change of one open joint by the alignment; units are rad of hinges and m of slides."""
+
+    slides: bool
+    value: float
+    """Position after the alignment."""
+    change: float
+    """How much farther it is from 0 than composed, in the same unit."""
+    deviation: float
+    """Standard deviation of the position."""
+
+    @property
+    def is_far(self) -> bool:
+        """True if a note reports the change."""
+        return abs(self.change) > (NOTED_M if self.slides else math.radians(NOTED_DEG))
+
+    def phrase(self) -> str:
+        """Return how far the joint is open, and how much that differs from the composition."""
+        text = lambda x: f"{100 * x:.1f} cm" if self.slides else f"{math.degrees(x):.0f} deg"
+        more = "more" if self.change > 0 else "less"
+        by = f"{text(abs(self.change))} {more} than composed" if self.change else "as composed"
+        return f"opens {text(abs(self.value))}, {by} (± {text(self.deviation)})"
+
+
+@dataclass(frozen=True)
 class ObjectAlignment:
     """Change of one object by the alignment."""
 
@@ -29,6 +54,8 @@ class ObjectAlignment:
     yaw_deg: float
     size_ratio: float
     uncertainty: PoseUncertainty
+    joints: dict[str, JointAlignment] = field(default_factory=dict)
+    """Of joints that are seen open."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +74,7 @@ class Alignment:
     """Reason why the scene was not aligned and is as composed; empty if it was."""
 
     def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
-        """Yield a note for the camera and for each object that moved far.
+        """Yield a note for the camera, and for each object or joint that moved far.
 
         Args:
             before: the composed scene.
@@ -75,6 +102,10 @@ class Alignment:
                     f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
                     f"{change.size_ratio:.2f} and turned it by {change.yaw_deg:+.0f} deg",
                 )
+            for joint, opening in change.joints.items():
+                if opening.is_far:
+                    phrase = f"in the photograph joint {joint} {opening.phrase()}"
+                    yield f"{name} open otherwise than composed", phrase
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data, without the scene."""
@@ -89,7 +120,22 @@ class Alignment:
                     "yaw_deg": round(change.yaw_deg, 3),
                     "size_ratio": round(change.size_ratio, 5),
                     "uncertainty": change.uncertainty.model_dump(mode="json"),
+                    **_joints(change.joints),
                 }
                 for name, change in self.objects.items()
             },
         }
+
+
+def _joints(joints: dict[str, JointAlignment]) -> dict[str, Any]:
+    """Return the JSON data of open joints, none without any."""
+    data = {
+        name: {
+            "value": round(joint.value, 5),
+            "change": round(joint.change, 5),
+            "deviation": round(joint.deviation, 5),
+            "phrase": joint.phrase(),
+        }
+        for name, joint in joints.items()
+    }
+    return {"joints": data} if data else {}

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from ..spec import bounds
+from .open_joints import OpenJoint
 from .unknowns import CAMERA, EACH, STRETCH, Placement, Unknowns
 
 FREEDOM = 4.0
@@ -31,6 +32,10 @@ FIXED_YAW = 1e-4
 """Heading of an object that is round or on a wall [rad]."""
 SUPPORTED = 0.15
 """Deviation of an object on a movable one, over the shorter side of what it stands on."""
+OPENING = 0.06
+"""Opening of a joint, a share of its range: a ratio of two lengths in the image."""
+RANGE = 0.26
+"""Logarithm of the range of a joint in a program, which the parsed opening is a share of."""
 LEAST_CLEARANCE_M = 0.005
 """Least clearance of a content in its container [m]."""
 
@@ -104,7 +109,16 @@ def prior_precision(
         for column, deviation in ((2, yaw), (3, LOG_SIZE)):
             spread = deviation**2 + own[column] ** 2 / FREEDOM
             precision[first + column, first + column] = 1 / spread
+    for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
+        spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
+        precision[u, u] = 1 / spread
     return precision
+
+
+def opening_deviation(joint: OpenJoint) -> float:
+    """Return the standard deviation of the composed position of an open joint [rad or m]."""
+    share, open_by = OPENING * (joint.upper - joint.lower), RANGE * (joint.value - joint.closed)
+    return math.hypot(share, open_by)
 
 
 def _room(unknowns: Unknowns, k: int) -> float:

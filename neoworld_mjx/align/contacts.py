@@ -4,6 +4,7 @@ The contour of an object says little about its distance along the view. Without 
 slide into each other, and settling then pushes them apart, away from the photograph.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..physics.exact import geom_distance, object_of_geom, start_state
+from ..physics.mjcf import body_name
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import matrix
-from .unknowns import EACH, STEP, STRETCH, Placement, Unknowns
+from .open_joints import MovingPart
+from .unknowns import STEP, STRETCH, Placement, Unknowns
 
 REACH_M = 0.01
 """Largest gap between two geoms that is a contact [m]."""
@@ -38,7 +41,11 @@ class ContactGaps(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneGeoms:
-    """Collision geoms of a scene in their objects' frames; `place` changes the model in place."""
+    """Collision geoms of a scene in their objects' frames; `place` changes the model in place.
+
+    Geoms of parts that open joints move follow them, so that an open door keeps clear of what
+    stands in front of it.
+    """
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -46,8 +53,10 @@ class SceneGeoms:
     """Index of each collision geom in the model."""
     owner: Int[np.ndarray, " geom"]
     """Its object."""
+    body: Int[np.ndarray, " geom"]
+    """Its body, see `open_joints`."""
     pos: Float[np.ndarray, "geom 3"]
-    """Its position at the composed size [m]."""
+    """Its position as composed [m]."""
     mat: Float[np.ndarray, "geom 3 3"]
     """Its rotation."""
     size: Float[np.ndarray, "geom 3"]
@@ -60,12 +69,21 @@ class SceneGeoms:
     """Object of each vertex; -1 for none."""
 
     @classmethod
-    def of(cls, scene: SceneSpec) -> "SceneGeoms":
-        """Compile a scene once."""
+    def of(cls, scene: SceneSpec, parts: Sequence[MovingPart] = ()) -> "SceneGeoms":
+        """Compile a scene once.
+
+        Args:
+            scene: the composed scene.
+            parts: parts that open joints move, as in `Unknowns.parts`.
+        """
         model, data = start_state(scene)
         owner = object_of_geom(scene, model)
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         geom = np.flatnonzero((owner >= 0) & collides)
+        body = owner.copy()
+        for b, (k, part, _) in enumerate(parts, len(scene.objects)):
+            link = model.body(body_name(scene.objects[k], part)).id
+            body[model.geom_bodyid == link] = b
         owner = owner[geom]
         poses = list(world_poses(scene).values())
         origin = np.array([pose.pos for pose in poses])[owner]
@@ -80,6 +98,7 @@ class SceneGeoms:
             data,
             geom,
             owner,
+            body[geom],
             np.einsum("nji,nj->ni", turn, data.geom_xpos[geom] - origin),
             np.einsum("nji,njk->nik", turn, data.geom_xmat[geom].reshape(-1, 3, 3)),
             model.geom_size[geom].copy(),
@@ -90,7 +109,7 @@ class SceneGeoms:
 
     def place(self, place: Placement) -> None:
         """Move and scale the geoms as a placement does their objects."""
-        m, d, k = self.model, self.data, self.owner
+        m, d, k = self.model, self.data, self.body
         scale, turn = place.scale[k], place.turn[k]
         at = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
         d.geom_xpos[self.geom] = place.pos[k] + at
@@ -126,7 +145,7 @@ def contacts(
         neighbors: of `Unknowns.neighbors`.
     """
     colliders.place(now)
-    found: dict[tuple[int, int], list[tuple[float, np.ndarray]]] = {}
+    found: dict[tuple[int, int], list[tuple[float, tuple[int, int], np.ndarray]]] = {}
     for a, b in colliders.near(_counts(unknowns)).tolist():
         ends = np.zeros(6)
         geoms = int(colliders.geom[a]), int(colliders.geom[b])
@@ -135,22 +154,23 @@ def contacts(
         length = float(np.linalg.norm(line))
         if gap < REACH_M and length > LEAST_LINE_M and abs(line[2]) < STEEPEST * length:
             pair = int(colliders.owner[a]), int(colliders.owner[b])
-            found.setdefault(pair, []).append((gap, ends.reshape(2, 3)))
+            bodies = int(colliders.body[a]), int(colliders.body[b])
+            found.setdefault(pair, []).append((gap, bodies, ends.reshape(2, 3)))
     nearest = [
-        (pair, gap, ends)
+        (pair, *entry)
         for pair, entries in found.items()
-        for gap, ends in sorted(entries, key=lambda entry: entry[0])[:MOST_CONTACTS]
+        for entry in sorted(entries, key=lambda entry: entry[0])[:MOST_CONTACTS]
     ]
     jacobian = np.zeros((len(nearest), unknowns.size + STRETCH * len(unknowns.free)))
-    for row, (pair, gap, ends) in zip(jacobian, nearest, strict=True):
+    for row, (pair, gap, bodies, ends) in zip(jacobian, nearest, strict=True):
         normal = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        for k, point, sign in zip(pair, ends, (-1.0, 1.0), strict=True):
-            local = now.local(k, point[None])
+        for k, body, point, sign in zip(pair, bodies, ends, (-1.0, 1.0), strict=True):
+            local = now.local(body, point[None])
             for u in unknowns.columns_of(k):
-                if u % EACH != EACH - 1:  # not a size
-                    moved = (neighbors[u].world(k, local) - now.world(k, local))[0] / STEP
+                if not unknowns.is_size(u):
+                    moved = (neighbors[u].world(body, local) - now.world(body, local))[0] / STEP
                     row[u] += sign * (moved @ normal) * np.sign(gap)
-    return ContactGaps(np.array([gap for _, gap, _ in nearest]), jacobian)
+    return ContactGaps(np.array([gap for _, gap, _, _ in nearest]), jacobian)
 
 
 def _counts(unknowns: Unknowns) -> Bool[np.ndarray, "object object"]:

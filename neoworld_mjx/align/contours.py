@@ -41,6 +41,8 @@ class Contour(NamedTuple):
     """Object behind the contour; -1 for none."""
     length: Float[np.ndarray, " n"]
     """Length of the contour that the point stands for [px]."""
+    body: Int[np.ndarray, " n"]
+    """Body of the object that shows there, see `open_joints`."""
 
 
 class Displacements(NamedTuple):
@@ -61,6 +63,7 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
     window = window_of(mask, REACH_PX)
     top, left = (span.start for span in window)
     owner, depth = drawn.owner[window], drawn.depth[window]
+    bodies = owner if drawn.body is None else drawn.body[window]
     smooth = gaussian_filter((owner == k).astype(float), NORMAL_BLUR_PX, mode="nearest")
     down, right = np.gradient(smooth)
     gradient = np.stack([right, down], axis=-1)
@@ -70,11 +73,11 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
         there = _shifted(owner.shape, dx, dy)
         edge = (owner[here] == k) & (owner[there] != k) & (depth[here] <= depth[there])
         y, x = np.nonzero(edge)
-        behind = owner[there][y, x]
+        behind, body = owner[there][y, x], bodies[here][y, x]
         y, x = y + here[0].start, x + here[1].start
         pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
-        found.append((pixel, depth[y, x], -gradient[y, x], behind))
-    pixel, depth, normal, behind = (np.concatenate(part) for part in zip(*found, strict=True))
+        found.append((pixel, depth[y, x], -gradient[y, x], behind, body))
+    pixel, depth, normal, behind, body = (np.concatenate(part) for part in zip(*found, strict=True))
     steep = np.linalg.norm(normal, axis=1)
     inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
     rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
@@ -85,7 +88,7 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
     normal = normal[rows] / steep[rows, None]
     # Steps along the grid are longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
-    return Contour(pixel[rows], depth[rows], normal, behind[rows], length)
+    return Contour(pixel[rows], depth[rows], normal, behind[rows], length, body[rows])
 
 
 def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:

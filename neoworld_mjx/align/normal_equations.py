@@ -1,11 +1,11 @@
 """Normal equations of the alignment: evidence of contours and of 2D boxes by object; contacts."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .colors import LabImage, color_models
 from .contacts import ContactGaps
@@ -26,6 +26,8 @@ MARGIN_PX = 3.0
 """Margin along contours that color models leave out [px]."""
 LEAST_SPREAD = 0.5
 """Least robust spread of the displacements of a contour [px]."""
+LEAST_POINTS = 10
+"""Number of informed points from which what a joint moves has a spread of its own."""
 LEAST_PRECISION = 1e-4
 """Precision [1/px^2] below which the colors of a contour's two sides are the same."""
 OUTLYING = 2.0
@@ -41,6 +43,8 @@ OVERLAP_M = 0.002
 """Standard deviation of the overlap of two objects [m]."""
 DEEP_M = 0.005
 """Overlap at which a contact has half of its weight [m]: a deeper one is rather a wrong shape."""
+GIVEN = 1e18
+"""Precision of an unknown that is given."""
 ACTIVE_SETS = 10
 """Largest number of times that contacts are added to those that a step would violate."""
 
@@ -102,17 +106,39 @@ def contour_evidence(
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():
         return None
-    center = np.median(moved.value)
-    spread = float(1.48 * np.median(np.abs(moved.value - center)[informed]))
-    spread = max(spread, LEAST_SPREAD * unit)
+    mover = unknowns.mover[points.body]
+    spread = _spreads(moved.value, informed, mover, LEAST_SPREAD * unit)
     robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
     # A contour that disagrees with itself is less certain than its colors say.
     precision = moved.precision / (1 + moved.precision * spread**2)
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
-    local = now.local(k, _unprojected(now, points.pixel, points.depth, width))
-    jacobian = unknowns.jacobian(now, neighbors, k, local, points.normal, width)
+    world = _unprojected(now, points.pixel, points.depth, width)
+    whole = (points.body == k).all()
+    local = now.local(k if whole else points.body, world)
+    jacobian = unknowns.jacobian(now, neighbors, k, local, points.normal, width, points.body)
     return Evidence(jacobian / unit, moved.value / unit, weight * unit**2)
+
+
+def _spreads(
+    value: Float[np.ndarray, " n"],
+    informed: Bool[np.ndarray, " n"],
+    mover: Int[np.ndarray, " n"],
+    least: float,
+) -> Float[np.ndarray, " n"]:
+    """Return the robust spread of displacements at each point [px].
+
+    A door at a wrong angle is displaced as a whole and has a spread of its own, so that it is no
+    outlier; what has few informed points shares that of all.
+    """
+    spread = np.empty(len(value))
+    few = [g for g in np.unique(mover).tolist() if informed[mover == g].sum() < LEAST_POINTS]
+    mover = np.where(np.isin(mover, few), -1, mover)
+    for group in np.unique(mover).tolist():
+        own = np.full(len(value), True) if group == -1 else mover == group
+        center = np.median(value[own])
+        spread[mover == group] = 1.48 * np.median(np.abs(value - center)[informed & own])
+    return np.maximum(spread, least)
 
 
 def _unprojected(
@@ -143,8 +169,9 @@ def box_evidence(
         return None
     width = shown.shape[1]
     unit = width / REFERENCE_PX
-    points = unknowns.surfaces[k].vertices
-    pixels, depth = pixels_of(now.camera, now.world(k, points), width)
+    points, bodies = unknowns.vertices(k)
+    whole = (bodies == k).all()
+    pixels, depth = pixels_of(now.camera, now.world(k if whole else bodies, points), width)
     if depth.min() <= 0:
         return None
     box = np.array(item.box2d.as_tuple()) * width / unknowns.camera.width
@@ -167,7 +194,9 @@ def box_evidence(
         return None
     residual, deviation = np.array(residuals), np.array(deviations)
     robust = 1 / (1 + (residual / (BOX_OUTLYING * deviation)) ** 2)
-    jacobian = unknowns.jacobian(now, neighbors, k, points[ends], np.array(normals), width)
+    jacobian = unknowns.jacobian(
+        now, neighbors, k, points[ends], np.array(normals), width, bodies[ends]
+    )
     return Evidence(jacobian / unit, residual, robust / deviation**2)
 
 
@@ -209,12 +238,43 @@ class NormalEquations:
         """Indices of the objects with evidence of a 2D box."""
         return frozenset(self._boxes)
 
-    def solved(self, without: Collection[int] = ()) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns, without the contours of some objects."""
+    def solved(
+        self, without: Collection[int] = (), held: Mapping[int, float] | None = None
+    ) -> Float[np.ndarray, " u"]:
+        """Return new values of the unknowns, in which joints are within their limits.
+
+        Args:
+            without: objects whose contours do not count.
+            held: values of unknowns that are given, by index.
+        """
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
             self._add(self._contours[k], -1.0, precision, gradient)
-        return self._x + self._separated(precision, gradient)[: len(self._x)]
+        fixed = dict(held or {})
+        first = self._unknowns.first_joint
+        while True:
+            x = self._x + self._separated(*self._fixed(precision, gradient, fixed))[: len(self._x)]
+            x[list(fixed)] = list(fixed.values())
+            limits = {
+                first + j: limit
+                for j, joint in enumerate(self._unknowns.joints)
+                if (limit := joint.limit_beyond(x[first + j])) is not None
+            }
+            if not limits:
+                return x
+            fixed |= limits
+
+    def _fixed(
+        self, precision: np.ndarray, gradient: np.ndarray, values: Mapping[int, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the equations with some unknowns at given values."""
+        if not values:
+            return precision, gradient
+        columns = list(values)
+        precision, gradient = precision.copy(), gradient.copy()
+        precision[columns, columns] += GIVEN
+        gradient[columns] += GIVEN * (np.array(list(values.values())) - self._x[columns])
+        return precision, gradient
 
     def _separated(self, precision: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the step in which a penalty acts on every gap that would be negative."""

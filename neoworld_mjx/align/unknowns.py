@@ -1,7 +1,8 @@
-"""Unknowns of the alignment: the camera, and the layout of every object that may move.
+"""Unknowns of the alignment: the camera, the layout of what may move, and the joints seen open.
 
-x = (pitch, roll, log focal length, log height; then dx, dy, yaw, log scale of each free object) are
-changes of a composed scene, zero for the scene itself. A change of the focal length moves the
+x = (pitch, roll, log focal length, log height; then dx, dy, yaw, log scale of each free object;
+then the value of each open joint, at scale 1) are changes of a composed scene, zero for the scene
+itself. A change of the focal length moves the
 camera along its view (a dolly zoom), so that the image of the scene's middle stays: a wrong field
 of view goes with wrong distances. As the camera stands above the origin, the scene moves instead.
 """
@@ -15,9 +16,19 @@ from jaxtyping import Bool, Float, Int
 
 from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotation
 from ..physics.outline import is_round
+from ..physics.support import link_frame
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, rearranged, world_poses
-from .rasterize import WorldMesh, pixels_of
+from ..spec.pose import Pose, matrix, yaw_of
+from .open_joints import (
+    MovingPart,
+    OpenJoint,
+    open_joints,
+    part_motions,
+    parts_moved,
+    with_changes,
+)
+from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined, pixels_of
 
 CAMERA = 4
 """Number of unknowns of the camera."""
@@ -33,22 +44,35 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class Placement:
-    """Camera and poses at some values of the unknowns."""
+    """Camera and poses of all bodies at some values of the unknowns.
+
+    Points of a body are in the frame of its object, as composed and at scale 1.
+    """
 
     camera: Camera
-    pos: Float[np.ndarray, "object 3"]
-    """Origins [m]."""
-    turn: Float[np.ndarray, "object 3 3"]
+    pos: Float[np.ndarray, "body 3"]
+    """Origins [m]; of objects first."""
+    turn: Float[np.ndarray, "body 3 3"]
     """Rotations."""
-    scale: Float[np.ndarray, " object"]
+    scale: Float[np.ndarray, " body"]
 
-    def world(self, k: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Transform points of an object at scale 1 to the world."""
-        return self.scale[k] * points @ self.turn[k].T + self.pos[k]
+    def world(
+        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Transform points of a body, or each of its own, to the world."""
+        if isinstance(body, int):
+            return self.scale[body] * points @ self.turn[body].T + self.pos[body]
+        turned = np.einsum("nij,nj->ni", self.turn[body], points)
+        return self.scale[body, None] * turned + self.pos[body]
 
-    def local(self, k: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Transform points in the world to an object at scale 1."""
-        return (points - self.pos[k]) @ self.turn[k] / self.scale[k]
+    def local(
+        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Transform points in the world to a body, or each to its own."""
+        if isinstance(body, int):
+            return (points - self.pos[body]) @ self.turn[body] / self.scale[body]
+        turned = np.einsum("nji,nj->ni", self.turn[body], points - self.pos[body])
+        return turned / self.scale[body, None]
 
 
 @dataclass(frozen=True)
@@ -69,11 +93,17 @@ class Unknowns:
     """Height of each object's lowest point below or above its origin [m]."""
     middle_depth: float
     """Depth of the scene's middle along the view [m], which a dolly zoom keeps in place."""
+    joints: tuple[OpenJoint, ...] = ()
+    """Open joints of free objects."""
+    parts: tuple[MovingPart, ...] = ()
+    """Parts that these move, which are the bodies after the objects."""
 
     @classmethod
-    def of(cls, scene: SceneSpec, camera: Camera) -> "Unknowns":
-        """Return the unknowns of a composed scene."""
+    def of(cls, scene: SceneSpec, camera: Camera, *, joints: bool = True) -> "Unknowns":
+        """Return the unknowns of a composed scene, with or without its open joints."""
         free = [k for k, item in enumerate(scene.objects) if item.parent is not None]
+        items = {k: scene.objects[k] for k in free} if joints else {}
+        opened = open_joints(items)
         lowest = [bounds(o.spec, o.joint_state, o.base_tilt)[0][2] for o in scene.objects]
         poses = world_poses(scene)
         middles = np.array([poses[scene.objects[k].name].pos for k in free]).reshape(-1, 3)
@@ -87,32 +117,97 @@ class Unknowns:
             np.array([is_round(item) for item in scene.objects]),
             np.array(lowest),
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
+            opened,
+            parts_moved(items, opened),
         )
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
+        return self.first_joint + len(self.joints)
+
+    @property
+    def first_joint(self) -> int:
+        """Index of the first joint among the unknowns."""
         return CAMERA + EACH * len(self.free)
 
     @cached_property
+    def object_of(self) -> Int[np.ndarray, " body"]:
+        """Object of each body."""
+        return np.array([*range(len(self.scene.objects)), *(p.object for p in self.parts)])
+
+    @cached_property
+    def mover(self) -> Int[np.ndarray, " body"]:
+        """What moves each body: 0 for its object, a number for each set of open joints."""
+        sets = list(dict.fromkeys(part.joints for part in self.parts))
+        moved = [1 + sets.index(part.joints) for part in self.parts]
+        return np.array([0] * len(self.scene.objects) + moved)
+
+    @cached_property
     def surfaces(self) -> list[WorldMesh]:
-        """Visible surface of each object in its frame."""
-        return [WorldMesh(*visible_surface(o.spec, o.joint_state)) for o in self.scene.objects]
+        """Visible surface of each body."""
+        moving = {(p.object, p.part) for p in self.parts}
+        surfaces = []
+        for k, item in enumerate(self.scene.objects):
+            still = {p.name for p in item.spec.parts if (k, p.name) not in moving}
+            some = still if len(still) < len(item.spec.parts) else None
+            surfaces.append(WorldMesh(*visible_surface(item.spec, item.joint_state, some)))
+        for k, part, _ in self.parts:
+            item = self.scene.objects[k]
+            surfaces.append(WorldMesh(*visible_surface(item.spec, item.joint_state, {part})))
+        return surfaces
 
     def mesh(self, place: Placement, k: int) -> WorldMesh:
         """Return the visible surface of an object in the world."""
-        surface = self.surfaces[k]
-        return WorldMesh(place.world(k, surface.vertices), surface.triangles)
+        bodies = np.flatnonzero(self.object_of == k).tolist()
+        meshes = [
+            WorldMesh(place.world(b, self.surfaces[b].vertices), self.surfaces[b].triangles)
+            for b in bodies
+        ]
+        return joined(meshes)
+
+    def vertices(self, k: int) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+        """Return the vertices of an object's visible surface, and the body of each."""
+        bodies = np.flatnonzero(self.object_of == k).tolist()
+        points = [self.surfaces[b].vertices for b in bodies]
+        return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
+
+    def draw(self, place: Placement, width: int) -> DrawnObjects:
+        """Draw the scene at a placement, with the body at each pixel."""
+        count = len(self.surfaces)
+        meshes = [
+            WorldMesh(place.world(b, self.surfaces[b].vertices), self.surfaces[b].triangles)
+            for b in range(count)
+        ]
+        drawn = draw_objects(meshes, place.camera, width)
+        owner = np.append(self.object_of, -1)[drawn.owner]
+        return DrawnObjects(owner, drawn.depth, drawn.owner)
 
     def columns(self, k: int) -> slice:
-        """Return the indices of a free object's unknowns."""
+        """Return the indices of the unknowns of a free object's place."""
         first = CAMERA + EACH * int(np.flatnonzero(self.free == k)[0])
         return slice(first, first + EACH)
+
+    def joint_columns(self, k: int) -> list[int]:
+        """Return the indices of the unknowns of an object's open joints."""
+        return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
+
+    def is_size(self, u: int) -> bool:
+        """Return whether an unknown is the size of an object."""
+        return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
+
+    def joint_changes(self, x: Float[np.ndarray, " u"]) -> dict[int, dict[str, float]]:
+        """Return the changes of joint values, by object and joint."""
+        changes: dict[int, dict[str, float]] = {}
+        for joint, value in zip(self.joints, x[self.first_joint :].tolist(), strict=True):
+            changes.setdefault(joint.object, {})[joint.name] = value
+        return changes
 
     def layout(self, x: Float[np.ndarray, "batch u"]) -> Layout:
         """Return the objects' unknowns as layouts."""
         values = np.zeros((len(x), len(self.scene.objects), EACH))
-        values[:, self.free] = x[:, CAMERA:].reshape(len(x), -1, EACH)
+        own = x[:, CAMERA : self.first_joint]
+        values[:, self.free] = own.reshape(len(x), -1, EACH)
         on_wall = self.in_wall.any(axis=1, keepdims=True)
         xy = np.where(on_wall, values[..., :1] * self.in_wall, values[..., :2])
         return Layout(xy, values[..., 2], values[..., 3])
@@ -130,7 +225,7 @@ class Unknowns:
         parent = np.where(a.parent >= 0, size[:, np.maximum(a.parent, 0)], 1.0)
         fixed = np.array([item.relation == "attached" for item in self.scene.objects])
         up = np.zeros((len(x), len(fixed)))
-        up[:, self.free] = x[:, CAMERA + 1 :: EACH]
+        up[:, self.free] = x[:, CAMERA + 1 : self.first_joint : EACH]
         up = np.where(self.in_wall.any(axis=1), up, 0.0)
         standing = (a.z + self.lowest) * parent - self.lowest * size
         return np.where(fixed, a.z * parent + up, standing)
@@ -151,15 +246,59 @@ class Unknowns:
     def place(self, x: Float[np.ndarray, "batch u"]) -> list[Placement]:
         """Place the scene for several values of the unknowns."""
         layout = self.layout(x)
-        poses = compose_poses(self.arrangement, layout, self.heights(x, layout), np)
+        arrangement, motions = self._opened(x)
+        poses = compose_poses(arrangement, layout, self.heights(x, layout), np)
         placements = []
         for i, row in enumerate(x):
             camera, ahead = self.camera_at(row)
             pos, turn, scale = (
                 np.asarray(value[i]) for value in (poses.pos, rotation(poses.quat, np), poses.scale)
             )
-            placements.append(Placement(camera, pos + [ahead, 0.0, 0.0], turn, scale))
+            pos = pos + [ahead, 0.0, 0.0]
+            if self.parts:
+                k = [part.object for part in self.parts]
+                shift = np.array([motion.pos for motion in motions[i]])
+                own = np.array([matrix(motion.quat) for motion in motions[i]])
+                moved = np.einsum("nij,nj->ni", turn[k], scale[k, None] * shift)
+                pos = np.concatenate([pos, pos[k] + moved])
+                turn, scale = np.concatenate([turn, turn[k] @ own]), np.append(scale, scale[k])
+            placements.append(Placement(camera, pos, turn, scale))
         return placements
+
+    def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
+        """Return the arrangement with the support frames on moving parts, and the parts' motions.
+
+        The frames have a leading axis of rows of `x`.
+        """
+        a = self.arrangement
+        if not self.parts:
+            return a, []
+        items = self.scene.objects
+        on_parts = [
+            (i, int(a.parent[i]))
+            for i, item in enumerate(items)
+            if item.parent_link is not None
+            and (int(a.parent[i]), item.parent_link) in {p[:2] for p in self.parts}
+        ]
+        frame_pos = np.tile(a.frame_pos, (len(x), 1, 1))
+        frame_yaw = np.tile(a.frame_yaw, (len(x), 1))
+        rows = []
+        found: dict[tuple[float, ...], tuple[list[Pose], list[Pose]]] = {}
+        for r, row in enumerate(x):
+            key = tuple(row[self.first_joint :].tolist())
+            if key not in found:
+                changes = self.joint_changes(row)
+                motions = {k: part_motions(items[k], by) for k, by in changes.items()}
+                links = [
+                    link_frame(with_changes(items[k], changes[k]), items[i].parent_link)
+                    for i, k in on_parts
+                ]
+                found[key] = [motions[p.object][p.part] for p in self.parts], links
+            own, links = found[key]
+            rows.append(own)
+            for (i, _), link in zip(on_parts, links, strict=True):
+                frame_pos[r, i], frame_yaw[r, i] = link.pos, yaw_of(link.quat)
+        return a._replace(frame_pos=frame_pos, frame_yaw=frame_yaw), rows
 
     def neighbors(self, x: Float[np.ndarray, " u"]) -> list[Placement]:
         """Place the scene with every unknown increased by STEP."""
@@ -173,6 +312,7 @@ class Unknowns:
         points: Float[np.ndarray, "n 3"],
         normal: Float[np.ndarray, "n 2"],
         width: int,
+        bodies: Int[np.ndarray, " n"] | None = None,
     ) -> Float[np.ndarray, "n v"]:
         """Return the derivatives of points along normals in the image.
 
@@ -180,23 +320,27 @@ class Unknowns:
             now: the placement.
             neighbors: of `neighbors`, at the same unknowns.
             k: index of the object.
-            points: points of the object at scale 1 [m].
+            points: points of its bodies [m].
             normal: directions in the image.
             width: width of the image [px].
+            bodies: body of each point; the object itself by default.
 
         Returns:
             Pixels by unit of the unknowns, followed by those of STRETCH nuisance unknowns.
         """
         along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
-        start = along(now.world(k, points), now.camera)
+        # Objects without open joints are transformed as a whole.
+        body = k if bodies is None or (bodies == k).all() else bodies
+        start = along(now.world(body, points), now.camera)
         result = np.zeros((len(points), self.size + STRETCH))
         for u in [*range(CAMERA), *self.columns_of(k)]:
             near = neighbors[u]
-            result[:, u] = (along(near.world(k, points), near.camera) - start) / STEP
+            result[:, u] = (along(near.world(body, points), near.camera) - start) / STEP
         foot = self.lowest[k] * now.turn[k][2]
+        own = points if body is k else now.local(k, now.world(body, points))
         for axis in range(STRETCH):
-            stretched = points.copy()
-            stretched[:, axis] += STEP * (points - foot)[:, axis]
+            stretched = own.copy()
+            stretched[:, axis] += STEP * (own - foot)[:, axis]
             moved = along(now.world(k, stretched), now.camera)
             result[:, self.size + axis] = (moved - start) / STEP
         return result
@@ -219,17 +363,22 @@ class Unknowns:
         """Return the indices of the unknowns that move an object: its own and its supports'."""
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
-        return (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
+        places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
+        return places + [u for other in above.tolist() for u in self.joint_columns(other)]
 
     def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
         """Return the scene with its camera at some values of the unknowns."""
         layout = self.layout(x[None])
+        items = list(self.scene.objects)
+        for k, changes in self.joint_changes(x).items():
+            items[k] = with_changes(items[k], {name: by for name, by in changes.items() if by})
+        opened = self.scene.model_copy(update={"objects": tuple(items)})
         camera, ahead = self.camera_at(x)
         height = self.heights(x[None], layout)[0]
         xy, yaw, log_scale = (
             np.asarray(value[0]) for value in (layout.xy, layout.yaw, layout.log_scale)
         )
-        scene = rearranged(self.scene, xy, yaw, log_scale, height)
+        scene = rearranged(opened, xy, yaw, log_scale, height)
         objects = [
             item
             if item.parent is not None

@@ -25,7 +25,7 @@ from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .inside import covers, entrance
-from .joint_friction import hold_joints
+from .joint_friction import with_held_joints
 from .on_supports import in_contact
 from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
@@ -88,7 +88,7 @@ def compose(
             placed[node.name] = _settle_tilted(node, tree, placed, notes, shortfalls)
             placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
-            placed[node.name] = _with_held_joints(placed[node.name], notes)
+            placed[node.name] = with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene, moved = in_contact(scene, options)
     return Composed(scene, scales, (*shortfalls, *notes, *moved), tuple(shortfalls))
@@ -229,18 +229,6 @@ def _neighbors(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneOb
     location = obj.parent, obj.parent_link
     others = [other for name, other in placed.items() if name != obj.name]
     return [other for other in others if (other.parent, other.parent_link) == location]
-
-
-def _with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
-    """Return an object whose joints stay at their parsed positions."""
-    holding, changes = hold_joints(obj)
-    for joint, (before, after) in changes.items():
-        unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
-        notes.append(
-            f"{obj.name}: composition raised the dry friction of joint {joint} from {before:.2g} "
-            f"to {after:.2g} {unit}, because gravity would move it from its parsed position"
-        )
-    return holding
 
 
 def _rest(

@@ -53,6 +53,18 @@ def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, f
     return obj.model_copy(update={"spec": spec}), changes
 
 
+def with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
+    """Return an object whose joints stay at their positions, and append a note for each change."""
+    holding, changes = hold_joints(obj)
+    for joint, (before, after) in changes.items():
+        unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
+        notes.append(
+            f"{obj.name}: composition raised the dry friction of joint {joint} from {before:.2g} "
+            f"to {after:.2g} {unit}, because gravity would move it from its parsed position"
+        )
+    return holding
+
+
 def joint_loads(obj: SceneObject) -> dict[str, float]:
     """Return the gravity load of each movable joint, without springs [N m or N].
 

@@ -7,6 +7,7 @@ from ..physics.layout import Layout, arrange
 from ..physics.placed import DOWN
 from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneSpec, bounds
+from .joint_friction import with_held_joints
 from .leaning import bring_walls, lean
 from .put_back import put_back
 from .walls import clear_walls
@@ -23,17 +24,20 @@ def in_contact(
         composed: the scene before its alignment, see `kept_on_level` and `bring_walls`.
 
     Returns:
-        The scene, and a note for each object that moved sideways.
+        The scene, and a note for each object that moved sideways and for each joint that was held.
     """
     options = options or ComposeOptions()
+    notes: list[str] = []
+    if options.hold_joints:
+        scene = _held(scene, notes)
     kept = dict[str, float]()
     if composed is not None:
         scene, kept = kept_on_level(scene, composed, options.gap_m)
     if not options.settle:
-        return snap(scene, options.gap_m), ()
+        return snap(scene, options.gap_m), tuple(notes)
     scene, returned = put_back(scene)
     scene = snap(scene, options.gap_m)
-    notes = [
+    notes += [
         f"{item}: composition kept it where it was before the alignment, which would have moved it "
         f"{1e3 * abs(rise):.0f} mm {'up' if rise > 0 else 'down'}, off what it rests on"
         for item, rise in kept.items()
@@ -65,6 +69,17 @@ def in_contact(
             f"{other}, on which it leans"
         )
     return scene, tuple(notes)
+
+
+def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
+    """Hold the joints of objects whose openings the alignment estimated; see `joint_friction`."""
+    objects = [
+        with_held_joints(item, notes)
+        if item.uncertainty is not None and item.uncertainty.joints
+        else item
+        for item in scene.objects
+    ]
+    return scene.model_copy(update={"objects": tuple(objects)})
 
 
 def kept_on_level(

@@ -264,6 +264,9 @@ class AlignOptions(Options):
         True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
     )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
+    joints: bool = option(
+        True, "Also estimate the openings of doors, drawers and lids that are composed open."
+    )
 
 
 class ComposeOptions(Options):

@@ -1,7 +1,7 @@
 """Render scenes and single objects in views that frame them, and encode PNG."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +88,19 @@ def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None =
 
 
 def visible_surface(
-    spec: ObjectSpec, joint_state: Mapping[str, float] | None = None
+    spec: ObjectSpec,
+    joint_state: Mapping[str, float] | None = None,
+    some: Collection[str] | None = None,
 ) -> tuple[NDArray, NDArray]:
     """Return the visible surface: vertices [n, 3] m in the object's frame, and triangles [t, 3].
 
     An object without visible geoms has the corners of its bounding box and no triangles.
+
+    Args:
+        spec: the object.
+        joint_state: joint values [rad or m]; unnamed joints are at 0.
+        some: names of the parts that count; None for all. Without visible geoms among them there
+            are no vertices.
     """
     from trimesh.util import append_faces
 
@@ -101,12 +109,14 @@ def visible_surface(
     triangles: list[NDArray] = []
     for part in spec.parts:
         for geom in part.geoms:
-            if geom.role != "collision":
+            if geom.role != "collision" and (some is None or part.name in some):
                 vertices, faces = geom.shape.surface()
                 points.append(moved[part.name].then(geom.pose()).apply(vertices))
                 triangles.append(faces)
     if points:
         return append_faces(points, triangles)
+    if some is not None:
+        return np.zeros((0, 3)), np.zeros((0, 3), int)
     low, high = bounds(spec, dict(joint_state or {}))
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     return corners, np.zeros((0, 3), int)

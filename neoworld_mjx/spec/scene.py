@@ -44,6 +44,8 @@ class PoseUncertainty(Spec):
     """Heading [rad]."""
     log_scale: Deviation
     """Logarithm of the size."""
+    joints: dict[JointKey, Deviation] = Field(default={}, exclude_if=lambda value: not value)
+    """Positions of joints that are seen open [rad or m]."""
 
 
 class SceneObject(Spec):

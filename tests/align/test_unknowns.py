@@ -47,6 +47,7 @@ def values(unknowns, seed=0, size=1.0):
         [
             rng.normal(0, 0.05, CAMERA),
             rng.normal(0, (0.02, 0.02, 0.1, 0.05), (len(unknowns.free), EACH)).ravel(),
+            rng.normal(0, 0.02, len(unknowns.joints)),
         ]
     )
 
@@ -65,7 +66,7 @@ def written(unknowns, x, k, points):
 def test_placement_at_zero_is_the_scene(make):
     scene = make()
     unknowns = desk.unknowns_of(scene)
-    assert unknowns.size == CAMERA + EACH * len(unknowns.free)
+    assert unknowns.size == CAMERA + EACH * len(unknowns.free) + len(unknowns.joints)
     assert [scene.objects[k].name for k in unknowns.free] == [
         item.name for item in scene.objects if item.parent is not None
     ]

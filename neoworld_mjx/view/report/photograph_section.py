@@ -43,7 +43,17 @@ def photograph_section(folder: Path) -> Markup:
         elements.paragraph(_camera(aligned) + _looks(folder)),
         elements.table(heads, [_row(name, change) for name, change in objects.items()]),
         elements.paragraph(_NOTE, "dim"),
+        *_openings(objects),
     )
+
+
+def _openings(objects: dict[str, Any]) -> list[Markup]:
+    """Return a sentence about each joint that the photograph shows open."""
+    return [
+        elements.paragraph(f"{name}: {joint} {change['phrase']}.")
+        for name, item in objects.items()
+        for joint, change in item.get("joints", {}).items()
+    ]
 
 
 def _camera(aligned: dict[str, Any]) -> str:
