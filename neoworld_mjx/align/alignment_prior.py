@@ -28,6 +28,8 @@ MEASURED = 0.5
 LOG_STRETCH = 0.03
 """Logarithm of the stretch of a program along an axis. The contours of a wrong shape disagree with
 one another; without these nuisance unknowns the layout and the camera would absorb it."""
+LOG_PART_STRETCH = 0.06
+"""The same of what a hinge moves: the length of a door changes its image as the angle does."""
 FIXED_YAW = 1e-4
 """Heading of an object that is round or on a wall [rad]."""
 SUPPORTED = 0.15
@@ -84,12 +86,13 @@ def prior_precision(
         x: their values.
         deviations: of the camera's unknowns.
     """
-    count = len(unknowns.free)
-    precision = np.zeros((unknowns.size + STRETCH * count,) * 2)
+    precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
     precision[camera, camera] = 1 / deviations**2
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
+    of_parts = stretches[STRETCH * len(unknowns.free) :]
+    precision[of_parts, of_parts] = 1 / LOG_PART_STRETCH**2
     eye = now.camera.position()
     for i, k in enumerate(unknowns.free.tolist()):
         first = CAMERA + EACH * i

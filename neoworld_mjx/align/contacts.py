@@ -17,7 +17,7 @@ from ..physics.mjcf import body_name
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import matrix
 from .open_joints import MovingPart
-from .unknowns import STEP, STRETCH, Placement, Unknowns
+from .unknowns import STEP, Placement, Unknowns
 
 REACH_M = 0.01
 """Largest gap between two geoms that is a contact [m]."""
@@ -161,7 +161,7 @@ def contacts(
         for pair, entries in found.items()
         for entry in sorted(entries, key=lambda entry: entry[0])[:MOST_CONTACTS]
     ]
-    jacobian = np.zeros((len(nearest), unknowns.size + STRETCH * len(unknowns.free)))
+    jacobian = np.zeros((len(nearest), unknowns.size_with_stretches))
     for row, (pair, gap, bodies, ends) in zip(jacobian, nearest, strict=True):
         normal = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         for k, body, point, sign in zip(pair, bodies, ends, (-1.0, 1.0), strict=True):

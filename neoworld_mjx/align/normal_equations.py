@@ -11,7 +11,7 @@ from .colors import LabImage, color_models
 from .contacts import ContactGaps
 from .contours import contour, displacements
 from .rasterize import DrawnObjects, pixels_of, window_of
-from .unknowns import STRETCH, Placement, Unknowns
+from .unknowns import Placement, Unknowns
 
 REFERENCE_PX = 640.0
 """Width of the image in which the constants in pixels are given."""
@@ -54,7 +54,7 @@ class Evidence:
     """Linearized evidence about one object: weight * (residual - jacobian @ change)^2."""
 
     jacobian: Float[np.ndarray, "n v"]
-    """Derivatives by all unknowns, and by the STRETCH nuisance unknowns of the object [px]."""
+    """Derivatives by all unknowns, and by the stretches of `stretch_columns` [px]."""
     residual: Float[np.ndarray, " n"]
     """[px]"""
     weight: Float[np.ndarray, " n"]
@@ -298,10 +298,10 @@ class NormalEquations:
 
     def _block(self, k: int, evidence: Evidence) -> "_Block":
         size = len(self._x)
-        first = size + STRETCH * int(np.flatnonzero(self._unknowns.free == k)[0])
         used = np.flatnonzero((evidence.jacobian[:, :size] != 0).any(axis=0))
-        rows = np.concatenate([used, first + np.arange(STRETCH)])
-        jacobian = evidence.jacobian[:, np.concatenate([used, size + np.arange(STRETCH)])]
+        stretches = self._unknowns.stretch_columns(k)
+        rows = np.concatenate([used, stretches])
+        jacobian = evidence.jacobian[:, np.concatenate([used, size + np.arange(len(stretches))])]
         weighted = jacobian * evidence.weight[:, None]
         return _Block(rows, jacobian.T @ weighted, weighted.T @ evidence.residual)
 

@@ -31,6 +31,8 @@ class OpenJoint:
     lower: float
     """Limits [rad or m]."""
     upper: float
+    anchor: tuple[float, float, float] | None
+    """Point on the axis of a hinge, as composed, in the object's frame [m]; None for a slide."""
 
     def limit_beyond(self, change: float) -> float | None:
         """Return the change that reaches the limit which a change exceeds; None within limits."""
@@ -64,11 +66,19 @@ def open_joints(items: Mapping[int, SceneObject]) -> tuple[OpenJoint, ...]:
             opening_value(joint, 0.0),
             min(joint.lower, value),
             max(joint.upper, value),
+            _anchor(item, joint),
         )
         for k, item in items.items()
         for joint in item.spec.joints
         if (value := item.joint_state.get(joint.name, 0.0)) and _is_unknown(item.spec, joint, value)
     )
+
+
+def _anchor(item: SceneObject, joint: JointSpec) -> tuple[float, float, float] | None:
+    if joint.type == "prismatic":
+        return None
+    x, y, z = link_poses(item.spec, item.joint_state)[joint.parent].apply(joint.pos).tolist()
+    return x, y, z
 
 
 def _is_unknown(spec: ObjectSpec, joint: JointSpec, value: float) -> bool:

@@ -37,7 +37,8 @@ FOCAL = 2
 EACH = 4
 """Number of unknowns of an object."""
 STRETCH = 3
-"""Number of nuisance unknowns of an object: logarithms of stretches along its axes."""
+"""Number of nuisance unknowns of an object, and of what a joint moves: logarithms of stretches
+along the object's axes."""
 STEP = 1e-5
 """Step of finite differences, in m, rad or log."""
 
@@ -127,6 +128,11 @@ class Unknowns:
         return self.first_joint + len(self.joints)
 
     @property
+    def size_with_stretches(self) -> int:
+        """Number of unknowns and of nuisance unknowns."""
+        return self.size + STRETCH * (len(self.free) + len(self.joints))
+
+    @property
     def first_joint(self) -> int:
         """Index of the first joint among the unknowns."""
         return CAMERA + EACH * len(self.free)
@@ -191,6 +197,12 @@ class Unknowns:
     def joint_columns(self, k: int) -> list[int]:
         """Return the indices of the unknowns of an object's open joints."""
         return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
+
+    def stretch_columns(self, k: int) -> list[int]:
+        """Return the indices of the stretches of a free object and of what its joints move."""
+        own = int(np.flatnonzero(self.free == k)[0])
+        joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
+        return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
 
     def is_size(self, u: int) -> bool:
         """Return whether an unknown is the size of an object."""
@@ -326,13 +338,15 @@ class Unknowns:
             bodies: body of each point; the object itself by default.
 
         Returns:
-            Pixels by unit of the unknowns, followed by those of STRETCH nuisance unknowns.
+            Pixels by unit of the unknowns, followed by those of the stretches of
+            `stretch_columns`.
         """
         along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
         # Objects without open joints are transformed as a whole.
         body = k if bodies is None or (bodies == k).all() else bodies
         start = along(now.world(body, points), now.camera)
-        result = np.zeros((len(points), self.size + STRETCH))
+        moved_by = [j for j, joint in enumerate(self.joints) if joint.object == k]
+        result = np.zeros((len(points), self.size + STRETCH * (1 + len(moved_by))))
         for u in [*range(CAMERA), *self.columns_of(k)]:
             near = neighbors[u]
             result[:, u] = (along(near.world(body, points), near.camera) - start) / STEP
@@ -343,6 +357,18 @@ class Unknowns:
             stretched[:, axis] += STEP * (own - foot)[:, axis]
             moved = along(now.world(k, stretched), now.camera)
             result[:, self.size + axis] = (moved - start) / STEP
+        for i, j in enumerate(moved_by, 1):
+            anchor = self.joints[j].anchor
+            if anchor is None or body is k:
+                continue
+            # A door of another length looks like one at another angle.
+            moves = np.array([j in part.joints for part in self.parts])
+            rows = np.append(np.zeros(len(self.scene.objects), bool), moves)[body]
+            for axis in range(STRETCH):
+                stretched = points.copy()
+                stretched[rows, axis] += STEP * (points - anchor)[rows, axis]
+                moved = along(now.world(body, stretched), now.camera)
+                result[:, self.size + STRETCH * i + axis] = (moved - start) / STEP
         return result
 
     def view_axes(self, now: Placement, k: int) -> Float[np.ndarray, "2 2"]:

@@ -1,0 +1,289 @@
+"""Openings of joints: errors before and after the alignment, on scenes of which one joint is open.
+
+Few objects of the thirty scenes are open, so every hinge and slide of their movable objects is
+opened in turn, where the camera sees it and it runs into nothing. Initial scenes have errors of
+openings, ranges, places, sizes, 2D boxes and the camera; those of odd numbers also of programs.
+"""
+
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from neoworld_mjx.align.align import align
+from neoworld_mjx.align.rasterize import draw_scene
+from neoworld_mjx.align.unknowns import CAMERA, Unknowns
+from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.spec import Box2D, JointSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec.opening import opening_share, opening_value, with_prerequisites
+from neoworld_mjx.sweeps.intervals import ratio_interval
+
+from ..dataset.declaration import declaration
+from ..dataset.truth_scene import truth_scene
+from ..methods.layout_errors import layout_errors
+from ..noise.initial_scenes import noise_number, wrong_shapes
+from ..noise.joint_noise import RANGE
+from ..noise.parse_noise import OPENING, NoiseLog
+from ..rows import Row
+from .rendered_scenes import photograph
+
+OPENINGS = (0.3, 0.9)
+"""Smallest and largest opening in the ground truth, as a share of the range."""
+SEEN_PX, SEEN_M = 300, 0.01
+"""Number of pixels, in 640 columns, whose depth an opening changes by SEEN_M if it is seen."""
+COLLIDES_M = 0.003
+"""Overlap with another object above which a joint is not opened [m]."""
+BOX_PX = 2.0
+"""Standard deviation of the sides of 2D boxes [px]."""
+CAMERA_SD = (math.radians(1.0), math.radians(0.5), 0.03, 0.03)
+"""Deviations of pitch, roll [rad], log focal length and log height."""
+PLACE_SD = (0.015, 0.015, math.radians(2.0), 0.02)
+"""Deviations of an object's position [m], heading [rad] and log scale."""
+STAGES = ("composed", "without", "aligned")
+"""Stages: the initial scene, aligned without joints, and aligned with them."""
+
+
+class OpeningRow(Row):
+    """One initial scene of one opened joint."""
+
+    scene: str
+    object: str
+    joint: str
+    start: int
+    slides: bool
+    range: float
+    """Range of the joint in the ground truth [rad or m]."""
+    truth: float
+    """Position in the ground truth [rad or m]."""
+    value: dict[str, float]
+    """Position by stage; 0 if the response shows it closed."""
+    deviation: float | None
+    """Standard deviation that the alignment states; None if the joint was no unknown."""
+    evidence: str
+    mask_iou: dict[str, float]
+    """Mean over objects of the overlap of their visible pixels with the photograph's, by stage."""
+    own_iou: dict[str, float]
+    """The same of the object with the joint."""
+    errors: dict[str, dict[str, float]]
+    """`layout_errors` by stage."""
+
+    def error(self, stage: str) -> float:
+        """Return the error of the position at a stage, as a share of the true range."""
+        return abs(self.value[stage] - self.truth) / self.range
+
+
+def opened_scenes(name: str) -> Iterator[tuple[SceneObject, JointSpec, SceneSpec]]:
+    """Yield a scene of the benchmark with one joint after the other open, as photographed.
+
+    Joints that the scene declares open keep their values.
+    """
+    declared = truth_scene(declaration(name))
+    for item in declared.objects:
+        for joint in item.spec.joints:
+            if item.environment or joint.mimic or joint.type not in ("revolute", "prismatic"):
+                continue
+            scene = with_open(declared, item, joint)
+            others = _depths(with_closed(declared, item, joint), item.name)
+            collides = any(
+                depth > max(COLLIDES_M, others.get(pair, 0.0))
+                for pair, depth in _depths(scene, item.name).items()
+            )
+            if not collides and _is_seen(scene, with_closed(scene, item, joint)):
+                yield scene.object(item.name), joint, with_boxes(scene)
+
+
+def with_boxes(scene: SceneSpec) -> SceneSpec:
+    """Return a scene with the 2D boxes of its objects' visible pixels."""
+    assert scene.camera is not None
+    width = scene.camera.width
+    owner, objects = draw_scene(scene, scene.camera, width).owner, []
+    for k, item in enumerate(scene.objects):
+        rows, columns = np.nonzero(owner == k)
+        box = None
+        if len(rows) and not item.environment:
+            ends = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+            box = Box2D(**dict(zip(("x0", "y0", "x1", "y1"), map(float, ends), strict=True)))
+        objects.append(item.model_copy(update={"box2d": box}))
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def with_open(scene: SceneSpec, item: SceneObject, joint: JointSpec) -> SceneSpec:
+    """Return a scene with a joint open, by a share that its names determine."""
+    if item.joint_state.get(joint.name, 0.0):
+        return scene
+    rng = np.random.default_rng(zlib.crc32(f"{scene.name}/{item.name}/{joint.name}".encode()))
+    value = opening_value(joint, float(rng.uniform(*OPENINGS)))
+    state = with_prerequisites(item.spec, item.joint_state | {joint.name: value}, opening=True)
+    return _replaced(scene, item.model_copy(update={"joint_state": state}))
+
+
+def with_closed(scene: SceneSpec, item: SceneObject, joint: JointSpec) -> SceneSpec:
+    """Return a scene with a joint closed."""
+    state = scene.object(item.name).joint_state | {joint.name: opening_value(joint, 0.0)}
+    return _replaced(scene, item.model_copy(update={"joint_state": state}))
+
+
+def _replaced(scene: SceneSpec, item: SceneObject) -> SceneSpec:
+    objects = [item if other.name == item.name else other for other in scene.objects]
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def _depths(scene: SceneSpec, name: str) -> dict[tuple[str, str], float]:
+    depths = object_depths(scene, *start_state(scene))
+    return {pair: depth for pair, depth in depths.items() if name in pair}
+
+
+def _is_seen(scene: SceneSpec, closed: SceneSpec) -> bool:
+    assert scene.camera is not None
+    depths = [np.minimum(draw_scene(s, scene.camera, 640).depth, 1e3) for s in (scene, closed)]
+    return int((np.abs(depths[0] - depths[1]) > SEEN_M).sum()) >= SEEN_PX
+
+
+def mask_iou(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
+    """Return the overlap of the visible pixels of each object that both contain and the ground
+    truth shows, in 640 columns.
+    """
+    assert scene.camera is not None and truth.camera is not None
+    own, real = (draw_scene(s, s.camera, 640).owner for s in (scene, truth) if s.camera)
+    ious = {}
+    for k, item in enumerate(truth.objects):
+        shown = real == k
+        if item.environment or not shown.any() or item.name not in {o.name for o in scene.objects}:
+            continue
+        mine = own == scene.index(item.name)
+        ious[item.name] = float((mine & shown).sum() / (mine | shown).sum())
+    return ious
+
+
+def initial_scene(truth: SceneSpec, number: int, *, programs: bool) -> SceneSpec:
+    """Return a scene with errors, without the fit and the composition of a run.
+
+    Args:
+        truth: the ground truth, of the benchmark.
+        number: of the noise.
+        programs: whether programs have errors, too.
+    """
+    rng = np.random.default_rng((number, 53))
+    shapes = wrong_shapes(truth, number, NoiseLog()) if programs else {}
+    objects = []
+    for item in truth.objects:
+        spec, state = shapes.get(item.name, item.spec), {}
+        known = {joint.name: joint for joint in spec.joints}
+        for name, value in item.joint_state.items():
+            off, stretch = OPENING * rng.normal(), RANGE * rng.normal()
+            if name in known and known[name].type in ("revolute", "prismatic"):
+                share = opening_share(item.spec.joint(name), value)
+                # A wrong program has a wrong range already.
+                share = (share if programs else share * math.exp(stretch)) + off
+                state[name] = opening_value(known[name], float(np.clip(share, 0.0, 1.0)))
+        box = item.box2d
+        if box is not None:
+            sides = np.array(box.as_tuple()) + rng.normal(0, BOX_PX, 4)
+            box = (
+                None
+                if min(sides[2:] - sides[:2]) < 1
+                else Box2D(**dict(zip(("x0", "y0", "x1", "y1"), sides.tolist(), strict=True)))
+            )
+        objects.append(item.model_copy(update={"spec": spec, "joint_state": state, "box2d": box}))
+    scene = truth.model_copy(update={"objects": tuple(objects)})
+    assert truth.camera is not None
+    unknowns = Unknowns.of(scene, truth.camera, joints=False)
+    x = np.zeros(unknowns.size)
+    x[:CAMERA] = rng.normal(0, CAMERA_SD)
+    x[CAMERA:] = rng.normal(0, PLACE_SD, (len(unknowns.free), len(PLACE_SD))).ravel()
+    return unknowns.scene_at(x)
+
+
+def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[OpeningRow]:
+    """Yield a row for each opened joint of a scene and each initial scene.
+
+    Args:
+        name: of the scene.
+        starts: initial scenes of each opened joint; those of odd numbers have wrong programs.
+        seed: of the noise.
+    """
+    for item, joint, truth in opened_scenes(name):
+        photo = photograph(truth)
+        for start in range(starts):
+            number = noise_number(f"{name}/{item.name}/{joint.name}", seed, start)
+            initial = initial_scene(truth, number, programs=bool(start % 2))
+            if joint.name not in initial.object(item.name).joint_state:
+                continue
+            stages, found = {"composed": initial}, None
+            for stage, joints in (("without", False), ("aligned", True)):
+                found = align(initial, photo, AlignOptions(joints=joints))
+                stages[stage] = found.scene
+            assert found is not None
+            change = found.objects.get(item.name)
+            opening = None if change is None else change.joints.get(joint.name)
+            ious = {stage: mask_iou(s, truth) for stage, s in stages.items()}
+            yield OpeningRow(
+                scene=name,
+                object=item.name,
+                joint=joint.name,
+                start=start,
+                slides=joint.type == "prismatic",
+                range=joint.upper - joint.lower,
+                truth=item.joint_state[joint.name],
+                value={
+                    stage: s.object(item.name).joint_state.get(joint.name, 0.0)
+                    for stage, s in stages.items()
+                },
+                deviation=None if opening is None else opening.deviation,
+                evidence="none" if change is None else change.evidence,
+                mask_iou={stage: float(np.mean([*of.values()])) for stage, of in ious.items()},
+                own_iou={stage: of[item.name] for stage, of in ious.items()},
+                errors={stage: layout_errors(s, truth) for stage, s in stages.items()},
+            )
+
+
+def opening_summary(rows: Sequence[OpeningRow]) -> dict[str, Any]:
+    """Summarize rows of joints that are unknowns, of all initial scenes and by their programs."""
+    parts = {"all": list(rows)}
+    parts["right_programs"] = [row for row in rows if row.start % 2 == 0]
+    parts["wrong_programs"] = [row for row in rows if row.start % 2]
+    return {
+        part: _figures([row for row in own if row.deviation is not None]) | {"rows": len(own)}
+        for part, own in parts.items()
+        if any(row.deviation is not None for row in own)
+    }
+
+
+def _figures(rows: Sequence[OpeningRow]) -> dict[str, Any]:
+    measures = {
+        "opening_percent": lambda r, s: 100 * r.error(s),
+        "position_mm": lambda r, s: 1e3 * r.errors[s]["xy_error_m"],
+        "heading_deg": lambda r, s: r.errors[s]["yaw_error_deg"],
+        "size_percent": lambda r, s: 100 * r.errors[s]["scale_error"],
+        "mask_iou": lambda r, s: r.mask_iou[s],
+        "own_iou": lambda r, s: r.own_iou[s],
+    }
+    figures: dict[str, Any] = {"unknown": len(rows), "joints": len({_key(r) for r in rows})}
+    for stage in STAGES:
+        figures[stage] = {
+            name: float(np.mean([of(r, stage) for r in rows])) for name, of in measures.items()
+        }
+        for kind, slides in (("turn_deg", False), ("slide_mm", True)):
+            errors = [r.error(stage) * r.range for r in rows if r.slides == slides]
+            if errors:
+                unit = 1e3 if slides else 180 / np.pi
+                figures[stage][kind] = unit * float(np.median(errors))
+    figures["aligned_minus_without"] = {
+        name: ratio_interval([(r.scene, of(r, "aligned") - of(r, "without"), 1) for r in rows])
+        for name, of in measures.items()
+    }
+    change = [r.error("aligned") - r.error("without") for r in rows]
+    figures["nearer"], figures["farther"] = (
+        sum(sign * by > 0.01 for by in change) for sign in (-1, 1)
+    )
+    figures["within_90"] = float(
+        np.mean([r.error("aligned") * r.range <= 1.645 * (r.deviation or 0.0) for r in rows])
+    )
+    return figures
+
+
+def _key(row: OpeningRow) -> tuple[str, str, str]:
+    return row.scene, row.object, row.joint
