@@ -159,6 +159,20 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
     return {**summary, "machine": machine(), "rows": plain(rows)}
 
 
+def run_openings(o: suites.Openings) -> dict[str, Any]:
+    """Measure the openings of joints before and after the alignment."""
+    from .methods.joint_openings import opening_rows, opening_summary
+    from .methods.scene_runs import chosen_scenes
+
+    jobs = {
+        name: partial(opening_rows, name, starts=o.starts, seed=o.seed)
+        for name in chosen_scenes(o.scenes)
+    }
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
+    return {**opening_summary(rows), "machine": machine(), "rows": plain(rows)}
+
+
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
     from .methods.method_runs import RunSettings

@@ -146,6 +146,21 @@ class Photos:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Openings:
+    """Open the joints of the thirty scenes' objects one by one, align initial scenes with errors
+    with and without `compose.align.joints`, and report the errors of openings and places; needs
+    no model.
+    """
+
+    scenes: tuple[str, ...] = ()
+    """Names of scenes; all by default."""
+    starts: int = 2
+    """Initial scenes of each opened joint; those of odd numbers have wrong programs."""
+    seed: int = 0
+    """Seed of the noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneSet(NoisyRuns):
     """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes:
     the search, gravity alone, settling under guidance alone, no simulation, Algorithm 1.
@@ -379,6 +394,7 @@ SUITES = {
         ("judge", Judge, True),
         ("joint-videos", JointVideos, True),
         ("photos", Photos, True),
+        ("openings", Openings, False),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""

@@ -321,6 +321,14 @@ def _photograph(folder):
     return _words(section)
 
 
+def test_openings_of_joints_are_listed(finished):
+    joint = {"value": 0.121, "change": 0.014, "deviation": 0.004}
+    phrase = "opens 12.1 cm, 1.4 cm more than composed (± 0.4 cm)"
+    chest = _place("pixels", joints={"slide_2": joint | {"phrase": phrase}})
+    _align(finished, {"chest": chest, "cup": _place("pixels")})
+    assert f"chest: slide_2 {phrase}." in _photograph(finished)
+
+
 def test_the_alignment_with_the_photograph_is_shown(finished):
     objects = {
         "cup": _place("pixels"),

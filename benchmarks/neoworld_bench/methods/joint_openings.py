@@ -23,12 +23,12 @@ from neoworld_mjx.sweeps.intervals import ratio_interval
 
 from ..dataset.declaration import declaration
 from ..dataset.truth_scene import truth_scene
-from ..methods.layout_errors import layout_errors
+from ..fidelity.rendered_scenes import photograph
 from ..noise.initial_scenes import noise_number, wrong_shapes
 from ..noise.joint_noise import RANGE
 from ..noise.parse_noise import OPENING, NoiseLog
 from ..rows import Row
-from .rendered_scenes import photograph
+from .layout_errors import layout_errors
 
 OPENINGS = (0.3, 0.9)
 """Smallest and largest opening in the ground truth, as a share of the range."""
