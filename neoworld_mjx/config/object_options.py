@@ -265,7 +265,9 @@ class AlignOptions(Options):
     )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
     joints: bool = option(
-        True, "Also estimate the openings of doors, drawers and lids that are composed open."
+        False,
+        "Also estimate the openings of doors, drawers and lids that are composed open. Where the "
+        "shape of a program is wrong, an opening may come out worse.",
     )
 
 
