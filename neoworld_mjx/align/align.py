@@ -1,9 +1,9 @@
 """Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
 
-The evidence is the contours of all objects in the photograph's pixels, coarse to fine, and the
-parsed 2D boxes. The prior is the composed scene, and contacts keep objects from overlapping. An
-object about which the pixels are silent keeps its composed place, and follows its 2D box if the
-camera moves.
+The evidence is the contours and creases of all objects in the photograph's pixels, coarse to fine,
+and the parsed 2D boxes. The prior is the composed scene, and contacts keep objects from
+overlapping. An object about which the pixels are silent keeps its composed place, and follows its
+2D box if the camera moves.
 """
 
 import math
@@ -192,6 +192,7 @@ class _Problem:
                 k,
                 reach=stage.reach,
                 step=stage.spacing,
+                with_creases=self.options.creases,
             )
             if contour is not None:
                 equations.add_contour(k, contour)

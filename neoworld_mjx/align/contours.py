@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from .colors import ColorModels, bins_of, log_likelihood_ratio
+from .colors import ColorModels, FaceColors
 from .rasterize import DrawnObjects, window_of
 
 MOST_POINTS = 300
@@ -75,14 +75,36 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
         pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
         found.append((pixel, depth[y, x], -gradient[y, x], behind))
     pixel, depth, normal, behind = (np.concatenate(part) for part in zip(*found, strict=True))
-    steep = np.linalg.norm(normal, axis=1)
+    return sampled_contour(pixel, depth, normal, behind, (height, width), MOST_POINTS)
+
+
+def sampled_contour(
+    pixel: Float[np.ndarray, "n 2"],
+    depth: Float[np.ndarray, " n"],
+    slope: Float[np.ndarray, "n 2"],
+    behind: Int[np.ndarray, " n"],
+    shape: tuple[int, int],
+    most: int,
+) -> Contour | None:
+    """Return evenly spaced points of a contour, or None if it has none within the image.
+
+    Args:
+        pixel: points along the grid of pixels.
+        depth: of the object there [m].
+        slope: negative gradient of its smoothed mask.
+        behind: object behind the contour.
+        shape: height and width of the image [px].
+        most: largest number of points.
+    """
+    height, width = shape
+    steep = np.linalg.norm(slope, axis=1)
     inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
     rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
     if not len(rows):
         return None
-    share = max(len(rows) / MOST_POINTS, 1.0)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_POINTS)).astype(int)]
-    normal = normal[rows] / steep[rows, None]
+    share = max(len(rows) / most, 1.0)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    normal = slope[rows] / steep[rows, None]
     # Steps along the grid are longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
     return Contour(pixel[rows], depth[rows], normal, behind[rows], length)
@@ -99,7 +121,7 @@ def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:
 def displacements(
     lab: Float[np.ndarray, "row column 3"],
     points: Contour,
-    models: ColorModels,
+    models: ColorModels | FaceColors,
     *,
     reach: float,
     step: float,
@@ -111,7 +133,7 @@ def displacements(
     Args:
         lab: the photograph.
         points: contour of the object.
-        models: color models of the object.
+        models: colors on the two sides.
         reach: largest displacement [px].
         step: distance of samples [px].
         noise: standard deviation of an ideal contour [px]: shapes are approximate.
@@ -123,12 +145,7 @@ def displacements(
         map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
         for c in range(3)
     ]
-    bins = bins_of(np.stack(sampled, axis=-1))
-    outside = np.empty(bins.shape)
-    for behind in np.unique(points.behind).tolist():
-        rows = points.behind == behind
-        outside[rows] = models.background(behind)[bins[rows]]
-    ratio = log_likelihood_ratio(models.inside[bins], outside) * (step / unit)
+    ratio = models.log_ratio(np.stack(sampled, axis=-1), points.behind) * (step / unit)
     # With the contour at an edge between samples, all samples up to it belong to the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
     edge = np.append(at - step / 2, at[-1] + step / 2)

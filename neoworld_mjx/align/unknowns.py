@@ -17,6 +17,7 @@ from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotatio
 from ..physics.outline import is_round
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, rearranged, world_poses
+from .creases import smooth_faces
 from .rasterize import WorldMesh, pixels_of
 
 CAMERA = 4
@@ -97,12 +98,13 @@ class Unknowns:
     @cached_property
     def surfaces(self) -> list[WorldMesh]:
         """Visible surface of each object in its frame."""
-        return [WorldMesh(*visible_surface(o.spec, o.joint_state)) for o in self.scene.objects]
+        surfaces = (visible_surface(o.spec, o.joint_state) for o in self.scene.objects)
+        return [WorldMesh(*surface, smooth_faces(*surface)) for surface in surfaces]
 
     def mesh(self, place: Placement, k: int) -> WorldMesh:
         """Return the visible surface of an object in the world."""
         surface = self.surfaces[k]
-        return WorldMesh(place.world(k, surface.vertices), surface.triangles)
+        return surface._replace(vertices=place.world(k, surface.vertices))
 
     def columns(self, k: int) -> slice:
         """Return the indices of a free object's unknowns."""
