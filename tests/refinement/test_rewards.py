@@ -13,7 +13,7 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import Placed, pair_depths, placed_at_rest
+from neoworld_mjx.physics.placed import Placed, pair_depths
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.refinement.objective import (
@@ -86,7 +86,9 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
 def scored(scene, layouts, rollout, **reward):
     objective = open_objective(RefineOptions(reward=RewardOptions(**reward)))
     poses = scene.place(layouts)
-    candidates = placed_at_rest(scene, poses, poses)
+    pop, count = layouts.yaw.shape
+    depth, settled = np.zeros((pop, count, count)), np.zeros((pop, count))
+    candidates = Placed(poses, np.float32(depth), as_parsed(scene.photo, pop), np.float32(settled))
     return evaluate(scene, layouts, candidates, rollout, objective)
 
 
@@ -380,7 +382,7 @@ class TestCompiled:
 
     def test_they_jit_vmap_and_differentiate(self):
         scene = two_boxes(0.0)
-        layouts = shifted(scene, -0.008, pop=2)
+        layouts = shifted(scene, -0.008)
         many = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 0 * x]), layouts)
         for term in (rewards.d_pen, rewards.s_sem):
             plain = term(scene, layouts)
