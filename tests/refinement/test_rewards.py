@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved
@@ -62,6 +63,17 @@ def test_d_pen_has_the_right_gradient():
     numeric = (loss(-0.01 + step) - loss(-0.01 - step)) / (2 * step)
     assert float(slope) == pytest.approx(-1.0, abs=1e-3)
     assert float(slope) == pytest.approx(float(numeric), abs=1e-2)
+
+
+def test_another_scene_of_the_same_shapes_compiles_nothing():
+    zero = Layout.zero(1, 3)
+    touching, apart = two_boxes(0.0), two_boxes(0.05)
+    rewards.d_pen(touching, zero), touching.place(zero)
+    count = compilations()
+    assert apart.static is not touching.static
+    assert np.asarray(rewards.d_pen(apart, zero)).tolist() == [0.0]
+    assert np.ptp(np.asarray(apart.place(zero).pos)[0, 1:, 0]) == pytest.approx(0.15, abs=1e-6)
+    assert compilations() == count
 
 
 def test_drift_is_the_maximum_over_time_of_distance_and_angle():
