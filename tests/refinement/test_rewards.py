@@ -394,7 +394,7 @@ class TestCompiled:
 
     def test_they_jit_vmap_and_differentiate(self):
         scene = two_boxes(0.0)
-        layouts = shifted(scene, -0.008)
+        layouts = shifted(scene, -0.008, pop=2)
         many = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 0 * x]), layouts)
         for term in (rewards.d_pen, rewards.s_sem):
             plain = term(scene, layouts)
