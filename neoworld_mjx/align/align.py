@@ -236,20 +236,20 @@ def _result(
     now = unknowns.place(x[None])[0]
     objects, items = {}, list(scene.objects)
     for k in unknowns.free.tolist():
-        own = x[unknowns.columns(k)]
+        entries = x[unknowns.columns(k)]
         evidence: Evidence = "box" if k in equations.with_box else "none"
         if k in equations.with_contour:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)
         uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])
         items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
-        shift = (float(own[0]), float(own[1]))
+        shift = (float(entries[0]), float(entries[1]))
         objects[items[k].name] = ObjectAlignment(
             evidence,
             reason,
             shift,
-            math.degrees(own[2]),
-            math.exp(own[3]),
+            math.degrees(entries[2]),
+            math.exp(entries[3]),
             uncertainty,
         )
     return Alignment(

@@ -109,8 +109,8 @@ class ColorModels(NamedTuple):
 
     def background(self, neighbor: int) -> Float[np.ndarray, " bin"]:
         """Return the colors behind the contour towards a neighbor."""
-        own = self.behind.get(neighbor)
-        return self.around if own is None else 0.5 * (own + self.around)
+        behind = self.behind.get(neighbor)
+        return self.around if behind is None else 0.5 * (behind + self.around)
 
     def log_ratio(
         self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]

@@ -139,8 +139,8 @@ def displacements(
         noise: standard deviation of an ideal contour [px]: shapes are approximate.
         unit: pixels that count as one independent observation of a color.
     """
-    at = np.arange(-reach, reach + step / 2, step)
-    spot = points.pixel[:, None] + at[None, :, None] * points.normal[:, None] - 0.5
+    offset = np.arange(-reach, reach + step / 2, step)
+    spot = points.pixel[:, None] + offset[None, :, None] * points.normal[:, None] - 0.5
     sampled = [
         map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
         for c in range(3)
@@ -148,11 +148,10 @@ def displacements(
     ratio = models.log_ratio(np.stack(sampled, axis=-1), points.behind) * (step / unit)
     # With the contour at an edge between samples, all samples up to it belong to the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
-    edge = np.append(at - step / 2, at[-1] + step / 2)
+    edge = np.append(offset - step / 2, offset[-1] + step / 2)
     prior = -0.5 * (edge * SPREAD / reach) ** 2
-    moments = lambda log_p: _moments(log_p, edge)
-    mean, variance = moments(likelihood + prior)
-    prior_variance = moments(prior[None])[1]
+    mean, variance = _moments(likelihood + prior, edge)
+    prior_variance = _moments(prior[None], edge)[1]
     # The information of the pixels alone, and the displacement without the pull of the prior.
     gain = np.maximum(1 / np.maximum(variance, 1e-6) - 1 / prior_variance, 1e-3 / prior_variance)
     value = np.clip(mean / np.maximum(variance, 1e-6) / gain, -reach, reach)
@@ -161,9 +160,9 @@ def displacements(
 
 
 def _moments(
-    log_p: Float[np.ndarray, "n m"], at: Float[np.ndarray, " m"]
+    log_p: Float[np.ndarray, "n m"], offset: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
     p /= p.sum(axis=1, keepdims=True)
-    mean = p @ at
-    return mean, np.maximum(p @ at**2 - mean**2, 0.0)
+    mean = p @ offset
+    return mean, np.maximum(p @ offset**2 - mean**2, 0.0)

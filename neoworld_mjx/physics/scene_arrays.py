@@ -60,13 +60,21 @@ class SceneArrays(eqx.Module):
         """Length of the object axis."""
         return self.diagonal.shape[0]
 
-    @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]
+    @property
+    def arrays(self) -> "SceneArrays":
+        """The arrays alone: scenes of the same shapes share what is compiled for them."""
+        return SceneArrays(**{name: vars(self)[name] for name in SceneArrays.__dataclass_fields__})
+
     def place(self, layouts: Layout) -> Poses:
         """Place every object of every candidate; see `layout.place`.
 
         May be jitted, vmapped over further leading axes of the layouts, and differentiated.
+        Compiled once for all scenes with the same number of objects.
         """
-        return place(self.arrangement, layouts)
+        return _place(self.arrangement, layouts)
+
+
+_place = jax.jit(place, inline=True)
 
 
 class Bucket(NamedTuple):
