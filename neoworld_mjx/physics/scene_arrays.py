@@ -45,6 +45,9 @@ class SceneArrays(eqx.Module):
     """True for objects whose base is free."""
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
+    photo_sigma: Float[AnyArray, "object 4"]
+    """Standard deviations that the photograph leaves: x and y in the support's frame [m], yaw
+    [rad], log scale; inf for objects that were not aligned."""
     corners: Float[AnyArray, "object 8 3"]
     """Corners of each object's bounding box in its frame, at its joint state [m]."""
     pair_mask: Bool[AnyArray, "object object"]
@@ -139,6 +142,7 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
         optimised=pad_axis(scene.optimised, n),
         movable=pad_axis(scene.movable, n),
         diagonal=pad_axis(scene.diagonal, n, 1.0),
+        photo_sigma=pad_axis(scene.photo_sigma, n, np.inf),
         corners=pad_axis(scene.corners, n),
         pair_mask=pair_mask,
         joint_object=pad_axis(scene.joint_object, b.joints, n - 1),

@@ -329,10 +329,10 @@ def _place(evidence, reason="", **change):
     return place | {"size_ratio": 0.9926} | change | {"uncertainty": known}
 
 
-def _align(folder, objects, **camera):
+def _align(folder, objects, **more):
     unmoved = dict.fromkeys(("pitch_deg", "roll_deg", "fovy_deg", "height_m"), 0.0)
     (folder / "compose").mkdir(exist_ok=True)
-    text = json.dumps(unmoved | camera | {"objects": objects})
+    text = json.dumps(unmoved | more | {"objects": objects})
     (folder / "compose" / "align.json").write_text(text)
 
 
@@ -365,6 +365,20 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "clock pixels 5.0 0.0 -1 along the wall ±0.1 mm, size ±3 %",
     ):
         assert message in words, message
+
+
+def test_the_evidence_of_the_pixels_is_shown_with_each_outline_s_distance(finished):
+    outlines = {
+        "cup": {"composed": 6.14, "aligned": 0.72},
+        "jar": {"composed": 3.0, "aligned": None},
+    }
+    _align(finished, {name: _place("pixels") for name in outlines}, outlines_px=outlines)
+    Image.new("RGB", (120, 40), "green").save(finished / "pictures" / "evidence.png")
+    words = _photograph(finished)
+    assert "Pixels of the aligned scene: green where" in words
+    assert "cup pixels 5 +4 -1 6.1 0.7 along" in words
+    assert "jar pixels 5 +4 -1 3.0 unknown along" in words
+    assert "Outline off: median distance" in words
 
 
 def test_a_camera_that_the_alignment_leaves_is_not_listed(finished):
