@@ -1,9 +1,9 @@
 """Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
 
-The evidence is the contours of all objects in the photograph's pixels, coarse to fine, and the
-parsed 2D boxes. The prior is the composed scene, and contacts keep objects from overlapping. An
-object about which the pixels are silent keeps its composed place, and follows its 2D box if the
-camera moves.
+The evidence is the contours and creases of all objects in the photograph's pixels, coarse to fine,
+and the parsed 2D boxes. The prior is the composed scene, and contacts keep objects from
+overlapping. An object about which the pixels are silent keeps its composed place, and follows its
+2D box if the camera moves.
 """
 
 import math
@@ -205,6 +205,7 @@ class _Problem:
                 k,
                 reach=stage.reach,
                 step=stage.spacing,
+                with_creases=self.options.creases,
             )
             if contour is not None:
                 equations.add_contour(k, contour)
@@ -282,7 +283,7 @@ def _result(
     now = unknowns.place(x[None])[0]
     objects, items = {}, list(scene.objects)
     for k in unknowns.free.tolist():
-        own = x[unknowns.columns(k)]
+        entries = x[unknowns.columns(k)]
         evidence: Evidence = "box" if k in equations.with_box else "none"
         if k in equations.with_contour:
             evidence = "pixels"
@@ -291,13 +292,13 @@ def _result(
         known = {name: joint.deviation for name, joint in joints.items()}
         uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)], known)
         items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
-        shift = (float(own[0]), float(own[1]))
+        shift = (float(entries[0]), float(entries[1]))
         objects[items[k].name] = ObjectAlignment(
             evidence,
             reason,
             shift,
-            math.degrees(own[2]),
-            math.exp(own[3]),
+            math.degrees(entries[2]),
+            math.exp(entries[3]),
             uncertainty,
             joints,
         )

@@ -97,10 +97,11 @@ class Alignment:
                 or abs(change.size_ratio - 1) > NOTED_SIZE
                 or abs(change.yaw_deg) > NOTED_DEG
             ):
+                degrees = round(change.yaw_deg)  # An integer, as "-0" has no direction.
                 yield (
                     f"{name} far from its composed pose",
                     f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
-                    f"{change.size_ratio:.2f} and turned it by {change.yaw_deg:+.0f} deg",
+                    f"{change.size_ratio:.2f} and turned it by {degrees:+d} deg",
                 )
             for joint, opening in change.joints.items():
                 if opening.is_far:

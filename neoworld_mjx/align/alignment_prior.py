@@ -96,7 +96,7 @@ def prior_precision(
     eye = now.camera.position()
     for i, k in enumerate(unknowns.free.tolist()):
         first = CAMERA + EACH * i
-        own = x[first : first + EACH]
+        entries = x[first : first + EACH]
         distance = float(np.linalg.norm(now.pos[k] - eye))
         most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _room(unknowns, k))
         whitening = unknowns.view_axes(now, k) / most[:, None]
@@ -106,11 +106,11 @@ def prior_precision(
             whitening = np.eye(2) / (FASTENED * distance)
         if unknowns.in_wall[k].any() or unknowns.round[k]:
             yaw = FIXED_YAW
-        off = whitening @ own[:2]
+        off = whitening @ entries[:2]
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
         for column, deviation in ((2, yaw), (3, LOG_SIZE)):
-            spread = deviation**2 + own[column] ** 2 / FREEDOM
+            spread = deviation**2 + entries[column] ** 2 / FREEDOM
             precision[first + column, first + column] = 1 / spread
     for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
         spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM

@@ -31,6 +31,8 @@ LEAST_PIXELS = 60
 RING = 0.25
 """Width of the ring around an object, relative to the square root of its area."""
 LEAST_RING_PX = 6
+LEAST_SPREAD = 2.0
+"""Least standard deviation of the colors of a face, in CIE Lab: noise and compression."""
 BAND = 6
 """Width of the band inside a contour whose colors count, in margins."""
 
@@ -107,8 +109,53 @@ class ColorModels(NamedTuple):
 
     def background(self, neighbor: int) -> Float[np.ndarray, " bin"]:
         """Return the colors behind the contour towards a neighbor."""
-        own = self.behind.get(neighbor)
-        return self.around if own is None else 0.5 * (own + self.around)
+        behind = self.behind.get(neighbor)
+        return self.around if behind is None else 0.5 * (behind + self.around)
+
+    def log_ratio(
+        self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n m"]:
+        """Return the log likelihood ratio of colors, of the object over what is behind it.
+
+        Args:
+            lab: colors.
+            behind: neighbor behind the contour, by row.
+        """
+        bins = bins_of(lab)
+        outside = np.empty(bins.shape)
+        for neighbor in np.unique(behind).tolist():
+            rows = behind == neighbor
+            outside[rows] = self.background(neighbor)[bins[rows]]
+        return log_likelihood_ratio(self.inside[bins], outside)
+
+
+class FaceColors(NamedTuple):
+    """Colors of two faces of an object, as Gaussians: their difference may be less than a bin."""
+
+    inside: Float[np.ndarray, " 3"]
+    outside: Float[np.ndarray, " 3"]
+    spread: float
+    """Standard deviation of both."""
+
+    @classmethod
+    def of(
+        cls, inside: Float[np.ndarray, "n 3"], outside: Float[np.ndarray, "m 3"]
+    ) -> "FaceColors":
+        """Return the colors of two faces from their pixels, robustly."""
+        medians = [np.median(lab, axis=0) for lab in (inside, outside)]
+        spreads = [
+            1.48 * np.median(np.abs(lab - median), axis=0)
+            for lab, median in zip((inside, outside), medians, strict=True)
+        ]
+        return cls(*medians, float(np.sqrt(LEAST_SPREAD**2 + np.mean(np.square(spreads)))))
+
+    def log_ratio(
+        self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n m"]:
+        """Return the log likelihood ratio of colors, of the first face over the second."""
+        del behind
+        first, second = (np.sum((lab - mean) ** 2, axis=-1) for mean in (self.inside, self.outside))
+        return np.clip((second - first) / (2 * self.spread**2), -LARGEST, LARGEST)
 
 
 def color_models(

@@ -111,8 +111,8 @@ class SceneGeoms:
         """Move and scale the geoms as a placement does their objects."""
         m, d, k = self.model, self.data, self.body
         scale, turn = place.scale[k], place.turn[k]
-        at = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
-        d.geom_xpos[self.geom] = place.pos[k] + at
+        offset = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
+        d.geom_xpos[self.geom] = place.pos[k] + offset
         d.geom_xmat[self.geom] = (turn @ self.mat).reshape(-1, 9)
         m.geom_size[self.geom] = scale[:, None] * self.size
         m.geom_rbound[self.geom] = scale * self.radius
@@ -124,11 +124,11 @@ class SceneGeoms:
         Args:
             counts: mask of the objects between which contacts count.
         """
-        m, at = self.model, self.data.geom_xpos[self.geom]
+        m, pos = self.model, self.data.geom_xpos[self.geom]
         # The bounding radius of a plane is zero.
         radius = np.where(self.radius > 0, m.geom_rbound[self.geom], np.inf)
         first, second = np.nonzero(np.triu(counts[self.owner[:, None], self.owner], 1))
-        apart = np.linalg.norm(at[first] - at[second], axis=1)
+        apart = np.linalg.norm(pos[first] - pos[second], axis=1)
         rows = apart - radius[first] - radius[second] < REACH_M
         return np.stack([first[rows], second[rows]], axis=1)
 

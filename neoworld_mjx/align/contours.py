@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from .colors import ColorModels, bins_of, log_likelihood_ratio
+from .colors import ColorModels, FaceColors
 from .rasterize import DrawnObjects, window_of
 
 MOST_POINTS = 300
@@ -77,15 +77,40 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
         y, x = y + here[0].start, x + here[1].start
         pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
         found.append((pixel, depth[y, x], -gradient[y, x], behind, body))
-    pixel, depth, normal, behind, body = (np.concatenate(part) for part in zip(*found, strict=True))
-    steep = np.linalg.norm(normal, axis=1)
+    parts = (np.concatenate(part) for part in zip(*found, strict=True))
+    return sampled_contour(*parts, shape=(height, width), most=MOST_POINTS)
+
+
+def sampled_contour(
+    pixel: Float[np.ndarray, "n 2"],
+    depth: Float[np.ndarray, " n"],
+    slope: Float[np.ndarray, "n 2"],
+    behind: Int[np.ndarray, " n"],
+    body: Int[np.ndarray, " n"],
+    *,
+    shape: tuple[int, int],
+    most: int,
+) -> Contour | None:
+    """Return evenly spaced points of a contour, or None if it has none within the image.
+
+    Args:
+        pixel: points along the grid of pixels.
+        depth: of the object there [m].
+        slope: negative gradient of its smoothed mask.
+        behind: object behind the contour.
+        body: body of the object that shows there.
+        shape: height and width of the image [px].
+        most: largest number of points.
+    """
+    height, width = shape
+    steep = np.linalg.norm(slope, axis=1)
     inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
     rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
     if not len(rows):
         return None
-    share = max(len(rows) / MOST_POINTS, 1.0)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_POINTS)).astype(int)]
-    normal = normal[rows] / steep[rows, None]
+    share = max(len(rows) / most, 1.0)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    normal = slope[rows] / steep[rows, None]
     # Steps along the grid are longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
     return Contour(pixel[rows], depth[rows], normal, behind[rows], length, body[rows])
@@ -102,7 +127,7 @@ def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:
 def displacements(
     lab: Float[np.ndarray, "row column 3"],
     points: Contour,
-    models: ColorModels,
+    models: ColorModels | FaceColors,
     *,
     reach: float,
     step: float,
@@ -114,31 +139,25 @@ def displacements(
     Args:
         lab: the photograph.
         points: contour of the object.
-        models: color models of the object.
+        models: colors on the two sides.
         reach: largest displacement [px].
         step: distance of samples [px].
         noise: standard deviation of an ideal contour [px]: shapes are approximate.
         unit: pixels that count as one independent observation of a color.
     """
-    at = np.arange(-reach, reach + step / 2, step)
-    spot = points.pixel[:, None] + at[None, :, None] * points.normal[:, None] - 0.5
+    offset = np.arange(-reach, reach + step / 2, step)
+    spot = points.pixel[:, None] + offset[None, :, None] * points.normal[:, None] - 0.5
     sampled = [
         map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
         for c in range(3)
     ]
-    bins = bins_of(np.stack(sampled, axis=-1))
-    outside = np.empty(bins.shape)
-    for behind in np.unique(points.behind).tolist():
-        rows = points.behind == behind
-        outside[rows] = models.background(behind)[bins[rows]]
-    ratio = log_likelihood_ratio(models.inside[bins], outside) * (step / unit)
+    ratio = models.log_ratio(np.stack(sampled, axis=-1), points.behind) * (step / unit)
     # With the contour at an edge between samples, all samples up to it belong to the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
-    edge = np.append(at - step / 2, at[-1] + step / 2)
+    edge = np.append(offset - step / 2, offset[-1] + step / 2)
     prior = -0.5 * (edge * SPREAD / reach) ** 2
-    moments = lambda log_p: _moments(log_p, edge)
-    mean, variance = moments(likelihood + prior)
-    prior_variance = moments(prior[None])[1]
+    mean, variance = _moments(likelihood + prior, edge)
+    prior_variance = _moments(prior[None], edge)[1]
     # The information of the pixels alone, and the displacement without the pull of the prior.
     gain = np.maximum(1 / np.maximum(variance, 1e-6) - 1 / prior_variance, 1e-3 / prior_variance)
     value = np.clip(mean / np.maximum(variance, 1e-6) / gain, -reach, reach)
@@ -147,9 +166,9 @@ def displacements(
 
 
 def _moments(
-    log_p: Float[np.ndarray, "n m"], at: Float[np.ndarray, " m"]
+    log_p: Float[np.ndarray, "n m"], offset: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
     p /= p.sum(axis=1, keepdims=True)
-    mean = p @ at
-    return mean, np.maximum(p @ at**2 - mean**2, 0.0)
+    mean = p @ offset
+    return mean, np.maximum(p @ offset**2 - mean**2, 0.0)

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .colors import LabImage, color_models
+from .colors import ColorModels, FaceColors, LabImage, color_models
 from .contacts import ContactGaps
-from .contours import contour, displacements
+from .contours import Contour, contour, displacements
+from .creases import creases
 from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import Placement, Unknowns
 
@@ -71,8 +72,9 @@ def contour_evidence(
     *,
     reach: float,
     step: float,
+    with_creases: bool = True,
 ) -> Evidence | None:
-    """Return the evidence of an object's contour, or None without a contour.
+    """Return the evidence of an object's contour and creases, or None without a contour.
 
     Args:
         unknowns: the unknowns.
@@ -83,16 +85,71 @@ def contour_evidence(
         k: index of the object.
         reach: largest displacement, in pixels of REFERENCE_PX.
         step: distance of the samples along normals, in the same unit.
+        with_creases: whether creases count, too.
     """
     points = contour(drawn, k)
     if points is None:
         return None
     width = image.lab.shape[1]
     unit = width / REFERENCE_PX
-    models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
+    margin = max(1, round(MARGIN_PX * unit))
+    models = color_models(drawn.owner, image.bins, k, margin)
     if models is None:
         return None
-    length = points.length.sum()
+    length = float(points.length.sum())
+    lines: list[tuple[Contour, ColorModels | FaceColors]] = [(points, models)]
+    if with_creases:
+        lines += creases(drawn, image.lab, k, margin)
+    located = [
+        _located(*line, image, length, unknowns.mover, reach=reach, step=step) for line in lines
+    ]
+    if not any(part is not None for part in located):
+        return None
+    pixel, depth, normal, body, value, weight = (
+        np.concatenate(values) for values in zip(*filter(None, located), strict=True)
+    )
+    world = _unprojected(now, pixel, depth, width)
+    local = now.local(k if (body == k).all() else body, world)
+    jacobian = unknowns.jacobian(now, neighbors, k, local, normal, width, body)
+    return Evidence(jacobian / unit, value / unit, weight * unit**2)
+
+
+class _Located(NamedTuple):
+    """Points of a contour or crease with their displacements in the photograph."""
+
+    pixel: Float[np.ndarray, "n 2"]
+    depth: Float[np.ndarray, " n"]
+    normal: Float[np.ndarray, "n 2"]
+    body: Int[np.ndarray, " n"]
+    """Body that shows there, see `open_joints`."""
+    value: Float[np.ndarray, " n"]
+    """Displacement along the normal [px]."""
+    weight: Float[np.ndarray, " n"]
+    """[1/px^2]"""
+
+
+def _located(
+    points: Contour,
+    models: ColorModels | FaceColors,
+    image: LabImage,
+    length: float,
+    mover: Int[np.ndarray, " body"],
+    *,
+    reach: float,
+    step: float,
+) -> _Located | None:
+    """Locate a contour or crease of an object in the photograph; None if colors do not show it.
+
+    Args:
+        points: its points.
+        models: colors on its two sides.
+        image: the photograph.
+        length: length of the object's contour [px].
+        mover: what moves each body, as `Unknowns.mover`.
+        reach: as for `contour_evidence`.
+        step: as for `contour_evidence`.
+    """
+    unit = image.lab.shape[1] / REFERENCE_PX
     noise = float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi))
     moved = displacements(
         image.lab,
@@ -106,18 +163,13 @@ def contour_evidence(
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():
         return None
-    mover = unknowns.mover[points.body]
-    spread = _spreads(moved.value, informed, mover, LEAST_SPREAD * unit)
+    spread = _spreads(moved.value, informed, mover[points.body], LEAST_SPREAD * unit)
     robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
     # A contour that disagrees with itself is less certain than its colors say.
     precision = moved.precision / (1 + moved.precision * spread**2)
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
-    world = _unprojected(now, points.pixel, points.depth, width)
-    whole = (points.body == k).all()
-    local = now.local(k if whole else points.body, world)
-    jacobian = unknowns.jacobian(now, neighbors, k, local, points.normal, width, points.body)
-    return Evidence(jacobian / unit, moved.value / unit, weight * unit**2)
+    return _Located(points.pixel, points.depth, points.normal, points.body, moved.value, weight)
 
 
 def _spreads(

@@ -7,9 +7,11 @@ which it shows the object (`physics.visibility`).
 """
 
 import dataclasses
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
 from ..physics.model import SceneModel
@@ -59,30 +61,9 @@ def photo_evidence(
     window = np.tile([0.0, 0.0, 1.0, 1.0], (len(scene.objects), 1))
     if camera is None:
         return evidence, window
-    owner = draw_scene(scene, camera, WIDTH_PX).owner
-    height = height_of(camera, WIDTH_PX)
-    bins = LabImage.of(photo, WIDTH_PX, height).bins
     unit = camera.width / WIDTH_PX
-    for k, item in enumerate(scene.objects):
-        mask = owner == k
-        if item.environment or see_through(item.spec) or not mask.any():
-            continue
-        models = color_models(owner, bins, k, round(MARGIN_PX))
-        if models is None:
-            continue
-        tight = window_of(mask)
-        margin = round(MARGIN * max(span.stop - span.start for span in tight)) + 2
-        near = tuple(
-            slice(max(s.start - margin, 0), min(s.stop + margin, n))
-            for s, n in zip(tight, owner.shape, strict=True)
-        )
-        colors, inside = bins[near], mask[near]
-        outside = np.empty(colors.shape)
-        for behind in np.unique(owner[near]).tolist():
-            pixels = owner[near] == behind
-            background = models.around if behind == k else models.background(behind)
-            outside[pixels] = background[colors[pixels]]
-        ratio = log_likelihood_ratio(models.inside[colors], outside)
+    height = height_of(camera, WIDTH_PX)
+    for k, near, ratio, inside in rated_pixels(scene, photo):
         if ratio[inside].mean() < LEAST_RATIO:
             continue
         total = np.abs(ratio[inside]).sum() * unit**2
@@ -94,3 +75,52 @@ def photo_evidence(
         middle = np.array([WIDTH_PX, height, WIDTH_PX, height]) / 2
         window[k] = (corners - middle) * unit
     return evidence, window
+
+
+class RatedPixels(NamedTuple):
+    """Log likelihood ratios of the pixels near an object: of its colors over those behind it."""
+
+    k: int
+    """Index of the object."""
+    window: tuple[slice, slice]
+    """Rows and columns in an image of WIDTH_PX."""
+    ratio: Float[np.ndarray, "row column"]
+    """[nats]"""
+    inside: Bool[np.ndarray, "row column"]
+    """Pixels that show the object as it is placed."""
+
+
+def rated_pixels(
+    scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
+) -> Iterator[RatedPixels]:
+    """Rate the pixels near each visible, opaque object that is no support of the environment.
+
+    Args:
+        scene: the scene, with a camera.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+    """
+    assert scene.camera is not None
+    owner = draw_scene(scene, scene.camera, WIDTH_PX).owner
+    bins = LabImage.of(photo, WIDTH_PX, height_of(scene.camera, WIDTH_PX)).bins
+    for k, item in enumerate(scene.objects):
+        mask = owner == k
+        if item.environment or see_through(item.spec) or not mask.any():
+            continue
+        models = color_models(owner, bins, k, round(MARGIN_PX))
+        if models is None:
+            continue
+        tight = window_of(mask)
+        margin = round(MARGIN * max(span.stop - span.start for span in tight)) + 2
+        rows, columns = (
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(tight, owner.shape, strict=True)
+        )
+        near = rows, columns
+        colors = bins[near]
+        outside = np.empty(colors.shape)
+        for behind in np.unique(owner[near]).tolist():
+            pixels = owner[near] == behind
+            background = models.around if behind == k else models.background(behind)
+            outside[pixels] = background[colors[pixels]]
+        ratio = log_likelihood_ratio(models.inside[colors], outside)
+        yield RatedPixels(k, near, ratio, mask[near])

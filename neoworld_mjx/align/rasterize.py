@@ -26,6 +26,8 @@ class WorldMesh(NamedTuple):
     vertices: Float[np.ndarray, "v 3"]
     """[m]"""
     triangles: Int[np.ndarray, "t 3"]
+    face: Int[np.ndarray, " t"] | None = None
+    """Smooth face of each triangle, see `creases`; None for a single one."""
 
 
 def joined(meshes: Sequence[WorldMesh]) -> WorldMesh:
@@ -46,6 +48,8 @@ class DrawnObjects(NamedTuple):
     """Depth along the view [m]; inf for none."""
     body: Int[np.ndarray, "row column"] | None = None
     """Index of the body where objects have several, see `open_joints`; -1 for none."""
+    face: Int[np.ndarray, "row column"] | None = None
+    """Smooth face of the nearest object, see `creases`; -1 for none."""
 
 
 def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:
@@ -87,7 +91,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     """
     height = height_of(camera, width)
     size = np.array([width, height])
-    corners, owners = [], []
+    corners, owners, faces = [], [], []
     for k, mesh in enumerate(meshes):
         pixels, depth = pixels_of(camera, mesh.vertices, width)
         ahead = (depth > NEAR_M)[mesh.triangles].all(axis=1)
@@ -95,7 +99,8 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         inverse = 1.0 / np.maximum(depth, NEAR_M)
         corners.append(np.concatenate([pixels, inverse[:, None]], axis=1)[rows].reshape(-1, 3, 3))
         owners.append(np.full(len(rows), k))
-    triangle, owner = np.concatenate(corners), np.concatenate(owners)
+        faces.append(np.zeros(len(rows), int) if mesh.face is None else mesh.face[ahead])
+    triangle, owner, face = (np.concatenate(part) for part in (corners, owners, faces))
     # Pixel centers are at half-integers.
     low = np.ceil(np.clip(triangle[..., :2].min(axis=1) - 0.5, 0, size)).astype(int)
     high = np.floor(np.clip(triangle[..., :2].max(axis=1) - 0.5, -1, size - 1)).astype(int)
@@ -114,11 +119,13 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
             spot = pixel[:, 1] * width + pixel[:, 0]
             np.maximum.at(nearest, spot, inverse)
             front = inverse >= nearest[spot]
-            first[spot[front]] = owner[rows[k[front]]]
+            first[spot[front]] = rows[k[front]]
     shape = (height, width)
     with np.errstate(divide="ignore"):
         depth = np.where(first >= 0, 1.0 / nearest, np.inf)
-    return DrawnObjects(first.reshape(shape), depth.reshape(shape))
+    # No triangle has the index -1.
+    owner, face = (np.append(ids, -1)[first].reshape(shape) for ids in (owner, face))
+    return DrawnObjects(owner, depth.reshape(shape), face=face)
 
 
 def _covered(

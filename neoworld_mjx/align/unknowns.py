@@ -20,6 +20,7 @@ from ..physics.support import link_frame
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, rearranged, world_poses
 from ..spec.pose import Pose, matrix, yaw_of
+from .creases import smooth_faces
 from .open_joints import (
     MovingPart,
     OpenJoint,
@@ -151,26 +152,32 @@ class Unknowns:
 
     @cached_property
     def surfaces(self) -> list[WorldMesh]:
-        """Visible surface of each body."""
+        """Visible surface of each body; every smooth face of the scene has an index of its own."""
         moving = {(p.object, p.part) for p in self.parts}
-        surfaces = []
+        shown = []
         for k, item in enumerate(self.scene.objects):
             still = {p.name for p in item.spec.parts if (k, p.name) not in moving}
             some = still if len(still) < len(item.spec.parts) else None
-            surfaces.append(WorldMesh(*visible_surface(item.spec, item.joint_state, some)))
+            shown.append(visible_surface(item.spec, item.joint_state, some))
         for k, part, _ in self.parts:
             item = self.scene.objects[k]
-            surfaces.append(WorldMesh(*visible_surface(item.spec, item.joint_state, {part})))
+            shown.append(visible_surface(item.spec, item.joint_state, {part}))
+        surfaces, first = [], 0
+        for vertices, triangles in shown:
+            face = smooth_faces(vertices, triangles) + first
+            surfaces.append(WorldMesh(vertices, triangles, face))
+            first = int(face.max(initial=first - 1)) + 1
         return surfaces
 
+    def body_mesh(self, place: Placement, body: int) -> WorldMesh:
+        """Return the visible surface of a body in the world."""
+        surface = self.surfaces[body]
+        return surface._replace(vertices=place.world(body, surface.vertices))
+
     def mesh(self, place: Placement, k: int) -> WorldMesh:
-        """Return the visible surface of an object in the world."""
+        """Return the visible surface of an object in the world, without its faces."""
         bodies = np.flatnonzero(self.object_of == k).tolist()
-        meshes = [
-            WorldMesh(place.world(b, self.surfaces[b].vertices), self.surfaces[b].triangles)
-            for b in bodies
-        ]
-        return joined(meshes)
+        return joined([self.body_mesh(place, b) for b in bodies])
 
     def vertices(self, k: int) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
         """Return the vertices of an object's visible surface, and the body of each."""
@@ -179,15 +186,11 @@ class Unknowns:
         return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
 
     def draw(self, place: Placement, width: int) -> DrawnObjects:
-        """Draw the scene at a placement, with the body at each pixel."""
-        count = len(self.surfaces)
-        meshes = [
-            WorldMesh(place.world(b, self.surfaces[b].vertices), self.surfaces[b].triangles)
-            for b in range(count)
-        ]
+        """Draw the scene at a placement, with the body and the face at each pixel."""
+        meshes = [self.body_mesh(place, b) for b in range(len(self.surfaces))]
         drawn = draw_objects(meshes, place.camera, width)
         owner = np.append(self.object_of, -1)[drawn.owner]
-        return DrawnObjects(owner, drawn.depth, drawn.owner)
+        return DrawnObjects(owner, drawn.depth, drawn.owner, drawn.face)
 
     def columns(self, k: int) -> slice:
         """Return the indices of the unknowns of a free object's place."""

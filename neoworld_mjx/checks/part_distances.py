@@ -49,9 +49,9 @@ class Probe:
         geom: list[int] = []
         order = [g.name for part in spec.parts for g in part.geoms]
         for index, part in enumerate(spec.parts):
-            for placed, piece, at in pieces(part):
+            for placed, piece, pose in pieces(part):
                 added = world.worldbody.add_geom(
-                    type=GEOM_TYPES[piece.kind], size=piece.size, pos=at.pos, quat=at.quat
+                    type=GEOM_TYPES[piece.kind], size=piece.size, pos=pose.pos, quat=pose.quat
                 )
                 if piece.kind == "mesh":
                     added.meshname = f"m{len(owner)}"

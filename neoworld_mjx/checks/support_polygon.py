@@ -30,14 +30,16 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
     spec, tilt = simulation.spec, pose((0, 0, 0), simulation.tilt)
     links = link_poses(spec, simulation.state)
     placed = [
-        (piece, tilt.then(links[p.name]).then(at)) for p in spec.parts for _, piece, at in pieces(p)
+        (piece, tilt.then(links[p.name]).then(piece_pose))
+        for p in spec.parts
+        for _, piece, piece_pose in pieces(p)
     ]
-    bottoms = [float(box_around(piece, at)[0][2]) for piece, at in placed]
+    bottoms = [float(box_around(piece, piece_pose)[0][2]) for piece, piece_pose in placed]
     reach = min(bottoms) + max(0.001, 0.002 * float(simulation.size[2]), slack)
     points = np.vstack(
         [
-            _contact_points(piece, at.pos, matrix(at.quat), reach)
-            for (piece, at), bottom in zip(placed, bottoms, strict=True)
+            _contact_points(piece, piece_pose.pos, matrix(piece_pose.quat), reach)
+            for (piece, piece_pose), bottom in zip(placed, bottoms, strict=True)
             if bottom <= reach
         ]
     )

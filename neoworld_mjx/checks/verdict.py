@@ -210,7 +210,8 @@ WAIVED = "the critic finds that the real object would do the same"
 def quantity(value: float, unit: str) -> str:
     """Format the value of a check: lengths in mm, angles in degrees, fractions in percent."""
     if unit.startswith("of "):
-        return f"{100 * value:.3g} % {unit}"
+        percent = 100 * value
+        return f"{percent:.0f} % {unit}" if abs(percent) >= 100 else f"{percent:.3g} % {unit}"
     factor, shown = {
         "m": (1000.0, "mm"),
         "rad": (180 / np.pi, "degrees"),

@@ -32,14 +32,14 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
         if report is None or threading.current_thread() is not threading.main_thread():
             yield
             return
-        seen, ended = threading.Event(), threading.Event()
+        signalled, ended = threading.Event(), threading.Event()
         signals, wakeup = socket.socketpair()
         wakeup.setblocking(False)
 
         def watch() -> None:
             while numbers := signals.recv(64):
                 if signal.SIGINT in numbers:
-                    seen.set()
+                    signalled.set()
                     if not ended.wait(GRACE_S):
                         report()
                         os._exit(INTERRUPTED)
@@ -51,7 +51,7 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
             yield
         except Exception as error:
             # An extension module that is being imported replaces the exception, as USD's do.
-            if seen.wait(0.05):
+            if signalled.wait(0.05):
                 raise KeyboardInterrupt from error
             raise
         finally:
@@ -77,9 +77,9 @@ def _repeated_interrupts() -> Iterator[None]:
         timers[-1].start()
         return True
 
-    def ignored(what: Any) -> None:
-        if not repeated(what.exc_type):
-            hooks[0](what)
+    def ignored(args: Any) -> None:
+        if not repeated(args.exc_type):
+            hooks[0](args)
 
     def printed(kind: type[BaseException], *rest: Any) -> None:
         if not repeated(kind):

@@ -134,10 +134,10 @@ def _composed(
             item, poses[item.name], parent, frames[parent], as_given=item.name in kept
         )
         objects.append(placed)
-        at = frames[parent].pos + rotate(
+        pos = frames[parent].pos + rotate(
             from_yaw(yaw_of(frames[parent].quat)), np.array([*placed.xy, placed.z])
         )
-        frames[item.name] = Pose(at, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
+        frames[item.name] = Pose(pos, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
         notes += note
     composed = scene.model_copy(update={"objects": tuple(objects)})
     snapped = [
@@ -197,11 +197,11 @@ def _parents(scene: SceneSpec) -> dict[str, str]:
     for item in scene.objects:
         if item.static:
             continue
-        own = meshes[item.name]
-        rays = _footprint(own)
+        item_mesh = meshes[item.name]
+        rays = _footprint(item_mesh)
         best: tuple[float, str] | None = None
         for other, mesh in meshes.items():
-            if other == item.name or not _above(own, mesh):
+            if other == item.name or not _above(item_mesh, mesh):
                 continue
             heights = _heights(mesh, rays)
             if len(heights) >= LEAST_SHARE * len(rays):
@@ -234,9 +234,9 @@ def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
     return np.column_stack([x, y, np.full(len(x), (z0 + z1) / 2)])
 
 
-def _above(own: "trimesh.Trimesh", other: "trimesh.Trimesh") -> bool:
+def _above(upper: "trimesh.Trimesh", other: "trimesh.Trimesh") -> bool:
     """Return whether the boxes of two meshes overlap from above, and the first is the higher."""
-    (a0, a1), (b0, b1) = own.bounds, other.bounds
+    (a0, a1), (b0, b1) = upper.bounds, other.bounds
     overlap = np.minimum(a1[:2], b1[:2]) - np.maximum(a0[:2], b0[:2])
     return bool((overlap > 0).all() and (a0[2] + a1[2]) / 2 > b0[2])
 

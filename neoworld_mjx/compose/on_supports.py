@@ -6,7 +6,8 @@ from ..config import ComposeOptions
 from ..physics.layout import Layout, arrange
 from ..physics.placed import DOWN
 from ..physics.scene_arrays import snapped_heights
-from ..spec import SceneSpec, bounds
+from ..spec import SceneObject, SceneSpec, bounds
+from ..spec.pose import from_yaw, rotate
 from .joint_friction import with_held_joints
 from .leaning import bring_walls, lean
 from .put_back import put_back
@@ -30,7 +31,7 @@ def in_contact(
     notes: list[str] = []
     if options.hold_joints:
         scene = _held(scene, notes)
-    kept = dict[str, float]()
+    kept = dict[str, str]()
     if composed is not None:
         scene, kept = kept_on_level(scene, composed, options.gap_m)
     if not options.settle:
@@ -39,8 +40,8 @@ def in_contact(
     scene = snap(scene, options.gap_m)
     notes += [
         f"{item}: composition kept it where it was before the alignment, which would have moved it "
-        f"{1e3 * abs(rise):.0f} mm {'up' if rise > 0 else 'down'}, off what it rests on"
-        for item, rise in kept.items()
+        f"{refused}"
+        for item, refused in kept.items()
     ]
     notes += [
         f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
@@ -84,12 +85,13 @@ def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
 
 def kept_on_level(
     scene: SceneSpec, composed: SceneSpec, gap: float
-) -> tuple[SceneSpec, dict[str, float]]:
-    """Return objects that the alignment moved off their level to their composed places.
+) -> tuple[SceneSpec, dict[str, str]]:
+    """Return objects that the alignment moved off what they rest on to their composed places.
 
     The alignment sees contours, not what is under an object: a millimetre puts a tube onto the rim
     of its rack. Sideways moves do not change what an object rests on, so one whose height above its
-    support changes by more than the bounds of `settled_by` is refused.
+    support changes by more than the bounds of `settled_by` is refused, and one past the end of an
+    object that carries it. Of a support of the environment, `put_back` knows the edge.
 
     Args:
         scene: the aligned scene.
@@ -97,16 +99,26 @@ def kept_on_level(
         gap: clearance of snapped objects [m].
 
     Returns:
-        The scene, and the refused change of height [m] of each object concerned, by name.
+        The scene, and the refused move of each object concerned, in words, by name.
     """
-    objects, kept = [], dict[str, float]()
+    objects, kept = [], dict[str, str]()
     for item, level, before in zip(
         scene.objects, snap(scene, gap).objects, composed.objects, strict=True
     ):
         rise = level.z - before.z
         size = float(np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state))))
-        if item.parent is not None and not item.static and abs(rise) > DOWN[0] * size + DOWN[1]:
-            kept[item.name] = rise
+        if item.parent is None or item.static:
+            objects.append(item)
+            continue
+        refused = ""
+        if abs(rise) > DOWN[0] * size + DOWN[1]:
+            way = "up" if rise > 0 else "down"
+            refused = f"{1e3 * abs(rise):.0f} mm {way}, off what it rests on"
+        elif _above(composed, before) and not _above(scene, item):
+            distance = float(np.linalg.norm(np.subtract(item.xy, before.xy)))
+            refused = f"by {1e3 * distance:.0f} mm, off {item.parent}"
+        if refused:
+            kept[item.name] = refused
             # The support may have been scaled.
             ends = (bounds(s.object(item.parent).spec) for s in (scene, composed))
             after, first = (float(np.linalg.norm(np.subtract(*end))) for end in ends)
@@ -114,6 +126,18 @@ def kept_on_level(
             item = item.model_copy(update={"xy": tuple(xy.tolist()), "yaw": before.yaw})
         objects.append(item)
     return scene.model_copy(update={"objects": tuple(objects)}), kept
+
+
+def _above(scene: SceneSpec, item: SceneObject) -> bool:
+    """Return True if an object's box is, at least in part, above that of its parent object."""
+    parent = scene.object(item.parent or "")
+    if parent.environment or item.parent_link is not None:
+        return True
+    low, high = (ends[:2] for ends in bounds(parent.spec, parent.joint_state, parent.base_tilt))
+    ends = np.array(bounds(item.spec, item.joint_state, item.base_tilt))
+    corners = [(*(ends[i, 0], ends[j, 1]), 0.0) for i in (0, 1) for j in (0, 1)]
+    footprint = np.add(item.xy, rotate(from_yaw(item.yaw), np.array(corners))[:, :2])
+    return bool(np.all((footprint.max(axis=0) > low) & (footprint.min(axis=0) < high)))
 
 
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:

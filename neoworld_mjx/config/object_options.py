@@ -263,6 +263,10 @@ class AlignOptions(Options):
     contours: bool = option(
         True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
     )
+    creases: bool = option(
+        True,
+        "Also use the creases within objects, where two of their faces meet. Requires contours.",
+    )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
     joints: bool = option(
         False,

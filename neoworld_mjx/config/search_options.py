@@ -39,6 +39,11 @@ class CEMOptions(Options):
     sigma_log_scale: float = traced(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
+    photo_sigma: bool = option(
+        False,
+        "Initial standard deviations of aligned objects are no larger than what the photograph "
+        "leaves, the covariance of the alignment.",
+    )
     hold_resting: bool = option(
         True,
         "Hold objects that rest where they should in the initial layout, so that only the others, "

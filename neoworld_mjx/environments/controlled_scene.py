@@ -1,6 +1,5 @@
 """Scenes with actuators: actions, observed joints and initial states."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,8 +19,8 @@ from ..physics.layout import Layout
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
-from ..spec import SceneSpec, read_scene, support_frame, world_poses
-from ..spec.pose import yaw_of
+from ..physics.photo_deviations import photo_deviations
+from ..spec import SceneSpec, read_scene
 from .facing import facing
 
 FREE_TARGET = np.pi
@@ -92,26 +91,12 @@ class ControlledScene:
     def photo_deviations(
         self,
     ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, " object"]]:
-        """Deviations that the photograph leaves, zero for objects that were not aligned.
+        """Deviations that the photograph leaves; see `physics.photo_deviations`.
 
-        The columns of the first are the deviations of the position along and across the view [m],
-        in the frame of the object's support; the second are those of the yaw [rad].
+        The second are those of the yaw [rad].
         """
-        spec = self.scene.spec
-        poses = world_poses(spec)
-        axes, yaw = np.zeros((len(self.names), 2, 2)), np.zeros(len(self.names))
-        for k, item in enumerate(spec.objects):
-            known = item.uncertainty
-            if known is None or item.parent is None:
-                continue
-            parent = spec.object(item.parent)
-            frame = support_frame(parent, poses[item.parent], item.parent_link)
-            # The camera is above the origin.
-            along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
-            c, s = math.cos(along), math.sin(along)
-            axes[k] = np.array([[c, -s], [s, c]]) * [known.along, known.across]
-            yaw[k] = known.yaw
-        return axes, yaw
+        axes, others = photo_deviations(self.scene.spec)
+        return axes, others[:, 0]
 
     @cached_property
     def action_bounds(self) -> tuple[NDArray, NDArray]:

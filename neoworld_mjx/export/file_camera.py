@@ -98,8 +98,8 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
         PhotoError: the camera states no pose or no intrinsics, or they are not of this photograph.
     """
     if camera.pose is None or (camera.fovy is None and camera.fx is None):
-        what = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
-        raise PhotoError(f"the camera of the photograph has no {what}: {WHERE}")
+        missing = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
+        raise PhotoError(f"the camera of the photograph has no {missing}: {WHERE}")
     left, top, size, focal = 0, 0, [width, height], 0.0
     if camera.fovy is not None:
         focal = height / 2 / math.tan(camera.fovy / 2)

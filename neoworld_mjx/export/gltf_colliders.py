@@ -48,18 +48,20 @@ class StatedColliders(Spec):
     geoms: tuple[StatedCollider, ...] = Field(min_length=1, max_length=1000)
 
 
-def extras_of(spec: ObjectSpec, part: PartSpec, seen: Sequence[NDArray]) -> dict[str, Any] | None:
+def extras_of(
+    spec: ObjectSpec, part: PartSpec, visuals: Sequence[NDArray]
+) -> dict[str, Any] | None:
     """Return the extras of a link; None if it has no visible mesh, or a mesh collides.
 
     Args:
         spec: the object.
         part: the link.
-        seen: vertices [n, 3] of its visible meshes, in its frame.
+        visuals: vertices [n, 3] of its visible meshes, in its frame.
     """
     colliders = [geom for geom in part.geoms if geom.role != "visual"]
-    if not seen or not colliders or any(isinstance(geom.shape, Mesh) for geom in colliders):
+    if not visuals or not colliders or any(isinstance(geom.shape, Mesh) for geom in colliders):
         return None
-    points = np.concatenate(seen)
+    points = np.concatenate(visuals)
     return {
         COLLIDERS: {
             "box": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
@@ -79,21 +81,21 @@ def extras_of(spec: ObjectSpec, part: PartSpec, seen: Sequence[NDArray]) -> dict
     }
 
 
-def stated_shapes(extras: object, seen: Sequence[Triangles], frame: NDArray) -> list[LinkShape]:
+def stated_shapes(extras: object, visuals: Sequence[Triangles], frame: NDArray) -> list[LinkShape]:
     """Return the colliders that a link's node states, or none if its meshes are others.
 
     Args:
         extras: untrusted entry of the node.
-        seen: the meshes below it, in its frame.
+        visuals: the meshes below it, in its frame.
         frame: rigid transform [4, 4] of that frame to the object's.
     """
-    if extras is None or not seen:
+    if extras is None or not visuals:
         return []
     try:
         stated = StatedColliders.model_validate(extras)
     except (ValidationError, RecursionError):
         return []
-    points = np.concatenate([vertices for vertices, _ in seen])
+    points = np.concatenate([vertices for vertices, _ in visuals])
     box = np.array([points.min(axis=0), points.max(axis=0)])
     if np.abs(box - stated.box).max() > SAME_BOX * np.linalg.norm(box[1] - box[0]):
         return []

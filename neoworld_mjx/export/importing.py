@@ -186,12 +186,12 @@ def _without_empty(
             parent, child = links[joint.parent], links[joint.child]
             if child.shapes and parent.shapes and not child.visual_only:
                 continue
-            kept, merged = (parent, child) if parent.shapes else (child, parent)
-            _merge(kept, merged)
+            into, merged = (parent, child) if parent.shapes else (child, parent)
+            _merge(into, merged)
             del links[merged.name]
-            owner = {k: kept.name if v == merged.name else v for k, v in owner.items()}
+            owner = {k: into.name if v == merged.name else v for k, v in owner.items()}
             joints.remove(joint)
-            joints[:] = [_renamed(j, merged.name, kept.name) for j in joints]
+            joints[:] = [_renamed(j, merged.name, into.name) for j in joints]
             changed = True
             break
     for link in links.values():
@@ -207,21 +207,21 @@ def _without_empty(
     return joints, owner
 
 
-def _merge(kept: Link, merged: Link) -> None:
-    kept.shapes += merged.shapes
+def _merge(into: Link, merged: Link) -> None:
+    into.shapes += merged.shapes
     if merged.mass is None or merged.mass <= 0 or merged.com is None:
         return
-    if kept.mass is None or kept.com is None or kept.inertia is None:
+    if into.mass is None or into.com is None or into.inertia is None:
         return  # The mass is derived from geometry later; that of the merged link is negligible.
-    total = kept.mass + merged.mass
-    com = (kept.mass * kept.com + merged.mass * merged.com) / total
+    total = into.mass + merged.mass
+    com = (into.mass * into.com + merged.mass * merged.com) / total
     inertia = np.zeros((3, 3))
-    for link in (kept, merged):
+    for link in (into, merged):
         assert link.mass is not None and link.com is not None
         d = link.com - com
         about_com = np.zeros((3, 3)) if link.inertia is None else link.inertia
         inertia += about_com + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    kept.mass, kept.com, kept.inertia = total, com, inertia
+    into.mass, into.com, into.inertia = total, com, inertia
 
 
 def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:

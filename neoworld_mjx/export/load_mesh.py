@@ -74,8 +74,8 @@ def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray
     faces = faces[(a != b) & (b != c) & (c != a)]
     # Equal triangles may start at different corners.
     first = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
-    _, kept = np.unique(np.take_along_axis(faces, first, axis=1), axis=0, return_index=True)
-    return vertices, faces[np.sort(kept)]
+    _, unique = np.unique(np.take_along_axis(faces, first, axis=1), axis=0, return_index=True)
+    return vertices, faces[np.sort(unique)]
 
 
 def mesh_bytes(path: Path) -> bytes:

@@ -154,8 +154,8 @@ def _printed_object(
                 names[material.name] = name
                 changes: dict[str, object] = {"name": name, "photo": photo}
                 if printable is not None:
-                    own = printable[part.name, material.name]
-                    changes["rgba"] = (*_mean_color(filled, own), material.rgba[3])
+                    mask = printable[part.name, material.name]
+                    changes["rgba"] = (*_mean_color(filled, mask), material.rgba[3])
                 materials.append(material.model_copy(update=changes))
         geoms = tuple(
             geom.model_copy(update={"material": names[geom.material]})
@@ -165,8 +165,8 @@ def _printed_object(
         )
         parts.append(part.model_copy(update={"geoms": geoms}))
     used = {geom.material for part in parts for geom in part.geoms}
-    kept = tuple(material for material in materials if material.name in used)
-    return spec.model_copy(update={"materials": kept, "parts": tuple(parts)})
+    used_materials = tuple(material for material in materials if material.name in used)
+    return spec.model_copy(update={"materials": used_materials, "parts": tuple(parts)})
 
 
 def _flat_materials(
@@ -182,9 +182,9 @@ def _flat_materials(
                 ids.setdefault((part.name, geom.material), []).append(g)
     pixels = {key: np.isin(view.geoms, geoms) for key, geoms in ids.items()}
     return {
-        key: own & faces
-        for key, own in pixels.items()
-        if (own & faces).sum() > max(FLAT_SHARE * own.sum(), LEAST_PX**2)
+        key: mask & faces
+        for key, mask in pixels.items()
+        if (mask & faces).sum() > max(FLAT_SHARE * mask.sum(), LEAST_PX**2)
     }
 
 

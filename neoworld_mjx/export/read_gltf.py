@@ -65,13 +65,13 @@ def _object_nodes(graph: Any) -> list[Any]:
     From the file's roots, the search descends while a level has a single node with meshes in or
     below it, and that node has none of its own and does not say in its extras that it is an object.
     """
-    own, tree = set(graph.nodes_geometry), graph.transforms
+    meshed, tree = set(graph.nodes_geometry), graph.transforms
     level = [graph.base_frame]
-    while len(level) == 1 and level[0] not in own:
+    while len(level) == 1 and level[0] not in meshed:
         extras = tree.edge_data.get((tree.parents.get(level[0]), level[0]), {}).get("metadata")
         if extras and extras.get(KIND) == OBJECT:
             break
-        level = [node for node in tree.children.get(level[0], []) if own & tree.successors(node)]
+        level = [node for node in tree.children.get(level[0], []) if meshed & tree.successors(node)]
     return level
 
 
@@ -95,11 +95,11 @@ def _parts_below(loaded: Any, node: Any) -> NodeParts:
     for link in (n for n in below if _is_rigid(transform)):
         extras = tree.edge_data.get((tree.parents.get(link), link), {}).get("metadata") or {}
         inner = tree.successors(link)
-        seen = _meshes(loaded, link, inner) if COLLIDERS in extras else []
+        visuals = _meshes(loaded, link, inner) if COLLIDERS in extras else []
         turn = Z_UP @ np.asarray(loaded.graph.get(link, frame_from=node)[0], float) @ Z_UP.T
-        stated = stated_shapes(extras.get(COLLIDERS), seen, turn) if _is_rigid(turn) else []
+        stated = stated_shapes(extras.get(COLLIDERS), visuals, turn) if _is_rigid(turn) else []
         if stated:
-            parts.shapes.extend(stated + [LinkShape(mesh, turn, "visual") for mesh in seen])
+            parts.shapes.extend(stated + [LinkShape(mesh, turn, "visual") for mesh in visuals])
             taken |= inner
     parts.meshes.extend(_meshes(loaded, node, below - taken))
     return parts

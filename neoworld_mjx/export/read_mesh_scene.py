@@ -124,8 +124,8 @@ def mesh_object(
     local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
     # Beside stated shapes, meshes without colliders collide themselves.
     role = "both" if shapes else "visual"
-    own = [LinkShape(triangles, np.eye(4), role) for triangles in local]
-    link = Link("body", [*shapes, *own], visual_only=not shapes)
+    visuals = [LinkShape(triangles, np.eye(4), role) for triangles in local]
+    link = Link("body", [*shapes, *visuals], visual_only=not shapes)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 

@@ -86,12 +86,12 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
         )
     for part in item.spec.parts:
-        link, seen = f"{item.name}-{part.name}", list[NDArray]()
+        link, visuals = f"{item.name}-{part.name}", list[NDArray]()
         # As in MuJoCo, a part without visual shapes shows its colliders.
         visible = [geom for geom in part.geoms if geom.role != "collision"]
         for geom in visible or part.geoms:
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
-            seen.append(geom.pose().apply(vertices))
+            visuals.append(geom.pose().apply(vertices))
             # Separate vertices for every corner keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
@@ -114,5 +114,5 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
             frame_from=item.name,
             frame_to=link,
             matrix=Y_UP @ transform(moved[part.name]) @ Y_UP.T,
-            metadata=extras_of(item.spec, part, seen),
+            metadata=extras_of(item.spec, part, visuals),
         )

@@ -94,14 +94,14 @@ def without_cycles(
 ) -> dict[str, OtherSupport]:
     """Return the changes without those that close a cycle; larger gains take precedence."""
     parents = {node.name: node.parent for node in tree.nodes}
-    kept = {}
+    accepted = {}
     for name, change in sorted(supports.items(), key=lambda entry: -entry[1].gain):
         below: str | None = change.parent
         while below not in (None, name):
             below = parents[below]
         if below is None:
-            parents[name], kept[name] = change.parent, change
-    return kept
+            parents[name], accepted[name] = change.parent, change
+    return accepted
 
 
 def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> SceneTree:

@@ -154,8 +154,8 @@ def _covered_corners(
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
     near = ((low[:, None] <= corners) & (corners <= high[:, None])).all(axis=2)
     for surface, corner in zip(*np.nonzero(near), strict=True):
-        own = slice(*np.searchsorted(owners, [surface, surface + 1]))
-        if _surrounds(pixels[own].reshape(-1, 2), corners[corner]):
+        rows = slice(*np.searchsorted(owners, [surface, surface + 1]))
+        if _surrounds(pixels[rows].reshape(-1, 2), corners[corner]):
             yield int(surface), corners[corner]
 
 
@@ -186,8 +186,8 @@ def near_border(
     far = ((ends < -margin).all(axis=1) | (ends > size + margin).all(axis=1)).any(axis=1)
     far &= (view[edges][..., 2] > NEAR_M).all(axis=1)
     within = inner[edges].all(axis=1) & ~extreme[edges].any(axis=1)
-    kept = edges[~far & ~within]
-    return kept if len(kept) else edges
+    remaining = edges[~far & ~within]
+    return remaining if len(remaining) else edges
 
 
 def _surrounds(points: Float[np.ndarray, "n 2"], spot: Float[np.ndarray, "2"]) -> bool:

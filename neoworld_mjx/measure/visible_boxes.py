@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class SidesShown(NamedTuple):
     """Sides of an object's visible box in a scene: left, top, right, bottom."""
 
-    own: Bool[np.ndarray, "4"]
+    ends: Bool[np.ndarray, "4"]
     """True where the object itself ends, within the image and not occluded."""
     inside: Bool[np.ndarray, "4"]
     """True where the extreme point of the whole object lies within the image."""
@@ -42,10 +42,10 @@ def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
     if scene.camera is None:
         return {}
     padded, visible = _visible(scene)
-    own, whole = np.asarray(visible.own_sides)[0], np.asarray(visible.outlines.boxes)[0]
+    ends, whole = np.asarray(visible.own_sides)[0], np.asarray(visible.outlines.boxes)[0]
     half = np.tile(np.asarray(padded.photo.half_size), 2)
     return {
-        item.name: SidesShown(own[k], np.abs(whole[k]) <= half)
+        item.name: SidesShown(ends[k], np.abs(whole[k]) <= half)
         for k, item in enumerate(scene.objects)
         if not item.environment
     }

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from PIL import Image
 
 from ..fit.priors import is_slab
 from ..fit.projection import outline_of
@@ -143,7 +144,8 @@ def upright_edges(rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree) -> UprightEd
     """
     camera = tree.camera
     factor = -(-max(rgb.shape[:2]) // LONGER_PX)
-    small = _reduced(rgb, factor)
+    whole = [side // factor * factor for side in rgb.shape[1::-1]]
+    small = np.asarray(Image.fromarray(rgb).reduce(factor, (0, 0, *whole)))
     height, width = small.shape[:2]
     per_pixel = np.array([camera.width / width, camera.height_px / height])
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -241,12 +243,3 @@ def _has_upright_edges(node: TreeNode) -> bool:
     tilted = float(level.min()) < math.cos(UPRIGHT_TILT) or node.relation == "leaning"
     turned = any(part.type != "prismatic" and part.opening > 0 for part in node.articulation)
     return not tilted and not turned and outline in ("box", "round")
-
-
-def _reduced(rgb: UInt8[np.ndarray, "h w 3"], factor: int) -> UInt8[np.ndarray, "_ _ 3"]:
-    """Return a picture reduced by an integer factor: the mean of each block."""
-    if factor <= 1:
-        return rgb
-    height, width = (side // factor * factor for side in rgb.shape[:2])
-    blocks = rgb[:height, :width].reshape(height // factor, factor, width // factor, factor, 3)
-    return np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)

@@ -117,13 +117,13 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
 
 def _covered_part(other: TreeNode, node: TreeNode) -> str:
     """Describe the part of a node's box that another box covers, on a grid of 3 x 3 cells."""
-    own, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
-    low, high = np.maximum(own[:2], over[:2]), np.minimum(own[2:], over[2:])
+    box, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
+    low, high = np.maximum(box[:2], over[:2]), np.minimum(box[2:], over[2:])
     if (low >= high).any():
         return ""
-    sides = own[2:] - own[:2]
+    sides = box[2:] - box[:2]
     share = float(np.prod((high - low) / sides))
-    across, down = np.floor(((low + high) / 2 - own[:2]) / sides * 3).astype(int).tolist()
+    across, down = np.floor(((low + high) / 2 - box[:2]) / sides * 3).astype(int).tolist()
     words = [("upper", "", "lower")[min(down, 2)], ("left", "", "right")[min(across, 2)]]
     place = " ".join(word for word in words if word) or "middle"
     return f" (its box covers {share:.0%} of this one's, {place})"

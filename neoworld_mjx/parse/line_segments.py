@@ -127,7 +127,7 @@ def _split(points: Points, least: float, pieces: list[Points]) -> None:
     """Add the straight pieces of a chain of edge pixels that are at least `least` long."""
     if len(points) < LEAST_FILLED * least:
         return
-    along, off = _coordinates(points)
+    along, off, _ = _coordinates(points)
     length = float(np.ptp(along))
     if length < least:
         return
@@ -158,7 +158,7 @@ def _joined(pieces: list[Points]) -> list[Points]:
 
 
 def _on_one_line(one: Points, other: Points) -> bool:
-    along, off = _coordinates(np.concatenate([one, other]))
+    along, off, _ = _coordinates(np.concatenate([one, other]))
     filled = sum(float(np.ptp(_coordinates(piece)[0])) for piece in (one, other))
     if float(np.ptp(along)) > (1 + JOIN_GAP) * filled:
         return False
@@ -166,23 +166,22 @@ def _on_one_line(one: Points, other: Points) -> bool:
     return sides <= JOIN_PX and float(np.sqrt(np.mean(off**2))) <= STRAIGHT_PX
 
 
-def _coordinates(points: Points) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the coordinates of points along and across their line, from its middle [px]."""
+def _coordinates(
+    points: Points,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "2"]]:
+    """Return coordinates along and across the points' line, from its middle, and its direction."""
     offset = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(offset.T @ offset)
-    return offset @ axes[:, 1], offset @ axes[:, 0]
+    direction = axes[:, 1] * (1 if axes[1, 1] >= 0 else -1)
+    return offset @ direction, offset @ axes[:, 0], direction
 
 
 def _line(
     points: Points,
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], float, float]:
     """Return middle, direction, length [px] and standard deviation of the angle [rad]."""
-    middle = points.mean(axis=0)
-    offset = points - middle
-    _, axes = np.linalg.eigh(offset.T @ offset)
-    direction = axes[:, 1] * (1 if axes[1, 1] >= 0 else -1)
-    along, off = offset @ direction, offset @ axes[:, 0]
+    along, off, direction = _coordinates(points)
     noise = max(float(np.sqrt(np.mean(off**2))), NOISE_PX)
     # Neighbouring pixels share their errors, as they are smoothed together.
     spread = float(np.sqrt(np.sum(along**2) / (2 * BLUR_PX)))
-    return middle, direction, float(np.ptp(along)), noise / spread
+    return points.mean(axis=0), direction, float(np.ptp(along)), noise / spread

@@ -30,10 +30,12 @@ def collect_colliders(objects: tuple[SceneObject, ...]) -> Colliders:
     """
     rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Colliders._fields}
     for owner, item in enumerate(objects):
-        for shape, at in posed_shapes(item):
+        for shape, shape_pose in posed_shapes(item):
             for piece, repeats in _distinct(shape):
                 kind = _KIND[piece.kind] if repeats == 1 else "sector"
-                rows[kind].append((owner, piece, at.then(pose(piece.pos, piece.quat)), repeats))
+                rows[kind].append(
+                    (owner, piece, shape_pose.then(pose(piece.pos, piece.quat)), repeats)
+                )
     return Colliders(**{kind: _group(rows[kind]) for kind in Colliders._fields})
 
 
@@ -59,8 +61,8 @@ def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
     f32 = lambda value, shape: jax.device_put(np.array(value, np.float32).reshape(shape))
     return PieceGroup(
         owner=jax.device_put(np.array([owner for owner, _, _, _ in rows], np.int32)),
-        pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
-        rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
+        pos=f32([piece_pose.pos for _, _, piece_pose, _ in rows], (-1, 3)),
+        rot=f32([matrix(piece_pose.quat) for _, _, piece_pose, _ in rows], (-1, 3, 3)),
         size=f32(size, (-1, 3)),
         planes=f32(table, (len(rows), width, 4)),
         extent=f32(extent, (-1, 2, 3)),

@@ -138,8 +138,8 @@ def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
     bodies = free_bodies(m, static.start)
     owner = static.jnt_object[m.jnt_type == FREE]
     scale = poses.scale[:, owner]
-    own = (static.body_object == owner[:, None]) * m.body_mass
-    mass = xp.sum(own * scale[..., None] ** static.powers.body_mass, axis=-1)
+    masses = (static.body_object == owner[:, None]) * m.body_mass
+    mass = xp.sum(masses * scale[..., None] ** static.powers.body_mass, axis=-1)
     start = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
     return Held(bodies, springs(bodies, start, scale, mass, xp))
 

@@ -140,7 +140,9 @@ def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
     )
 
 
-def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool) -> list[float]:
+def _add_object(
+    model: mujoco.MjSpec, item: SceneObject, base_pose: Pose, visual: bool
+) -> list[float]:
     """Add one object and return its coordinates in the keyframe."""
     spec = item.spec
     start: list[float] = []
@@ -149,11 +151,11 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
     for part, joint in _depth_first(spec):
         if joint is None:
             origin = np.zeros(3)
-            body = model.worldbody.add_body(name=item.name, pos=at.pos, quat=at.quat)
+            body = model.worldbody.add_body(name=item.name, pos=base_pose.pos, quat=base_pose.quat)
             if not item.static:
                 free = body.add_freejoint(name=item.name)
                 free.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
-                start += [*at.pos, *at.quat]
+                start += [*base_pose.pos, *base_pose.quat]
         else:
             origin = np.array(joint.pos)
             body = bodies[joint.parent].add_body(
@@ -236,14 +238,14 @@ def _add_geoms(
 
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
-                at = geom.pose().then(pose(piece.pos, piece.quat))
+                piece_pose = geom.pose().then(pose(piece.pos, piece.quat))
                 added = body.add_geom(
                     name=f"{owner}-{geom.name}-{k}",
                     group=COLLISION_GROUP,
                     type=GEOM_TYPES[piece.kind],
                     size=piece.size,
-                    pos=at.pos - origin,
-                    quat=at.quat,
+                    pos=piece_pose.pos - origin,
+                    quat=piece_pose.quat,
                     condim=3,
                     rgba=material.rgba,
                     solref=[CONTACT_TIME_S, 1.0],

@@ -210,9 +210,9 @@ def bare_scan(
     """
 
     def one(
-        model: MjxModel, own: Fields, start: Float[Array, " nq"], bodies: Held | None
+        model: MjxModel, values: Fields, start: Float[Array, " nq"], bodies: Held | None
     ) -> tuple[Array, Array]:
-        m = with_fields(model, own)
+        m = with_fields(model, values)
 
         def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
             d = mjx_step(m, d, every, _pushing(guidance, bodies))
@@ -250,7 +250,7 @@ def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxDat
 def _begin(
     model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], mesh: Mesh | None
 ) -> MjxData:
-    make = lambda m, own, start, _: make_data(with_fields(m, own)).replace(qpos=start)
+    make = lambda m, values, start, _: make_data(with_fields(m, values)).replace(qpos=start)
     return _candidates(make, None, mesh)(model, fields, qpos, None)
 
 
@@ -266,8 +266,10 @@ def _advance(
     springs: Held | None,
     mesh: Mesh | None,
 ) -> tuple[MjxData, Bool[Array, " pop"]]:
-    def one(model: MjxModel, own: Fields, d: MjxData, bodies: Held | None) -> tuple[MjxData, Array]:
-        m = with_fields(model, own)
+    def one(
+        model: MjxModel, values: Fields, d: MjxData, bodies: Held | None
+    ) -> tuple[MjxData, Array]:
+        m = with_fields(model, values)
         d = mjx_step(m, d, every, _pushing(guidance, bodies))
         return d, pairs_dropped(m, d)
 

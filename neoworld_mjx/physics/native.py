@@ -123,7 +123,7 @@ def _model_ring(
     ring.extend(copy.copy(base) for _ in range(pop - len(ring)))
     data = mujoco.MjData(base)
     fields = {name: v.reshape(pop, *getattr(base, name).shape) for name, v in fields.items()}
-    mesh, vert, box = (owner_scale(scale, own, np)[..., None] for own in _mesh_owners(scene))
+    mesh, vert, box = (owner_scale(scale, owners, np)[..., None] for owners in _mesh_owners(scene))
     for k, model in enumerate(ring[:pop]):
         for name, values in fields.items():
             getattr(model, name)[:] = values[k]

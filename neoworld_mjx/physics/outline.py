@@ -49,8 +49,8 @@ def _directions() -> NDArray:
 
 def _farthest(item: SceneObject, directions: NDArray) -> NDArray:
     best, points = np.full(len(directions), -np.inf), np.zeros(directions.shape)
-    for piece, at in posed_pieces(item, tilted=False):
-        candidates = at.apply(_support(piece, directions @ matrix(at.quat)))
+    for piece, pose in posed_pieces(item, tilted=False):
+        candidates = pose.apply(_support(piece, directions @ matrix(pose.quat)))
         reach = np.sum(candidates * directions, axis=1)
         farther = reach > best
         best[farther], points[farther] = reach[farther], candidates[farther]

@@ -80,12 +80,6 @@ def pair_gaps(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object obje
 
 
 @eqx.filter_jit
-def placed_poses(scene: SceneArrays, layouts: Layout) -> Poses:
-    """Place candidates; may be vmapped."""
-    return scene.place(layouts)
-
-
-@eqx.filter_jit
 def _measure(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object object"], Visible]:
     return pair_depths(scene, poses), visibility(scene, poses)
 
@@ -94,7 +88,7 @@ def measured_poses(
     scene: SceneArrays, poses: Poses
 ) -> tuple[Float[AnyArray, "pop object object"], Visible]:
     """Measure penetration and visibility of candidates; may be vmapped."""
-    return _stored_measure(scene, poses)
+    return _stored_measure(scene.arrays, poses)
 
 
 _stored_measure = stored_trace(
@@ -126,8 +120,9 @@ def settled_by(
     tilt = xp.arctan2(sine, xp.sum(before * after, axis=-1))
     tilt = xp.where(ball | (size < SMALL_M), 0.0, tilt)
     first, last = (
-        at.pos + at.scale[..., None] * xp.sum(rotation(at.quat, xp) * center[:, None, :], axis=-1)
-        for at in (start, end)
+        poses.pos
+        + poses.scale[..., None] * xp.sum(rotation(poses.quat, xp) * center[:, None, :], axis=-1)
+        for poses in (start, end)
     )
     shift = last - first
     sideways = length(shift[..., :2], xp) / (SIDEWAYS * size)
@@ -150,7 +145,7 @@ def poses_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
     Returns:
         Arrays on the host.
     """
-    return _in_chunks(placed_poses, scene, layouts)
+    return _in_chunks(SceneArrays.place, scene, layouts)
 
 
 def measured_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:

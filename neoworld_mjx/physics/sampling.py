@@ -21,15 +21,15 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
     """
     pieces = posed_pieces(item, tilted=False)
     areas = np.array([_area(piece) for piece, _ in pieces])
-    solids = [_Solid(piece, at) for piece, at in pieces]
+    solids = [_Solid(piece, pose) for piece, pose in pieces]
     centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
     sharp, smooth = [], []
-    for k, (piece, at) in enumerate(pieces):
+    for k, (piece, pose) in enumerate(pieces):
         apart = np.linalg.norm(centres - centres[k], axis=1)
         near = [j for j in np.flatnonzero(apart < radii + radii[k]).tolist() if j != k]
-        own = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
-        for points, into in ((_edges(piece), sharp), (_faces(piece, own), smooth)):
-            world = at.apply(points)
+        target = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
+        for points, into in ((_edges(piece), sharp), (_faces(piece, target), smooth)):
+            world = pose.apply(points)
             hidden = np.zeros(len(world), bool)
             for j in near:
                 solids[j].hide(world, hidden)
@@ -44,11 +44,11 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
 class _Solid:
     """A piece in the object's frame that may contain points of other pieces."""
 
-    def __init__(self, piece: Piece, at: Pose) -> None:
-        self.piece, self.at, self.turn = piece, at, matrix(at.quat)
+    def __init__(self, piece: Piece, pose: Pose) -> None:
+        self.piece, self.pose, self.turn = piece, pose, matrix(pose.quat)
         self.half = planes(piece) if piece.kind in ("box", "mesh") else None
         corners = np.array(piece.vertices) if piece.kind == "mesh" else None
-        self.centre = at.pos if corners is None else at.apply(corners.mean(axis=0)[None])[0]
+        self.centre = pose.pos if corners is None else pose.apply(corners.mean(axis=0)[None])[0]
         s = np.asarray(piece.size, float)
         self.radius = (
             float(np.linalg.norm(s)) + float(s[0])
@@ -60,7 +60,7 @@ class _Solid:
         """Mark the points [n, 3] inside the piece."""
         near = np.flatnonzero(((points - self.centre) ** 2).sum(axis=1) < self.radius**2)
         if len(near):
-            local = (points[near] - self.at.pos) @ self.turn
+            local = (points[near] - self.pose.pos) @ self.turn
             hidden[near] |= _inside(self.piece, self.half, local)
 
 

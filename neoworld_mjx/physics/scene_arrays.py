@@ -45,6 +45,9 @@ class SceneArrays(eqx.Module):
     """True for objects whose base is free."""
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
+    photo_sigma: Float[AnyArray, "object 4"]
+    """Standard deviations that the photograph leaves: x and y in the support's frame [m], yaw
+    [rad], log scale; inf for objects that were not aligned."""
     corners: Float[AnyArray, "object 8 3"]
     """Corners of each object's bounding box in its frame, at its joint state [m]."""
     pair_mask: Bool[AnyArray, "object object"]
@@ -60,13 +63,21 @@ class SceneArrays(eqx.Module):
         """Length of the object axis."""
         return self.diagonal.shape[0]
 
-    @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]
+    @property
+    def arrays(self) -> "SceneArrays":
+        """The arrays alone: scenes of the same shapes share what is compiled for them."""
+        return SceneArrays(**{name: vars(self)[name] for name in SceneArrays.__dataclass_fields__})
+
     def place(self, layouts: Layout) -> Poses:
         """Place every object of every candidate; see `layout.place`.
 
         May be jitted, vmapped over further leading axes of the layouts, and differentiated.
+        Compiled once for all scenes with the same number of objects.
         """
-        return place(self.arrangement, layouts)
+        return _place(self.arrangement, layouts)
+
+
+_place = jax.jit(place, inline=True)
 
 
 class Bucket(NamedTuple):
@@ -131,6 +142,7 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
         optimised=pad_axis(scene.optimised, n),
         movable=pad_axis(scene.movable, n),
         diagonal=pad_axis(scene.diagonal, n, 1.0),
+        photo_sigma=pad_axis(scene.photo_sigma, n, np.inf),
         corners=pad_axis(scene.corners, n),
         pair_mask=pair_mask,
         joint_object=pad_axis(scene.joint_object, b.joints, n - 1),

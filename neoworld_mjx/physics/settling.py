@@ -158,16 +158,16 @@ def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def _placed(item: SceneObject, at: Pose) -> SceneObject:
+def _placed(item: SceneObject, rest: Pose) -> SceneObject:
     """Return an object at a pose in its parent's frame, split into a tilt followed by a yaw."""
-    turn = yaw_of(quat_mul(at.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
+    turn = yaw_of(quat_mul(rest.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
     yaw = math.remainder(item.yaw + turn, 2 * math.pi)
-    tilt = quat_mul(conjugate(from_yaw(yaw)), at.quat)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), rest.quat)
     tilt = tilt / np.linalg.norm(tilt) * (1.0 if tilt[0] >= 0 else -1.0)
     return item.model_copy(
         update={
-            "xy": tuple(at.pos[:2].tolist()),
-            "z": float(at.pos[2]),
+            "xy": tuple(rest.pos[:2].tolist()),
+            "z": float(rest.pos[2]),
             "yaw": yaw,
             "base_tilt": tuple(tilt.tolist()),
         }

@@ -78,14 +78,14 @@ def posed_pieces(
     ]
 
 
-def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+def column(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     """Intersect vertical lines at xy [n, 2] m with a convex piece at a pose.
 
     Returns:
         Lowest and highest point [n] m on each line; (inf, -inf) where a line misses.
     """
     if piece.kind in ("box", "mesh"):
-        corners = _corners(piece, at)[:, :2]
+        corners = _corners(piece, piece_pose)[:, :2]
         near = np.all(
             (xy >= corners.min(axis=0) - LINE_MARGIN_M)
             & (xy <= corners.max(axis=0) + LINE_MARGIN_M),
@@ -93,15 +93,15 @@ def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
         )
         low, high = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
         if near.any():
-            low[near], high[near] = _intersect(piece, at, xy[near])
+            low[near], high[near] = _intersect(piece, piece_pose, xy[near])
         return low, high
-    return _intersect(piece, at, xy)
+    return _intersect(piece, piece_pose, xy)
 
 
-def _intersect(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+def _intersect(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     """Intersect all lines with a piece; see `column`."""
-    back = conjugate(at.quat)
-    o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - at.pos)
+    back = conjugate(piece_pose.quat)
+    o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - piece_pose.pos)
     d = rotate(back, np.array([0.0, 0.0, 1.0]))
     s = np.asarray(piece.size, float)
     if piece.kind in ("box", "mesh"):
@@ -146,13 +146,13 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
 def footprint(item: SceneObject) -> NDArray:
     """Sample an object's underside in its tilted frame: points [n, 3] m, padded at +inf."""
     pieces = posed_pieces(item)
-    spots = np.vstack([_corners(piece, at) for piece, at in pieces])
+    spots = np.vstack([_corners(piece, piece_pose) for piece, piece_pose in pieces])
     low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
     steps = np.stack(
         np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(low, high, strict=True))), -1
     ).reshape(-1, 2)
     xy = np.unique(np.round(np.vstack([spots[:, :2], steps]), 9), axis=0)
-    z = np.min([column(piece, at, xy)[0] for piece, at in pieces], axis=0)
+    z = np.min([column(piece, piece_pose, xy)[0] for piece, piece_pose in pieces], axis=0)
     points = np.column_stack([xy, z])[np.isfinite(z)]
     if item.relation == "in" and _leans(item):
         # The object stands on its lowest edge; the rest touches the wall.
@@ -167,25 +167,25 @@ def footprint(item: SceneObject) -> NDArray:
     return np.vstack([points, pad])
 
 
-def _corners(piece: Piece, at: Pose) -> NDArray:
+def _corners(piece: Piece, piece_pose: Pose) -> NDArray:
     if piece.kind == "mesh":
-        return at.apply(np.array(piece.vertices))
+        return piece_pose.apply(np.array(piece.vertices))
     s = np.asarray(piece.size, float)
     if piece.kind == "box":
-        return at.apply(np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * s)
+        return piece_pose.apply(np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * s)
     if piece.kind in ("sphere", "ellipsoid"):
         r = np.full(3, s[0]) if piece.kind == "sphere" else s
-        down = rotate(conjugate(at.quat), np.array([0.0, 0.0, -1.0]))
+        down = rotate(conjugate(piece_pose.quat), np.array([0.0, 0.0, -1.0]))
         lowest = r * r * down / np.linalg.norm(r * down)
         ring = np.vstack([np.eye(3), -np.eye(3)]) * r
-        return at.apply(np.vstack([lowest, ring]))
+        return piece_pose.apply(np.vstack([lowest, ring]))
     turn = 2 * np.pi * np.arange(16) / 16
     ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)]) * s[0]
     ends = np.vstack([ring + [0, 0, s[1]], ring - [0, 0, s[1]]])
     if piece.kind == "capsule":
         tips = np.array([[0, 0, s[1] + s[0]], [0, 0, -s[1] - s[0]], [0, 0, s[1]], [0, 0, -s[1]]])
         ends = np.vstack([ends, tips])
-    return at.apply(ends)
+    return piece_pose.apply(ends)
 
 
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
@@ -223,32 +223,37 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     links = {item.parent_link} if item.parent_link else None
     frame = link_frame(parent, item.parent_link).inverse()
     foot = footprint(item)
-    own = foot[np.isfinite(foot[:, 2])]
-    half = float(np.linalg.norm(own[:, :2], axis=1).max()) * 1.3 + reach
+    finite = foot[np.isfinite(foot[:, 2])]
+    half = float(np.linalg.norm(finite[:, :2], axis=1).max()) * 1.3 + reach
     origin = np.array(item.xy) - half
     cell = 2 * half / (GRID - 1)
     axis = np.arange(GRID) * cell
     xy = np.stack(np.meshgrid(origin[0] + axis, origin[1] + axis, indexing="ij"), -1).reshape(-1, 2)
-    columns = [column(piece, frame.then(at), xy) for piece, at in posed_pieces(parent, links)]
+    columns = [
+        column(piece, frame.then(piece_pose), xy)
+        for piece, piece_pose in posed_pieces(parent, links)
+    ]
     low, high = np.array([c[0] for c in columns]), np.array([c[1] for c in columns])
 
-    top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in posed_pieces(item))
-    middle = item.z + (own[:, 2].min() + top) / 2
+    top = max(
+        float(_corners(piece, piece_pose)[:, 2].max()) for piece, piece_pose in posed_pieces(item)
+    )
+    middle = item.z + (finite[:, 2].min() + top) / 2
     outside = np.max(high, axis=0, initial=NO_SURFACE)
     under = low < middle
     # A wall does not hide its own floor.
     wall = middle if item.relation == "in" else item.z + top + WALL_M
     floor = under & (high <= wall)
     if item.relation == "in" and _leans(item):
-        sole = under & (high <= item.z + own[:, 2].min() + SOLE_M)
+        sole = under & (high <= item.z + finite[:, 2].min() + SOLE_M)
         floor = sole if sole.any() else floor
     inside = np.max(np.where(floor, high, NO_SURFACE), axis=0, initial=NO_SURFACE)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 
-    turned = rotate(from_yaw(item.yaw), own)
+    turned = rotate(from_yaw(item.yaw), finite)
     spots = np.clip(np.round((turned[:, :2] + item.xy - origin) / cell), 0, GRID - 1).astype(int)
     cells = spots[:, 0] * GRID + spots[:, 1]
-    z_out, z_in = (float(np.max(h[cells] - own[:, 2])) for h in (outside, inside))
+    z_out, z_in = (float(np.max(h[cells] - finite[:, 2])) for h in (outside, inside))
     fits = z_in > NO_SURFACE / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
     lower = fits and abs(z_in - item.z) <= abs(z_out - item.z)
     heights = inside if lower or item.relation == "in" else outside

@@ -167,12 +167,8 @@ def _grid() -> Float[np.ndarray, "2 tile cell"]:
     row, column = np.mgrid[:n, :n]
     x = (column + (0.5 + GOLDEN * row) % 1) / n
     y = (row + (0.5 + GOLDEN * column) % 1) / n
-    tiles = lambda v: (
-        v.reshape(WINDOW_TILES, WINDOW_TILE, WINDOW_TILES, WINDOW_TILE)
-        .swapaxes(1, 2)
-        .reshape(WINDOW_TILES**2, -1)
-    )
-    return np.stack([tiles(x), tiles(y)]).astype(np.float32)
+    tiles = np.stack([x, y]).reshape(2, WINDOW_TILES, WINDOW_TILE, WINDOW_TILES, WINDOW_TILE)
+    return tiles.swapaxes(2, 3).reshape(2, WINDOW_TILES**2, -1).astype(np.float32)
 
 
 def visibility(scene: SceneArrays, poses: Poses) -> Visible:
@@ -228,7 +224,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         others, itself = first_hits(
             prepared.placed, prepared.families, near, Rays(x, y), target.astype(jnp.int32), 2
         )
-        own, shown = itself > 0, itself > others
+        hit, shown = itself > 0, itself > others
         cells = shown[:-1]
         any_cell = jnp.any(cells, axis=(0, 1))
         extent = lambda v: [
@@ -240,7 +236,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         cell = jnp.tile(span, (2, 1)) / (WINDOW_TILE * WINDOW_TILES)
         in_picture = (full[k] >= low) & (full[k] <= high)
         tips = slice(None, None, WINDOW_TILE * WINDOW_TILE // 4)
-        tip_shown, tip_own = shown[-1][tips], own[-1][tips]
+        tip_shown, tip_own = shown[-1][tips], hit[-1][tips]
         # The ray may miss a thin tip; then the adjacent cells decide.
         by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
         ends_here = in_picture & (tip_shown | by_cells)
@@ -249,7 +245,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         some = any_cell | jnp.any(tip_shown, axis=0)
         centre = jnp.tile(middle[k], (2, 1))
         box = jnp.where(some & jnp.all(jnp.isfinite(box), axis=0), box, centre)
-        count = jnp.sum(own[:-1], axis=(0, 1))
+        count = jnp.sum(hit[:-1], axis=(0, 1))
         share = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
         support = _support(scene.photo, k, x[:-1] * focal, y[:-1] * focal)
         pixels = jnp.prod(span, axis=0) * (focal / (WINDOW_TILE * WINDOW_TILES)) ** 2
@@ -284,8 +280,8 @@ def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "objec
     least = jnp.full((count, placed.scale.shape[1]), jnp.inf)
     for rows in prepared.families:
         reach = jnp.sqrt(jnp.sum(jnp.max(rows.extent**2, axis=1), axis=1))
-        at = rows.pos
-        far = jnp.sqrt(jnp.sum(at**2, axis=1)) + reach
+        center = rows.pos
+        far = jnp.sqrt(jnp.sum(center**2, axis=1)) + reach
         depth = placed.pos[rows.owner, 2] + far[:, None] * placed.scale[rows.owner]
         inverse = jnp.where(rows.used[:, None], 1.0 / jnp.maximum(depth, LEAST_DEPTH_M), jnp.inf)
         least = least.at[rows.owner].min(inverse)
@@ -304,16 +300,15 @@ def raster(
     half = scene.photo.half_size / scene.photo.focal
     pop = poses.scale.shape[0]
     row, column = np.mgrid[:rows, :columns]
-    fold = lambda v: (
-        v.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE)
-        .swapaxes(1, 2)
-        .reshape(-1, WINDOW_TILE**2)
-    )
-    at = lambda v, number, k: jnp.repeat(
-        ((fold(v) + 0.5) / number * 2 - 1)[..., None] * half[k], pop, axis=-1
-    )
+
+    def slopes(index: np.ndarray, number: int, axis: int) -> Array:
+        """Return the slopes of rays through the cells, by tile."""
+        tiles = index.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE).swapaxes(1, 2)
+        middle = (tiles.reshape(-1, WINDOW_TILE**2) + 0.5) / number * 2 - 1
+        return jnp.repeat(middle[..., None] * half[axis], pop, axis=-1)
+
     window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
-    rays = Rays(at(column, columns, 0), at(row, rows, 1))
+    rays = Rays(slopes(column, columns, 0), slopes(row, rows, 1))
     near = _near(prepared, window, 0.0)
     layer = jnp.arange(scene.count, dtype=jnp.int32)
     hits = first_hits(prepared.placed, prepared.families, near, rays, layer, scene.count)

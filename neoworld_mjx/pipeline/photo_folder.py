@@ -114,10 +114,12 @@ def reconstruct_folder(
         about = _save(out, files, outcomes, config, until)
         while pending:
             tasks = [
-                PhotoTask(photo, out / photo.stem, own, until, overwrite and photo not in outcomes,
-                          tuple(tape.resolve() for tape in tapes))
-                for photo, own in _shares(out, files, pending, config, fresh=overwrite).items()
-            ]  # fmt: skip
+                PhotoTask(
+                    *(photo, out / photo.stem, options, until),
+                    *(overwrite and photo not in outcomes, tuple(t.resolve() for t in tapes)),
+                )
+                for photo, options in _shares(out, files, pending, config, fresh=overwrite).items()
+            ]
             for outcome in run_tasks(reconstruct_photo, tasks, place):
                 outcomes[outcome.photo] = outcome
                 about = _save(out, files, outcomes, config, until)
@@ -198,8 +200,10 @@ def _shares(
     part = max(cap - spent, 0.0) / max(len(left), 1)
     shares = {}
     for photo in pending:
-        own = float((runs.get(photo, {}).get("mllm") or {}).get("known_cost_usd", 0.0))
-        mllm = config.mllm.model_copy(update={"max_cost_usd": own + (part if photo in left else 0)})
+        spent = float((runs.get(photo, {}).get("mllm") or {}).get("known_cost_usd", 0.0))
+        mllm = config.mllm.model_copy(
+            update={"max_cost_usd": spent + (part if photo in left else 0)}
+        )
         shares[photo] = config.model_copy(update={"mllm": mllm})
     return shares
 

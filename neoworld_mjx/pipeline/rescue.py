@@ -207,8 +207,8 @@ def rescue_file(
             raise RunError(f"{file} holds one object; rescue needs a scene")
         picture = None
         if photo is not None:
-            own = None if camera is None else read_camera(camera)
-            picture = photographed(photo, read.camera, own, c.parse.max_side_px)
+            stated = None if camera is None else read_camera(camera)
+            picture = photographed(photo, read.camera, stated, c.parse.max_side_px)
         began = time.perf_counter()
         start = _composed(read, picture, c.refine, c.compose)
         if picture is not None and camera is None:

@@ -20,6 +20,7 @@ from .step_context import (
     ANNOTATION,
     CHECK,
     COMPOSED,
+    EVIDENCE,
     OUTLINES,
     REFIT,
     RESPONSE_TREE,
@@ -40,7 +41,7 @@ def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
 
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
-    compose/scales.json and pictures/outlines.png.
+    compose/scales.json, pictures/outlines.png and pictures/evidence.png.
     """
     from ..align.align import align
     from ..align.looks import as_photographed
@@ -124,7 +125,7 @@ def write_alignment(
     photo: UInt8[np.ndarray, "row column 3"],
     out: Path,
 ) -> None:
-    """Write the report and the picture of an alignment, and note large changes in the run.
+    """Write the report and the pictures of an alignment, and note large changes in the run.
 
     Args:
         run: the run.
@@ -133,13 +134,21 @@ def write_alignment(
         photo: the photograph (sRGB).
         out: folder of the step's files.
     """
+    from ..align.evidence_picture import evidence_picture
+    from ..align.outline_error import outline_errors
     from ..align.outline_picture import outline_picture
     from ..render import to_png
 
-    (out / ALIGNED).write_text(json.dumps(alignment.to_json(), indent=1) + "\n", encoding="utf-8")
-    if alignment.scene.camera is not None:
+    report, aligned = alignment.to_json(), alignment.scene
+    if aligned.camera is not None:
         (out / OUTLINES).parent.mkdir(exist_ok=True)
-        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, alignment.scene)))
+        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned)))
+        (out / EVIDENCE).write_bytes(to_png(evidence_picture(aligned, photo)))
+        before, after = (outline_errors(s, photo) for s in (scene, aligned))
+        report["outlines_px"] = {
+            name: {"composed": before[name], "aligned": after[name]} for name in after
+        }
+    (out / ALIGNED).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     if alignment.failure:
         reason = alignment.failure
         run.fallback("compose", "the scene is not aligned with the photograph", reason)

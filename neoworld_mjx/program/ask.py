@@ -129,7 +129,7 @@ def revise_request(
     stage: StageInput,
     program: str,
     critiques: Sequence[Critique],
-    made: Picture | None = None,
+    built: Picture | None = None,
 ) -> Request[ProgramResponse]:
     """Return the request to revise a program according to the critics' faults.
 
@@ -138,7 +138,7 @@ def revise_request(
         stage: stage of the program.
         program: the program.
         critiques: the critics' faults.
-        made: picture of the object that it builds, as the critics saw it.
+        built: picture of the object that it builds, as the critics saw it.
     """
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
@@ -149,10 +149,10 @@ def revise_request(
         lines.append(
             "- object: the measured box was wrong; it is corrected above -> fill the corrected box"
         )
-    shown = "" if made is None else f' The picture "{made.label}" shows what it builds.'
+    shown = "" if built is None else f' The picture "{built.label}" shows what it builds.'
     heading = f"It runs.{shown} Rendered and compared with the photo, it differs:"
     prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
-    return _request("revise", subject, stage, prompt, () if made is None else (made,))
+    return _request("revise", subject, stage, prompt, () if built is None else (built,))
 
 
 def reprogram_request(

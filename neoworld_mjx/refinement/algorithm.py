@@ -217,8 +217,8 @@ def update(
     credit, never = None, jnp.zeros_like(state.stuck)
     if problem.by_object:
         each = scores.reward[:, None] if scores.credit is None else scores.credit
-        own = jnp.where(scores.rested, each, -jnp.inf)
-        credit = jnp.where(seen_valid, scores.reward[:, None], own)
+        by_object = jnp.where(scores.rested, each, -jnp.inf)
+        credit = jnp.where(seen_valid, scores.reward[:, None], by_object)
         never = scene.optimised & ~jnp.any(scores.rested, axis=0)
     drawn = jax.tree.map(
         lambda z, o, f: o + jnp.where(f > 0, (z - o) / jnp.maximum(f, 1e-12), 0.0),

@@ -135,7 +135,7 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
 
     sigma_xy is a fraction of each object's horizontal bounding-box diagonal. Environment supports
     have zero deviation. Objects attached to an upright plate, such as a wall, move along it and do
-    not turn.
+    not turn. With `photo_sigma`, no deviation is larger than what the photograph leaves.
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
@@ -145,6 +145,10 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
         (np.radians(options.sigma_yaw_deg) * moves * ~fastened.any(axis=1))[None],
         (options.sigma_log_scale * moves)[None],
     )
+    if options.photo_sigma:
+        known = np.asarray(scene.photo_sigma, np.float32)[None]
+        known = Layout(known[..., :2], known[..., 2], known[..., 3])
+        sigma = jax.tree.map(np.minimum, sigma, known)
     return on_device(sigma)
 
 

@@ -55,6 +55,6 @@ def with_evidence(
 
 @functools.lru_cache(maxsize=4)
 def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
-    # JAX compiles again for another SceneModel, even if it is equal.
+    # JAX compiles functions of a SceneModel, such as MJX's, again for another one, even if equal.
     spec = SceneSpec.model_validate_json(scene)
     return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)

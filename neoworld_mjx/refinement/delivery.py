@@ -58,9 +58,8 @@ def _scores(
     first = pairs[0][0]
     o, runs = first.run.options, len(pairs)
     tile = tile_of(runs, o.cem.population)
-    evaluation = Evaluation(
-        first.scene, first.arrays, engine, o, runs, tile, {"score": 0.0}, time.perf_counter()
-    )
+    scenes = first.scene, first.arrays, first.padded
+    evaluation = Evaluation(*scenes, engine, o, runs, tile, {"score": 0.0}, time.perf_counter())
     layouts = [pad_objects(winner.layout, first.arrays.count) for _, winner in pairs]
     placed = poses_in_chunks(first.arrays, joined(layouts))
     starts = [take(placed, slice(k, k + 1)) for k in range(runs)]

@@ -16,7 +16,6 @@ from ..physics.placed import (
     Placed,
     measured_in_chunks,
     placed_at_rest,
-    placed_poses,
     poses_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays, pad_objects
@@ -34,6 +33,9 @@ class Evaluation(NamedTuple):
 
     scene: SceneModel
     arrays: SceneArrays
+    """The scene that terms and optimizers receive, padded or not."""
+    padded: SceneArrays
+    """The padded scene, in which candidates are measured: scenes of a bucket share the program."""
     engine: Engine
     options: RefineOptions
     runs: int
@@ -48,19 +50,30 @@ class Evaluation(NamedTuple):
         if on_cpu:
             starts = [poses_in_chunks(self.arrays, z) for z in layouts]
         else:
-            starts = map_runs(placed_poses, self.arrays, [(z,) for z in layouts], self.tile, pop)
+            rows = [(z,) for z in layouts]
+            starts = map_runs(SceneArrays.place, self.arrays, rows, self.tile, pop)
         ends, placing = starts, time.perf_counter() - began
         if self.options.settle.enabled:
             ends = settle_candidates(self.scene, starts, self.engine, self.options, self.runs)
         settling = time.perf_counter() - began - placing
-        pairs = list(zip(starts, ends, strict=True))
-        if on_cpu:
-            placed = [measured_in_chunks(self.arrays, *pair) for pair in pairs]
-        else:
-            placed = map_runs(placed_at_rest, self.arrays, pairs, self.tile, pop)
+        placed = self.measured(list(zip(starts, ends, strict=True)))
         self.clock["settle"] += settling
         self.clock["score"] += time.perf_counter() - began - settling
         return placed
+
+    def measured(self, pairs: Sequence[tuple[Poses, Poses]]) -> list[Placed]:
+        """Measure populations from their placed poses and their poses at rest."""
+        pairs = [pad_objects(pair, self.padded.count) for pair in pairs]
+        if computes_on_cpu():
+            placed = [measured_in_chunks(self.padded, *pair) for pair in pairs]
+        else:
+            population = self.options.cem.population
+            placed = map_runs(placed_at_rest, self.padded, pairs, self.tile, population)
+        count = self.arrays.count
+        if count == self.padded.count:
+            return placed
+        placed = [jax.tree.map(lambda x: np.asarray(x)[:, :count], p) for p in placed]
+        return [eqx.tree_at(lambda p: p.depth, p, p.depth[:, :, :count]) for p in placed]
 
     def roll_out(self, placed: Sequence[Placed]) -> list[Rollout]:
         """Roll out the candidates of several runs at once."""
@@ -137,14 +150,14 @@ class Evaluation(NamedTuple):
         rolled = roll_out(self.scene, rests, self.engine, self.options, len(results))
         rollouts = [eqx.tree_at(lambda x: x.time, repeated(r), r.time) for r in rolled]
         if computes_on_cpu():
-            measures = measured_in_chunks(self.arrays, joined(starts), joined(rests))
+            (measures,) = self.measured([(joined(starts), joined(rests))])
             placed = [
                 repeated(jax.tree.map(lambda x, k=k: np.asarray(x)[k : k + 1], measures))
                 for k in range(len(results))
             ]
         else:
             pairs = [(repeated(a), repeated(b)) for a, b in zip(starts, rests, strict=True)]
-            placed = map_runs(placed_at_rest, self.arrays, pairs, self.tile, population)
+            placed = self.measured(pairs)
         s_sem = None if s_sem is None else repeated(s_sem)
         scores = self.score(results, [repeated(z) for z in layouts], placed, rollouts, s_sem)
         return [jax.tree.map(lambda x: np.asarray(x)[:1], of_run) for of_run in scores]

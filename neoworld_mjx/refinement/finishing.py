@@ -79,8 +79,8 @@ def finish(
     placed = placed.model_copy(
         update={
             "objects": tuple(
-                item.model_copy(update={"fixed_base": own.fixed_base})
-                for item, own in zip(placed.objects, model.spec.objects, strict=True)
+                item.model_copy(update={"fixed_base": composed.fixed_base})
+                for item, composed in zip(placed.objects, model.spec.objects, strict=True)
             )
         }
     )

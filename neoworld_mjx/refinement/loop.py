@@ -86,10 +86,11 @@ def search(
     initials = _initial_scenes(scene, runs, progress)
     plain = optimizer is None and scorer is None and has_builtin_terms_only(objective)
     searched = _searched(scene, runs, initials) if plain else scene
-    padded = objective.padded and optimizer is None and o.optimizer in PADDED
-    arrays = pad_scene(searched) if padded else searched
+    padded = pad_scene(searched)
+    accepted = objective.padded and optimizer is None and o.optimizer in PADDED
+    arrays = padded if accepted else searched
     tile = tile_of(len(runs), o.cem.population)
-    evaluation = Evaluation(searched, arrays, engine, o, len(runs), tile, clock, began)
+    evaluation = Evaluation(searched, arrays, padded, engine, o, len(runs), tile, clock, began)
     results = _opened(evaluation, runs, initials, terms, optimizer, plain=plain)
     for t in range(max(run.options.cem.iterations for run in runs)):
         live = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
@@ -174,7 +175,8 @@ def _opened(
     With user-defined terms, another optimizer or scores by a model (not `plain`), every object
     moves, and a scene that passes is searched, too.
     """
-    scene, arrays, results = evaluation.scene, evaluation.arrays, []
+    scene, arrays, padded = evaluation.scene, evaluation.arrays, evaluation.padded
+    results = []
     for run, initial in zip(runs, initials, strict=True):
         o = run.options
         start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
@@ -182,7 +184,7 @@ def _opened(
         problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
         factor = _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
         state = init(problem, run.seed, factor)
-        result = SearchResult(run, problem, state, scene, arrays, initial, plain)
+        result = SearchResult(run, problem, state, scene, arrays, padded, initial, plain)
         results.append(result)
     if evaluation.options.settle.enabled:
         for result, round_ in zip(results, evaluation.initials(results), strict=True):

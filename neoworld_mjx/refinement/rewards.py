@@ -80,8 +80,8 @@ class Term(eqx.Module):
     """True if the functions accept a padded scene, and so are compiled once for many scenes.
 
     They are then called with a `SceneArrays` whose object axis is padded; `optimised`, `movable`,
-    `photo.judged` and `pair_mask` are False for padding. Otherwise the whole search is compiled
-    for each scene.
+    `photo.judged` and `pair_mask` are False for padding. Otherwise scoring and drawing are
+    compiled for each scene; measuring is not.
     """
 
 
@@ -247,7 +247,7 @@ def joint_drift(
 
 
 @eqx.filter_jit
-def _compiled(fn: TermFunction, scene: SceneModel, layouts: Layout, rollout: Any) -> Array:
+def _compiled(fn: TermFunction, scene: SceneArrays, layouts: Layout, rollout: Any) -> Array:
     return fn(scene, layouts, rollout).value
 
 
@@ -261,7 +261,7 @@ def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -
             wanted = getattr(kind, "__name__", "Rollout")
             raise TypeError(f"{name} takes a {wanted} ({hint}), got a {type(value).__name__}")
     _check_shapes(name, scene, layouts, rollout)
-    return _compiled(fn, scene, layouts, rollout)
+    return _compiled(fn, scene.arrays, layouts, rollout)
 
 
 def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) -> None:

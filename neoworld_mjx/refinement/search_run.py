@@ -44,6 +44,8 @@ class SearchResult:
     """The scene of the candidates, in which objects may be held; see `finishing.held`."""
     arrays: SceneArrays
     """Its arrays, padded or not."""
+    padded: SceneArrays
+    """Its padded arrays."""
     initial: Finished
     """The initial layout at rest, with its final check."""
     accept_initial: bool

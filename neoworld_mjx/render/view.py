@@ -43,8 +43,8 @@ class View(NamedTuple):
             width = max(1, round(rows * camera.width / camera.height_px))
         if height is None:
             height = max(1, round(width * camera.height_px / camera.width))
-        at = camera.position(), camera.axes()
-        return cls(*at, camera.fovy, width, height, gain=camera.gain)
+        position, axes = camera.position(), camera.axes()
+        return cls(position, axes, camera.fovy, width, height, gain=camera.gain)
 
     @classmethod
     def look_at(

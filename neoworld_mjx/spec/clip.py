@@ -28,12 +28,12 @@ class Poly(NamedTuple):
         return total / 6
 
 
-def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
+def poly(piece: Piece, pose: Pose) -> tuple[Poly, NDArray]:
     """Return a piece of kind "box" or "mesh" as a polyhedron.
 
     Args:
         piece: the piece.
-        at: its total pose, including the piece's own.
+        pose: its total pose, including the piece's own.
 
     Returns:
         The polyhedron, and its half-spaces n.x <= d, [f, 4].
@@ -47,8 +47,8 @@ def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
     span = float(np.ptp(corners, axis=0).max())
     on = np.abs(corners @ half[:, :3].T - half[:, 3]) < 1e-9 * span
     faces = tuple(_around(corners, np.flatnonzero(on[:, k]), half[k, :3]) for k in range(len(half)))
-    placed = at.apply(corners)
-    turned = at.apply(half[:, :3]) - at.pos
+    placed = pose.apply(corners)
+    turned = pose.apply(half[:, :3]) - pose.pos
     offset = (placed @ turned.T).max(axis=0)
     return Poly(placed, tuple(f for f in faces if len(f) > 2)), np.column_stack([turned, offset])
 

@@ -169,12 +169,12 @@ def extent(piece: Piece, direction: NDArray) -> float:
     return float((np.array(piece.vertices) @ d).max())
 
 
-def box_around(piece: Piece, at: Pose) -> tuple[NDArray, NDArray]:
+def box_around(piece: Piece, pose: Pose) -> tuple[NDArray, NDArray]:
     """Return the exact bounds (low [3], high [3]) [m] of a piece at a total pose."""
-    turn = matrix(at.quat)
+    turn = matrix(pose.quat)
     if piece.kind == "mesh":
         points = np.array(piece.vertices) @ turn.T
-        return at.pos + points.min(axis=0), at.pos + points.max(axis=0)
+        return pose.pos + points.min(axis=0), pose.pos + points.max(axis=0)
     # All other kinds are symmetric, so one support per axis suffices.
     half = np.array([extent(piece, row) for row in turn])
-    return at.pos - half, at.pos + half
+    return pose.pos - half, pose.pos + half

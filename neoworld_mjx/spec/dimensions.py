@@ -87,10 +87,10 @@ def declared_scaling(annotation: Any, metadata: Iterable[object] = ()) -> Scalin
 
 
 def _scalings(annotation: Any, metadata: Iterable[object] = ()) -> set[Scaling | None]:
-    own = {item for item in metadata if isinstance(item, Scaling)}
+    scalings = {item for item in metadata if isinstance(item, Scaling)}
     origin = get_origin(annotation)
-    if own or origin is Literal:
-        return {*own}
+    if scalings or origin is Literal:
+        return {*scalings}
     if origin is Annotated:
         inner, *rest = get_args(annotation)
         return _scalings(inner, rest)

@@ -45,8 +45,8 @@ def bounds(
     base = pose((0, 0, 0), tilt)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for part in spec.parts:
-        for _, piece, at in pieces(part, role):
-            lower, upper = box_around(piece, base.then(moved[part.name]).then(at))
+        for _, piece, piece_pose in pieces(part, role):
+            lower, upper = box_around(piece, base.then(moved[part.name]).then(piece_pose))
             low, high = np.minimum(low, lower), np.maximum(high, upper)
     return low, high
 

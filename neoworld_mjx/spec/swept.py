@@ -54,9 +54,9 @@ class Sweep(BaseShape):
         if np.any(cosine < -0.5):
             k = int(np.argmin(cosine))
             degrees = np.degrees(np.arccos(np.clip(cosine[k], -1, 1)))
-            at = k if self.closed else k + 1
+            index = k if self.closed else k + 1
             raise ValueError(
-                f"sweep path turns by {degrees:.0f} degrees at path[{at}], "
+                f"sweep path turns by {degrees:.0f} degrees at path[{index}], "
                 "at most 120 are allowed: put a point between"
             )
         rings, normals = self.rings(self.sectors)

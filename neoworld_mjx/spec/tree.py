@@ -166,12 +166,12 @@ class SceneTree(Spec):
                         f"node {node.name}: {field} {other!r} is not a node; nodes are "
                         f"{', '.join(names)}"
                     )
-            own = {
+            given = {
                 "an outline": node.outline.shape != "rectangle",
                 "a surface": node.surface is not None,
                 "furniture": node.furniture,
             }
-            for attribute in (name for name, has in own.items() if has and not node.environment):
+            for attribute in (name for name, has in given.items() if has and not node.environment):
                 raise ValueError(
                     f"node {node.name} has {attribute}, which only environment supports have"
                 )

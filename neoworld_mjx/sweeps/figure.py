@@ -83,9 +83,9 @@ def _convergence(plot: Any, rows: Sequence[Row]) -> None:
     for point in (point for point in quartiles if point in shown):
         low, median, high = quartiles[point]
         # Runs of a point draw equal populations, so the longest one has the rollouts of all.
-        made = max(rollouts[point], key=len)
-        (line,) = plot.plot(made, median, marker=".", label=_short(point))
-        plot.fill_between(made, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+        counts = max(rollouts[point], key=len)
+        (line,) = plot.plot(counts, median, marker=".", label=_short(point))
+        plot.fill_between(counts, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
     best_of = f" of the best {len(shown)} of {len(ranked)}" if len(shown) < len(ranked) else ""
     plot.set(title=f"convergence{best_of}", xlabel="rollouts", ylabel="best reward so far")
     plot.xaxis.get_major_locator().set_params(integer=True)

@@ -152,9 +152,9 @@ def search_together(
     rows: list[Row] = [{}] * len(runs)
     for members in alike.values():
         before = compiled().seconds
-        own = [runs[k] for k in members]
-        results = search(model, own, engine, keep=False, clock=clock)
-        seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(own)
+        group = [runs[k] for k in members]
+        results = search(model, group, engine, keep=False, clock=clock)
+        seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(group)
         shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
         began = time.perf_counter()
         chosen = winners(case.scene, compile_options, model, results)

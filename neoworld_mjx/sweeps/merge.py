@@ -51,9 +51,9 @@ def merge(
     ]
     ordered = [rows[key] for key in order if key in rows]
     missing = len(order) - len(ordered)
-    kept = ("machine", "shard", "finished", "mllm")
+    shared = ("machine", "shard", "finished", "mllm")
     shards = [
-        {"folder": str(path), **{name: about[name] for name in kept if name in about}}
+        {"folder": str(path), **{name: about[name] for name in shared if name in about}}
         for path, about in zip(paths, abouts, strict=True)
     ]
     merged = {name: value for name, value in first.items() if name not in ("figure", "mllm")}

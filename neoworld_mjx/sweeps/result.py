@@ -68,12 +68,12 @@ def stored_result(
             # Runs of one computation have equal shares of its time, which do not vary.
             if "seconds" in entry:
                 entry["seconds"] |= {"low": math.nan, "high": math.nan}
-    title, made = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
-    notes = f"{NOTES} {made}"
+    title, commit = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
+    notes = f"{NOTES} {commit}"
     markdown = f"# {title}\n\n{text_table(notes, summaries).markdown()}"
     tex = text_table(f"{title}. {notes}", summaries).latex()
     if compared:
-        number = f" {len(compared)} comparisons with the base. {made}"
+        number = f" {len(compared)} comparisons with the base. {commit}"
         tables = (
             ("Differences from the base", text_table(DIFFERENCE_NOTES, compared, signed=True)),
             ("Tests of the differences", tests_table(TEST_NOTES + number, compared)),

@@ -152,17 +152,18 @@ def _trials(
         chosen = [point_of(base, _suggested(plan, trial)) for trial in asked]
         for trial, point in zip(asked, chosen, strict=True):
             trial.set_user_attr("point", point.label)
-        own: list[list[Row]] = [[] for _ in asked]
+        collected: list[list[Row]] = [[] for _ in asked]
         left = list(range(len(asked)))
         # With pruning scenes come one after the other, otherwise all at once.
         for scenes in [[case] for case in cases] if wanted.prune else [cases]:
             tasks = [StudyTask(k, _alone(plan, chosen[k]), case) for k in left for case in scenes]
             for k, part in run_points(tasks):
-                own[k] += part.rows
+                collected[k] += part.rows
                 groups = about["groups"] + part.about["groups"]
                 about = {**part.about, "points": about["points"], "groups": groups}
             for k in left:
-                asked[k].report(_value(own[k], plan), step=len({row["scene"] for row in own[k]}))
+                step = len({row["scene"] for row in collected[k]})
+                asked[k].report(_value(collected[k], plan), step=step)
             if wanted.prune and scenes[-1] is not cases[-1]:
                 ending = [k for k in left if asked[k].should_prune()]
                 for k in ending:
@@ -170,15 +171,15 @@ def _trials(
                 left = [k for k in left if k not in ending]
         for k, point in enumerate(chosen):
             if k in left:
-                study.tell(asked[k], _value(own[k], plan))
+                study.tell(asked[k], _value(collected[k], plan))
             if point.label not in by_point:
                 about["points"].append({"label": point.label, **point.values})
             order = [case.name for case in cases]
             by_point[point.label] = sorted(
-                own[k], key=lambda row: (order.index(row["scene"]), row["seed"])
+                collected[k], key=lambda row: (order.index(row["scene"]), row["seed"])
             )
             report(f"trial {first + k + 1} of {wanted.trials}: {point.label}: "
-                   f"{wanted.goal} {_value(own[k], plan):.4g}")  # fmt: skip
+                   f"{wanted.goal} {_value(collected[k], plan):.4g}")  # fmt: skip
         result = _saved(plan, cases, about, by_point, folder, first + width >= wanted.trials)
     if result is None:
         if earlier is None or "kind" not in earlier:

@@ -319,7 +319,7 @@ def test_an_object_that_moves_far_is_noted(five, photo):
     [
         ({}, False),
         ({"shift_m": (0.03, 0.03)}, False),
-        ({"shift_m": (0.04, 0.04)}, True),
+        ({"shift_m": (0.04, 0.04), "yaw_deg": -0.2}, True),
         ({"yaw_deg": -9.0}, False),
         ({"yaw_deg": -11.0}, True),
         ({"size_ratio": 0.91}, False),
@@ -332,6 +332,7 @@ def test_notes_have_thresholds(five, change, noted):
     moved = ObjectAlignment("pixels", "", uncertainty=deviations, **fields)
     notes = list(Alignment(five, objects={"box": moved}).notes(five))
     assert [which for which, _ in notes] == ["box far from its composed pose"] * noted
+    assert not any("-0 deg" in reason for _, reason in notes)
 
 
 @pytest.mark.parametrize(

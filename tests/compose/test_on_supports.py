@@ -59,3 +59,21 @@ def test_without_the_composed_scene_nothing_is_refused():
     aligned = rack_and_peg((0.004, 0.0))
     scene, _ = in_contact(aligned)
     assert scene.object("peg").xy == (0.004, 0.0)
+
+
+@pytest.mark.parametrize(("x", "kept"), [(0.12, True), (0.09, False), (-0.5, True)])
+def test_a_move_past_the_end_of_what_carries_it_is_refused(x, kept):
+    """Nothing is below it there, so that snapping keeps its height."""
+    bed = scenes.single("bed", (Box(size=(0.2, 0.2, 0.1)), (0, 0, 0.05)))
+    throw = scenes.single("throw", (Box(size=(0.03, 0.1, 0.01)), (0, 0, 0.005)))
+    items = (
+        SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04),
+        SceneObject(name="bed", spec=bed, parent="table"),
+        SceneObject(name="throw", spec=throw, parent="bed", xy=(0.05, 0.0)),
+    )
+    composed = snap(SceneSpec(objects=items))
+    moved = composed.object("throw").model_copy(update={"xy": (x, 0.0)})
+    aligned = composed.model_copy(update={"objects": (*composed.objects[:2], moved)})
+    scene, notes = in_contact(aligned, composed=composed)
+    assert scene.object("throw").xy == pytest.approx((0.05 if kept else x, 0.0))
+    assert any("throw" in note and "off bed" in note for note in notes) is kept

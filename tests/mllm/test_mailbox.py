@@ -66,6 +66,18 @@ def test_a_folder_holds_the_whole_request(make, tmp_path):
     assert str(tmp_path) in message[0]
 
 
+def test_a_request_announces_itself_on_stderr_with_its_name_and_path(make, tmp_path, capsys):
+    def answer():
+        folder = wait_for(tmp_path / "0001-program-cup")
+        (folder / "response.json").write_text('{"name": "red"}')
+
+    in_background(answer)
+    with Panel(Mailbox(tmp_path, timeout_s=5.0, poll_s=0.01)) as panel:
+        panel.ask_sync(make.request(name="program:cup"))
+    response = tmp_path / "0001-program-cup" / "response.json"
+    assert f"mailbox: program:cup (reasoner) waits for {response}" in capsys.readouterr().err
+
+
 def test_invalid_responses_are_moved_aside_with_a_reason(make, tmp_path):
     def answer():
         folder = wait_for(tmp_path / "0001-parse")

@@ -86,7 +86,7 @@ def test_mjx_inverse_weights_follow_mujocos(blocks):
     for scene in (blocks, compile_scene(scenes.furnished())):
         layouts = random_layout(scene, 3)
         poses = scene.place_exactly(layouts)
-        found = invweights(scene, poses)
+        found = jax.jit(invweights)(scene, poses)
         batch = open_batch(scene, poses)
         for k in range(3):
             exact = batch.get_model(k)

@@ -21,6 +21,9 @@ from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
+snapped = jax.jit(heights)
+"""As one program; op by op, dozens are compiled."""
+
 HALF = np.sqrt(0.5)
 ABOUT_X = (HALF, HALF, 0.0, 0.0)
 """A quarter turn about x, which carries z to -y."""
@@ -102,7 +105,7 @@ def test_an_object_beside_its_support_keeps_its_composed_height():
     assert float(poses.height[0, 1]) == pytest.approx(0.3, abs=1e-6)
     # Its height is measured from the parent's origin, so it grows with the parent.
     double = zero.log_scale.at[0, 0].set(np.log(2.0))
-    far = heights(scene.arrangement, Layout(2 * jnp.asarray(beside), zero.yaw, double))
+    far = snapped(scene.arrangement, Layout(2 * jnp.asarray(beside), zero.yaw, double))
     assert float(far[0, 1]) == pytest.approx(2 * 0.3, abs=1e-6)
 
 
@@ -151,7 +154,7 @@ def test_the_table_under_an_object_covers_its_reach(reach):
 def test_a_surface_below_the_origin_of_its_support_is_one():
     a = arrange(small_block(), gap=1e-3)
     a = a._replace(support=a.support._replace(heights=a.support.heights - np.float32(0.5)))
-    assert heights(a, Layout.zero(1, 2))[0, 1] == pytest.approx(0.04 - 0.5 + 1e-3, abs=1e-5)
+    assert snapped(a, Layout.zero(1, 2))[0, 1] == pytest.approx(0.04 - 0.5 + 1e-3, abs=1e-5)
 
 
 def test_an_object_that_is_turned_over_a_step_rests_on_it():
@@ -167,7 +170,7 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
     zero = Layout.zero(2, 2)
     # Along the step, which begins 10 cm from it, and 15 cm across it.
     turned = Layout(zero.xy, zero.yaw.at[1, 1].set(np.pi / 2), zero.log_scale)
-    low, high = np.asarray(heights(a, turned))[:, 1]
+    low, high = np.asarray(snapped(a, turned))[:, 1]
     assert high - low == pytest.approx(0.02, abs=1e-5)
 
 
@@ -180,14 +183,14 @@ def test_candidates_are_snapped_in_equal_parts(monkeypatch):
         for eqn in jax.make_jaxpr(lambda z: heights(a, z))(z).eqns
         if eqn.primitive.name == "scan"
     ]
-    at_once = heights(a, z)
+    at_once = snapped(a, z)
     assert loops() == []
     # 6 candidates of 2 objects: all at once, in 2 parts, and in 3 parts, the fewest of up to 5.
     for limit, parts in ((12, []), (6, [2]), (5, [3])):
         monkeypatch.setattr(layouts_of, "SNAPPED_AT_ONCE", limit)
         assert loops() == parts
-        np.testing.assert_allclose(heights(a, z), at_once, atol=1e-6)
+        np.testing.assert_allclose(jax.jit(lambda z: heights(a, z))(z), at_once, atol=1e-6)
 
 
 def test_no_candidates_have_no_heights():
-    assert heights(arrange(small_block()), Layout.zero(0, 2)).shape == (0, 2)
+    assert snapped(arrange(small_block()), Layout.zero(0, 2)).shape == (0, 2)

@@ -317,6 +317,16 @@ def test_the_verdict_revise_overrules_the_scores():
     assert [request.name for request in script.requests][3] == "revise:cabinet"
 
 
+def test_a_revision_is_requested_with_the_picture_of_what_the_program_builds():
+    better = GOOD.replace("'oak'", "'pine'")
+    script = ScriptedModel(written(GOOD), *verdict(5), written(better), *verdict(9, accept=True))
+    synthesised(script)
+    judged, revised = script.requests[1], script.requests[3]
+    assert [picture.label for picture in revised.pictures] == ["crop", "made"]
+    assert revised.pictures[1].data == judged.pictures[1].data
+    assert 'The picture "made" shows what it builds.' in revised.prompt
+
+
 def test_a_programmer_may_correct_the_measured_box():
     flat = GOOD.replace("0.6, 0.6", "0.6, 0.3").replace("(0, 0, 0.3)", "(0, 0, 0.15)")
     answer = written(flat).model_copy(update={"box": [0.4, 0.6, 0.3]})

@@ -45,7 +45,7 @@ def opened(model, o, starts=(None, None)):
     """An evaluation of two runs on a padded scene, and the runs."""
     runs = [SearchRun(o, seed, start) for seed, start in enumerate(starts)]
     clock = dict.fromkeys(CLOCKS, 0.0)
-    evaluation = Evaluation(model, pad_scene(model), ENGINE, o, len(runs), 1, clock, 0.0)
+    evaluation = Evaluation(model, *[pad_scene(model)] * 2, ENGINE, o, len(runs), 1, clock, 0.0)
     initials = _initial_scenes(model, runs, None)
     return evaluation, _opened(evaluation, runs, initials, (), None, plain=True)
 
@@ -187,7 +187,7 @@ def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
 
     monkeypatch.setattr(module, "map_runs", noted)
     assert_near(everything(), on_cpu)
-    assert {placed_at_rest, module.placed_poses} <= {fn for fn, *_ in calls}
+    assert {placed_at_rest, module.SceneArrays.place} <= {fn for fn, *_ in calls}
     assert {call[1:] for call in calls} == {(1, POP)}
 
 

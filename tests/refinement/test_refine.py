@@ -63,7 +63,7 @@ def unreachable():
 def options(population=32, iterations=6, steps=100, **cem):
     return RefineOptions(
         cem=CEMOptions(population=population, iterations=iterations, **cem),
-        rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=64),
+        rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=32),
         check_duration_s=0.5,
     )
 
@@ -281,7 +281,7 @@ def test_each_population_is_settled_under_guidance_and_then_falls_freely():
 
 def test_runs_with_equal_options_find_what_a_single_run_finds():
     o = options(16, 3)
-    model = compile_scene(toppling(), samples=64)
+    model = compile_scene(toppling(), samples=32)
     many = search(model, [SearchRun(o, 1), SearchRun(o, 2)], NativeEngine())
     (alone,) = search(model, [SearchRun(o, 2)], NativeEngine())
     assert len(many[1].rounds) == len(alone.rounds)

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import Placed, pair_depths, placed_at_rest
+from neoworld_mjx.physics.placed import Placed, pair_depths
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.refinement.objective import (
@@ -64,6 +65,17 @@ def test_d_pen_has_the_right_gradient():
     assert float(slope) == pytest.approx(float(numeric), abs=1e-2)
 
 
+def test_another_scene_of_the_same_shapes_compiles_nothing():
+    zero = Layout.zero(1, 3)
+    touching, apart = two_boxes(0.0), two_boxes(0.05)
+    rewards.d_pen(touching, zero), touching.place(zero)
+    count = compilations()
+    assert apart.static is not touching.static
+    assert np.asarray(rewards.d_pen(apart, zero)).tolist() == [0.0]
+    assert np.ptp(np.asarray(apart.place(zero).pos)[0, 1:, 0]) == pytest.approx(0.15, abs=1e-6)
+    assert compilations() == count
+
+
 def test_drift_is_the_maximum_over_time_of_distance_and_angle():
     scene = compile_scene(scenes.blocks())
     rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(2, 4)), duration=0.3)
@@ -86,7 +98,9 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
 def scored(scene, layouts, rollout, **reward):
     objective = open_objective(RefineOptions(reward=RewardOptions(**reward)))
     poses = scene.place(layouts)
-    candidates = placed_at_rest(scene, poses, poses)
+    pop, count = layouts.yaw.shape
+    depth, settled = np.zeros((pop, count, count)), np.zeros((pop, count))
+    candidates = Placed(poses, np.float32(depth), as_parsed(scene.photo, pop), np.float32(settled))
     return evaluate(scene, layouts, candidates, rollout, objective)
 
 

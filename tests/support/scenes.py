@@ -51,7 +51,7 @@ def stored_scene(name):
 def compile_scene(scene, **options):
     """Return the compiled scene, one for all equal scenes and options of a process.
 
-    JAX compiles every program again for another SceneModel, even if it is equal.
+    JAX compiles functions of a SceneModel again for another one, even if it is equal.
     """
     return _compiled(scene.to_json(), tuple(sorted(options.items())))
 

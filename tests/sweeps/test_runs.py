@@ -9,6 +9,7 @@ from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.refinement.algorithm import propose, update
 from neoworld_mjx.refinement.batching import map_runs
 from neoworld_mjx.refinement.evaluation import Evaluation
@@ -163,7 +164,8 @@ def test_vmap_over_tiles_agrees_up_to_rounding(model):
     result = {}
     # Three runs in tiles of two: the second tile is filled up.
     for tile in (1, 2):
-        evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), tile, clock, 0.0)
+        scenes, o = (model, model, pad_scene(model)), runs[0].options
+        evaluation = Evaluation(*scenes, ENGINE, o, len(runs), tile, clock, 0.0)
         opened = _opened(evaluation, runs, initials, (), None, plain=True)
         rows = [(r.problem, r.state, runs[0].options.cem.population) for r in opened]
         layouts = map_runs(propose, model, rows, tile)

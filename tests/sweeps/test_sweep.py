@@ -23,12 +23,17 @@ from tests.support.scenes import stored_scene
 
 pytestmark = pytest.mark.usefixtures("without_figures", "compiled_once")
 SCENE = Case("two", stored_scene("crowded_2"))
-# Padded scenes share programs: no other test has so many samples and compiles those of this one.
+# Padded scenes share programs: no other test records so often and compiles what scores this one.
 BASE = {
     "refine": {
         "cem": {"population": 8, "iterations": 2, "elite_ratio": 0.25, "hold_resting": False},
         "settle": {"enabled": False},
-        "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 31},
+        "rollout": {
+            "engine": "native",
+            "duration_s": 0.2,
+            "record_every_s": 0.05,
+            "samples_per_object": 32,
+        },
         "check_duration_s": 0.2,
         "finalists": 2,
     }

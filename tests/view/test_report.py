@@ -1,4 +1,5 @@
 import json
+import math
 import re
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
@@ -131,7 +132,7 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     assert page.tags.count("polyline") >= 6
     for message in (
         *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
-        *("free fall drift 2.10 mm ≤ 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        *("free fall drift 2.1 mm ≤ 10.0 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
         "force perturbation energy skipped",
         "cup 50.00 0.40 0.10°",
         "mean 0.90 0.80 0.85 cup 0.80 0.61 jar 0.90 0.80 0.85",
@@ -186,7 +187,29 @@ def test_failed_object_tests_of_a_valid_scene_are_explained_and_bounds_have_a_di
         run.record("metrics", passed=True)
     words = _words(write_report(finished).read_text())
     assert "1 of 1 fail the object tests, in which each is simulated by itself; the" in words
-    assert "joint drive drive:lid 0.5 of its range ≥ 0.9 of its range" in words
+    assert "joint drive drive:lid 50 % of its range ≥ 90 % of its range" in words
+
+
+def test_values_of_checks_have_the_digits_that_the_terminal_shows(finished):
+    path = next((finished / "objects").glob("*/verify.json"))
+    verdict = json.loads(path.read_text())
+    given = [
+        ("tilt", "FAIL", 8.215548565693807, 5.0, "deg"),
+        ("resting_speed:fall", "PASS", 7.156e-08, 0.01, "m/s"),
+        ("drive:lid", "PASS", 11.2618, 0.9, "of its range"),
+    ]
+    verdict["checks"] = [
+        {
+            "scenario": "free_fall", "name": name, "outcome": outcome, "value": value,
+            "threshold": threshold, "unit": unit,
+        }
+        for name, outcome, value, threshold, unit in given
+    ]  # fmt: skip
+    path.write_text(json.dumps(verdict))
+    words = _words(write_report(finished).read_text())
+    assert "free fall tilt 8.2 degrees ≤ 5.0 degrees" in words
+    assert "free fall resting speed:fall 0 m/s ≤ 0.01 m/s" in words
+    assert "free fall drive:lid 1126 % of its range ≥ 90 % of its range" in words
 
 
 def test_a_row_shows_photograph_and_render_in_one_frame(finished):
@@ -306,10 +329,10 @@ def _place(evidence, reason="", **change):
     return place | {"size_ratio": 0.9926} | change | {"uncertainty": known}
 
 
-def _align(folder, objects, **camera):
+def _align(folder, objects, **more):
     unmoved = dict.fromkeys(("pitch_deg", "roll_deg", "fovy_deg", "height_m"), 0.0)
     (folder / "compose").mkdir(exist_ok=True)
-    text = json.dumps(unmoved | camera | {"objects": objects})
+    text = json.dumps(unmoved | more | {"objects": objects})
     (folder / "compose" / "align.json").write_text(text)
 
 
@@ -350,6 +373,20 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "clock pixels 5.0 0.0 -1 along the wall ±0.1 mm, size ±3 %",
     ):
         assert message in words, message
+
+
+def test_the_evidence_of_the_pixels_is_shown_with_each_outline_s_distance(finished):
+    outlines = {
+        "cup": {"composed": 6.14, "aligned": 0.72},
+        "jar": {"composed": 3.0, "aligned": None},
+    }
+    _align(finished, {name: _place("pixels") for name in outlines}, outlines_px=outlines)
+    Image.new("RGB", (120, 40), "green").save(finished / "pictures" / "evidence.png")
+    words = _photograph(finished)
+    assert "Pixels of the aligned scene: green where" in words
+    assert "cup pixels 5 +4 -1 6.1 0.7 along" in words
+    assert "jar pixels 5 +4 -1 3.0 unknown along" in words
+    assert "Outline off: median distance" in words
 
 
 def test_a_camera_that_the_alignment_leaves_is_not_listed(finished):
@@ -529,6 +566,33 @@ def test_changes_by_each_step_are_listed(tmp_path):
     assert "2.0 cm, +0.0 %, +0.0°" in table
     assert "1.0 cm, +0.0 %, +5.7°" in table
     assert ">top<" in table
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"base_tilt": (math.cos(0.1), math.sin(0.1), 0.0, 0.0)},
+            ">0.0 cm, +0.0 %, +0.0°, 11.5° wit",
+        ),
+        ({"xy": (0.0004, 0.0)}, ">unchanged<"),
+    ],
+)
+def test_a_search_that_tips_an_object_is_stated_and_one_below_the_last_digit_is_not(
+    tmp_path, change, words
+):
+    rounds = [{"kept": True, "fit": {"objects": _change("cup", 0.0123, 0.95)}}]
+    (tmp_path / "parse.json").write_text(json.dumps({"rounds": rounds}))
+    (tmp_path / "compose").mkdir()
+    before = scenes.coffee()
+    cup = before.object("cup")
+    start = cup.model_copy(update={"xy": (0.0, 0.0)})
+    end = start.model_copy(update=change)
+    for path, item in (("compose/scene.json", start), ("scene.json", end)):
+        objects = tuple(item if o.name == "cup" else o for o in before.objects)
+        scene = before.model_copy(update={"objects": objects})
+        (tmp_path / path).write_text(scene.to_json())
+    assert words in changes(tmp_path)
 
 
 def test_objects_that_were_not_tested_do_not_pass(finished):

@@ -77,6 +77,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
+    "without_creases": AlignOptions(creases=False),
     "without_contacts": AlignOptions(contacts=False),
     "without_camera": AlignOptions(camera=False),
 }

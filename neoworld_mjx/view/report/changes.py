@@ -13,11 +13,14 @@ from .page import elements
 
 TITLE = "Parsed, fitted, refined"
 BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
+LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
+"""Changes below which every digit shown is zero."""
 _SIDES = ("left", "top", "right", "bottom")
 _NOTE = (
     "Changes of position, size and heading: both fits start from the parse, the search from the "
-    'scene of Step 4; "unchanged" means that a step did not change the object. Hidden sides: sides '
-    "of its 2D box that are truncated or occluded."
+    'scene of Step 4; "unchanged" means by less than the last digit shown. A tilt, as of an object '
+    "that settles, is in the angle of the whole rotation. Hidden sides: sides of its 2D box that "
+    "are truncated or occluded."
 )
 
 
@@ -61,7 +64,7 @@ def all_moves(folder: Path) -> dict[str, dict[str, str]]:
     if composed.is_file() and refined.is_file():
         for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
             moves.setdefault(name, {})[SEARCH] = _change(
-                move.distance_m, move.size_ratio, move.yaw_deg
+                move.distance_m, move.size_ratio, move.yaw_deg, move.turn_deg
             )
     return moves
 
@@ -80,9 +83,17 @@ def _fit_change(change: dict[str, Any]) -> str:
     return _change(change["distance_m"], ratio, change["yaw_deg"])
 
 
-def _change(distance_m: float, size_ratio: float, yaw_deg: float) -> str:
-    if distance_m < 5e-5 and abs(size_ratio - 1) < 5e-4 and abs(yaw_deg) < 0.05:
+def _change(distance_m: float, size_ratio: float, yaw_deg: float, turn_deg: float = 0.0) -> str:
+    """Format a change; the whole rotation is named if a tilt makes it differ from that of yaw."""
+    tilted = turn_deg > abs(yaw_deg) + LEAST_DEG
+    if (
+        distance_m < LEAST_M
+        and abs(size_ratio - 1) < LEAST_SIZE
+        and abs(yaw_deg) < LEAST_DEG
+        and not tilted
+    ):
         return "unchanged"
     # Adding 0.0 turns -0.0 into 0.0.
     percent, degrees = (round(value, 1) + 0.0 for value in (100 * (size_ratio - 1), yaw_deg))
-    return f"{100 * distance_m:.1f} cm, {percent:+.1f} %, {degrees:+.1f}°"
+    text = f"{100 * distance_m:.1f} cm, {percent:+.1f} %, {degrees:+.1f}°"
+    return f"{text}, {turn_deg:.1f}° with tilt" if tilted else text

@@ -9,6 +9,13 @@ from ...errors import RunError
 from ...io import read_object
 from ...run_folder import STEPS
 
+OUTLINE_OFF = (
+    "Outline off: median distance of the object's outline from the nearest edge of its colors in "
+    "the photograph, in pixels of an image 640 px wide, at most 24, and above 6 rather too small; "
+    "unknown where its colors do not tell it from what is behind it."
+)
+"""Explanation of the distances of `outline_off`."""
+
 
 def read_json(path: Path) -> dict[str, Any] | None:
     """Read a JSON object; return None if it is missing or damaged."""
@@ -52,3 +59,8 @@ def progress_of(run: dict[str, Any]) -> str:
         step for step in STEPS if any(name.partition("/")[0] == step for name in run["steps"])
     ]
     return f"this run is {run['status']}; finished steps: {', '.join(finished) or 'none'}"
+
+
+def outline_off(value: float | None) -> str:
+    """Format the distance of an outline from the photograph's [px]."""
+    return "unknown" if value is None else f"{value:.1f}"

@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 from pydantic import ValidationError
 
-from ...checks.verdict import Check
+from ...checks.verdict import Check, quantity
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
@@ -150,9 +150,17 @@ def _bound(check: Mapping[str, Any]) -> str:
     try:
         least = Check.model_validate(check).least
     except ValidationError:
-        return with_unit(check.get("threshold"), check.get("unit"))
-    threshold = with_unit(check.get("threshold"), check.get("unit"))
+        return _measured(check, "threshold")
+    threshold = _measured(check, "threshold")
     return threshold and f"{'≥' if least else '≤'} {threshold}"
+
+
+def _measured(check: Mapping[str, Any], key: str) -> str:
+    """Format the value or the threshold of a check with the digits that the terminal shows."""
+    value = check.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return "" if value is None else str(value)
+    return quantity(value, str(check.get("unit") or ""))
 
 
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
@@ -173,7 +181,7 @@ def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Mark
     checks = [
         [
             f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
-            with_unit(check.get("value"), check.get("unit")),
+            _measured(check, "value"),
             _bound(check),
             elements.outcome(check.get("outcome"), bool(check.get("doubtful"))),
             check.get("hint") or check.get("evidence") or "",

@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ...fit.priors import YAW
-from .formatting import read_json
+from .formatting import OUTLINE_OFF, outline_off, read_json
 from .page import elements
 from .pictures import picture
 
@@ -16,11 +16,16 @@ UNSEEN = 0.9
 """Deviation of a heading, over that of its prior, from which the photograph does not show it."""
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
 """Words for the `evidence` of align.json, which places an object."""
+_SCENES = ("composed", "aligned")
 _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
+_EVIDENCE = (
+    "Pixels of the aligned scene: green where an object's pixels look like the object, red where "
+    "they look like what is behind it, blue where pixels around it look like it"
+)
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
     'Known to: one standard deviation; "heading not seen" means that the photograph says nothing '
-    "about the heading."
+    "about the heading. "
 )
 
 
@@ -36,13 +41,20 @@ def photograph_section(folder: Path) -> Markup:
     if not objects:
         note = "Nothing was aligned: the scene has no camera, or no object that may move."
         return elements.section(TITLE, elements.missing(note))
-    heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %", "known to"]
+    outlines = aligned.get("outlines_px") or {}
+    heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %"]
+    heads += ["#outline off, composed, px", "#aligned, px"] if outlines else []
+    heads += ["known to"]
     return elements.section(
         TITLE,
-        elements.div("pictures", picture(folder / "pictures" / "outlines.png", _CAPTION)),
+        elements.div(
+            "pictures",
+            picture(folder / "pictures" / "outlines.png", _CAPTION),
+            picture(folder / "pictures" / "evidence.png", _EVIDENCE) if outlines else "",
+        ),
         elements.paragraph(_camera(aligned) + _looks(folder)),
-        elements.table(heads, [_row(name, change) for name, change in objects.items()]),
-        elements.paragraph(_NOTE, "dim"),
+        elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
+        elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
         *_openings(objects),
     )
 
@@ -90,7 +102,7 @@ def _looks(folder: Path) -> str:
     return text
 
 
-def _row(name: str, change: dict[str, Any]) -> list[str]:
+def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[str]:
     """Return the cells of an object; a change has the digits that its deviation leaves it."""
     deviations = change["uncertainty"]
     along, across = 1000 * deviations["along"], 1000 * deviations["across"]
@@ -115,6 +127,7 @@ def _row(name: str, change: dict[str, Any]) -> list[str]:
         f"{moved:.{_digits(across if on_wall else min(along, across))}f}",
         _signed(change["yaw_deg"], _digits(heading)),
         _signed(100 * (change["size_ratio"] - 1), _digits(size)),
+        *(outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
         ", ".join(known),
     ]
 

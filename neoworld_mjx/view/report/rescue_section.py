@@ -5,7 +5,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from .formatting import read_json
+from .formatting import OUTLINE_OFF, outline_off, read_json
 from .page import elements
 from .pictures import picture
 
@@ -15,11 +15,6 @@ CHECKED = (
     "The objects were given with shapes and poses. Checked is the scene as a whole: penetration, "
     "and motion in free fall (below). Not checked are the objects by themselves: no object test "
     "ran, and shapes, masses and friction are as given or assumed (notes)."
-)
-_OUTLINES = (
-    "Outline off: median distance of the object's outline from the nearest edge of its colors in "
-    "the photograph, in pixels of an image 640 px wide, at most 24, and above 6 rather too small; "
-    "unknown where its colors do not tell it from what is behind it."
 )
 _CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
 
@@ -39,7 +34,7 @@ def rescue_section(folder: Path) -> Markup:
             name,
             f"{1000 * moved:.1f}",
             f"{rescued['turns_deg'][name]:.1f}",
-            *(_pixels(outlines[name][key]) for key in ("given", "rescued") if outlines),
+            *(outline_off(outlines[name][key]) for key in ("given", "rescued") if outlines),
         ]
         for name, moved in rescued["moves_m"].items()
     ]
@@ -56,7 +51,7 @@ def rescue_section(folder: Path) -> Markup:
         elements.div("pictures", *shown) if shown else "",
         elements.paragraph(_agreement(outlines)),
         elements.table(heads, rows),
-        elements.paragraph(_OUTLINES, "dim") if outlines else "",
+        elements.paragraph(OUTLINE_OFF, "dim") if outlines else "",
     )
 
 
@@ -71,7 +66,3 @@ def _agreement(outlines: dict[str, Any]) -> str:
         f"Of {len(outlines)} movable objects, {nearer} have outlines nearer to the photograph's "
         f"than as given, {len(known) - nearer} do not, and {unknown} are unknown."
     )
-
-
-def _pixels(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.1f}"

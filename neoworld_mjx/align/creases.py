@@ -1,0 +1,156 @@
+"""Creases: where two smooth faces of one object meet in the image.
+
+Faces differ in shading or color, so that creases show the object's heading and proportions, and, as
+parallel ones converge, the camera. As for contours, the colors on their two sides say where they
+are.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .colors import LEAST_PIXELS, FaceColors
+from .contours import NORMAL_BLUR_PX, REACH_PX, Contour, sampled_contour
+from .rasterize import DrawnObjects, window_of
+
+SMOOTH = np.radians(35.0)
+"""Largest angle between neighboring triangles of one smooth face [rad]."""
+LEAST_PX = 8
+"""Least number of pixels along a crease."""
+MOST_POINTS = 100
+"""Largest number of points of a crease."""
+
+
+class Crease(NamedTuple):
+    """Visible crease of an object."""
+
+    points: Contour
+    """Its points; normals point from the first to the second face."""
+    colors: FaceColors
+    """Colors of the first face and of the second one."""
+
+
+class _Borders(NamedTuple):
+    """Pairs of neighboring pixels on two faces, each once."""
+
+    first: Int[np.ndarray, " n"]
+    """Face of the first pixel, the smaller index."""
+    second: Int[np.ndarray, " n"]
+    row: Int[np.ndarray, " n"]
+    """Of the first pixel."""
+    column: Int[np.ndarray, " n"]
+    down: Int[np.ndarray, " n"]
+    """Rows from the first to the second pixel."""
+    right: Int[np.ndarray, " n"]
+
+
+def smooth_faces(
+    vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]
+) -> Int[np.ndarray, " t"]:
+    """Return the smooth face of each triangle of a surface; faces end at sharp edges."""
+    if not len(triangles):
+        return np.zeros(0, int)
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    mesh.merge_vertices()
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < SMOOTH]
+    graph = coo_array((np.ones(len(smooth)), smooth.T), shape=(len(triangles),) * 2)
+    return connected_components(graph, directed=False)[1]
+
+
+def creases(
+    drawn: DrawnObjects, lab: Float[np.ndarray, "row column 3"], k: int, margin: int
+) -> Iterator[Crease]:
+    """Yield the visible creases of an object whose two faces have enough pixels.
+
+    Points near the end of a crease do not count: two margins along their normal is another face.
+
+    Args:
+        drawn: the objects at a placement, with their faces.
+        lab: the photograph.
+        k: index of the object.
+        margin: width of the margin [px] along a face's border that its colors leave out.
+    """
+    mask = drawn.owner == k
+    if drawn.face is None or not mask.any():
+        return
+    window = window_of(mask, REACH_PX)
+    corner = np.array([window[1].start, window[0].start])
+    face = np.where(mask[window], drawn.face[window], -1)
+    depth, lab = drawn.depth[window], lab[window]
+    bodies = (drawn.owner if drawn.body is None else drawn.body)[window]
+    borders = _borders(face)
+    pairs, pair_of, counts = np.unique(
+        np.stack(borders[:2]), axis=1, return_inverse=True, return_counts=True
+    )
+    long = np.flatnonzero(counts >= LEAST_PX)
+    colors = {f: _colors(face == f, lab, margin) for f in np.unique(pairs[:, long]).tolist()}
+    for index in long.tolist():
+        first, second = pairs[:, index].tolist()
+        inside, outside = colors[first], colors[second]
+        if inside is None or outside is None:
+            continue
+        smooth = gaussian_filter((face == first).astype(float), NORMAL_BLUR_PX, mode="nearest")
+        slope = np.gradient(smooth)
+        _, _, y, x, down, right = (values[pair_of == index] for values in borders)
+        here, there = (y, x), (y + down, x + right)
+        points = sampled_contour(
+            corner + np.stack([x + (1 + right) / 2, y + (1 + down) / 2], axis=1),
+            np.minimum(depth[here], depth[there]),
+            -np.stack([slope[1][here], slope[0][here]], axis=1),
+            np.full(len(x), -1),
+            np.where(depth[here] <= depth[there], bodies[here], bodies[there]),
+            shape=drawn.owner.shape,
+            most=MOST_POINTS,
+        )
+        if points is None:
+            continue
+        sides = [_at(face, points.pixel - corner + s * margin * points.normal) for s in (-2, 2)]
+        between = np.flatnonzero((sides[0] == first) & (sides[1] == second))
+        if len(between) >= LEAST_PX:
+            points = Contour(*(values[between] for values in points))
+            yield Crease(points, FaceColors.of(inside, outside))
+
+
+def _at(
+    face: Int[np.ndarray, "row column"], pixel: Float[np.ndarray, "n 2"]
+) -> Int[np.ndarray, " n"]:
+    """Return the face at each pixel, that of the nearest pixel beyond the window."""
+    column, row = np.floor(pixel).astype(int).T
+    height, width = face.shape
+    return face[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+
+
+def _borders(face: Int[np.ndarray, "row column"]) -> _Borders:
+    """Return where two faces meet."""
+    found = []
+    for right, down in ((1, 0), (0, 1)):
+        height, width = face.shape[0] - down, face.shape[1] - right
+        one, other = face[:height, :width], face[down:, right:]
+        row, column = np.nonzero((one != other) & (one >= 0) & (other >= 0))
+        one, other = one[row, column], other[row, column]
+        swap = one > other
+        sign = np.where(swap, -1, 1)
+        pair = np.minimum(one, other), np.maximum(one, other)
+        start = row + swap * down, column + swap * right
+        found.append(np.stack([*pair, *start, sign * down, sign * right]))
+    return _Borders(*np.concatenate(found, axis=1))
+
+
+def _colors(
+    mask: Bool[np.ndarray, "row column"], lab: Float[np.ndarray, "row column 3"], margin: int
+) -> Float[np.ndarray, "n 3"] | None:
+    """Return the colors of a face's pixels, or None if it has too few."""
+    window = window_of(mask)
+    mask, lab = mask[window], lab[window]
+    depth = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
+    for width in (margin, 1):
+        inner = depth > width
+        if inner.sum() >= LEAST_PIXELS:
+            return lab[inner]
+    return None
