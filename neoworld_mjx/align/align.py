@@ -19,7 +19,7 @@ from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .acceptance import gain, shown_at
-from .alignment import Alignment, Evidence, ObjectAlignment
+from .alignment import Alignment, Evidence, FittedUnknowns, ObjectAlignment
 from .alignment_prior import camera_deviations, is_misjudged, prior_precision
 from .colors import LabImage
 from .contacts import SceneGeoms, contacts
@@ -258,6 +258,7 @@ def _result(
         math.degrees(after.fovy - before.fovy),
         after.height - before.height,
         objects,
+        fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
 
 

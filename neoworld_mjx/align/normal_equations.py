@@ -11,6 +11,7 @@ from .colors import LabImage, color_models
 from .contacts import ContactGaps
 from .contours import contour, displacements
 from .rasterize import DrawnObjects, pixels_of, window_of
+from .shape_evidence import ShapeEvidence
 from .unknowns import STRETCH, Placement, Unknowns
 
 REFERENCE_PX = 640.0
@@ -179,7 +180,7 @@ class NormalEquations:
     ):
         """Start from the prior's precision matrix, at some values of the unknowns."""
         self._unknowns, self._x = unknowns, x
-        self._precision = prior.copy()
+        self._prior, self._precision = prior, prior.copy()
         self._gradient = -prior[:, : unknowns.size] @ x
         self._contours: dict[int, _Block] = {}
         self._boxes: set[int] = set()
@@ -236,11 +237,35 @@ class NormalEquations:
         """Return the covariance of the unknowns, in which contacts do not count."""
         return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
 
+    def shape_evidence(self) -> dict[int, ShapeEvidence]:
+        """Return what contours and 2D boxes say about the stretches of each object with a contour.
+
+        All other unknowns are marginalized; contacts do not count.
+        """
+        covariance = np.linalg.inv(self._precision)
+        estimate = covariance @ self._gradient
+        found = {}
+        for k in self.with_contour:
+            rows = self._stretches(k)
+            block = np.ix_(rows, rows)
+            precision = np.linalg.inv(covariance[block])
+            found[k] = ShapeEvidence(
+                precision - self._prior[block],
+                precision @ estimate[rows],
+                covariance[: len(self._x), rows] @ precision,
+                estimate[rows],
+            )
+        return found
+
+    def _stretches(self, k: int) -> Int[np.ndarray, " s"]:
+        """Return the indices of an object's stretches."""
+        first = len(self._x) + STRETCH * int(np.flatnonzero(self._unknowns.free == k)[0])
+        return first + np.arange(STRETCH)
+
     def _block(self, k: int, evidence: Evidence) -> "_Block":
         size = len(self._x)
-        first = size + STRETCH * int(np.flatnonzero(self._unknowns.free == k)[0])
         used = np.flatnonzero((evidence.jacobian[:, :size] != 0).any(axis=0))
-        rows = np.concatenate([used, first + np.arange(STRETCH)])
+        rows = np.concatenate([used, self._stretches(k)])
         jacobian = evidence.jacobian[:, np.concatenate([used, size + np.arange(STRETCH)])]
         weighted = jacobian * evidence.weight[:, None]
         return _Block(rows, jacobian.T @ weighted, weighted.T @ evidence.residual)

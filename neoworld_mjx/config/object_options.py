@@ -264,6 +264,11 @@ class AlignOptions(Options):
         True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
     )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
+    dimensions: bool = option(
+        False,
+        "Where the outline of an object contradicts its proportions, change named constants of its "
+        "program one by one, and align again.",
+    )
 
 
 class ComposeOptions(Options):

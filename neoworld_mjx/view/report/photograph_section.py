@@ -43,7 +43,17 @@ def photograph_section(folder: Path) -> Markup:
         elements.paragraph(_camera(aligned) + _looks(folder)),
         elements.table(heads, [_row(name, change) for name, change in objects.items()]),
         elements.paragraph(_NOTE, "dim"),
+        *_dimensions(aligned),
     )
+
+
+def _dimensions(aligned: dict[str, Any]) -> list[Markup]:
+    """Return a table of the programs' dimensions, if the alignment was to change them."""
+    rows = [
+        [name, freed["phrase"] if freed["edits"] else f"unchanged: {freed['reason']}"]
+        for name, freed in aligned.get("dimensions", {}).items()
+    ]
+    return [elements.table(["object", "dimensions of its program"], rows)] if rows else []
 
 
 def _camera(aligned: dict[str, Any]) -> str:
