@@ -27,6 +27,8 @@ MethodName = Literal[
     "with_s_photo",
     "without_d_pen",
     "without_d_drift",
+    "aligned",
+    "aligned_dimensions",
     "without_photo",
     "without_contours",
     "without_contacts",
@@ -36,7 +38,7 @@ MethodName = Literal[
     "cma_es",
 ]
 """Methods of `methods.scene_methods.METHODS`."""
-NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
+NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
 
@@ -178,14 +180,16 @@ class SceneSet(NoisyRuns):
     )
     """Methods: also random, cma_es, evosax:STRATEGY or package.module:function, which get as many
     rollouts as ours; without_s_sem, without_d_pen, without_d_drift, without_photo,
-    without_contours and without_camera; and NAME=FILE, the search with the options of a YAML file.
+    without_contours and without_camera; aligned and aligned_dimensions, the alignment without a
+    search; and NAME=FILE, the search with the options of a YAML file.
     """
     label: str | None = None
     """Name of the row of ours, to compare runs with different options."""
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
-    joints; all: everything."""
+    joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
+    programs."""
     out: Path | None = None
     """Folder of results.parquet; rows that it already contains are not run again."""
     submission: Path | None = None

@@ -19,7 +19,7 @@ from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .acceptance import gain, shown_at
-from .alignment import Alignment, Evidence, JointAlignment, ObjectAlignment
+from .alignment import Alignment, Evidence, FittedUnknowns, JointAlignment, ObjectAlignment
 from .alignment_prior import (
     camera_deviations,
     is_misjudged,
@@ -309,6 +309,7 @@ def _result(
         math.degrees(after.fovy - before.fovy),
         after.height - before.height,
         objects,
+        fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
 
 

@@ -2,11 +2,16 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
 
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
+from .shape_evidence import ShapeEvidence
+from .unknowns import Unknowns
 
 NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
 """Changes of position, size and heading above which a note reports them."""
@@ -59,6 +64,46 @@ class ObjectAlignment:
 
 
 @dataclass(frozen=True)
+class FittedUnknowns:
+    """Unknowns of an alignment at their estimate."""
+
+    unknowns: Unknowns
+    x: Float[np.ndarray, " u"]
+    shapes: dict[int, ShapeEvidence]
+    """What contours say about the proportions of objects; those that the pixels do not place are
+    missing."""
+
+
+@dataclass(frozen=True)
+class DimensionEdit:
+    """Change of a named constant of an object's program."""
+
+    constant: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class FreedObject:
+    """Changes of the dimensions of an object's program."""
+
+    edits: tuple[DimensionEdit, ...]
+    reason: str = ""
+    """Why there are none; empty if there are."""
+    outline_before_px: float | None = None
+    """Distance of its outline from the photograph's before and after; see `outline_errors`."""
+    outline_after_px: float | None = None
+
+    def phrase(self) -> str:
+        """Return the changes in one line."""
+        edits = [f"{e.constant} {e.before:.4g} -> {e.after:.4g}" for e in self.edits]
+        if self.outline_before_px is not None and self.outline_after_px is not None:
+            px = self.outline_before_px, self.outline_after_px
+            edits.append("outline {:.1f} -> {:.1f} px".format(*px))
+        return ", ".join(edits)
+
+
+@dataclass(frozen=True)
 class Alignment:
     """Result of `align`."""
 
@@ -72,6 +117,10 @@ class Alignment:
     objects: dict[str, ObjectAlignment] = field(default_factory=dict)
     failure: str = ""
     """Reason why the scene was not aligned and is as composed; empty if it was."""
+    dimensions: dict[str, FreedObject] = field(default_factory=dict)
+    """Changes of programs by object; empty unless `compose.align.dimensions` is set."""
+    fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
+    """The unknowns; None if there were none or the solver failed."""
 
     def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
         """Yield a note for the camera, and for each object or joint that moved far.
@@ -107,6 +156,9 @@ class Alignment:
                 if opening.is_far:
                     phrase = f"in the photograph joint {joint} {opening.phrase()}"
                     yield f"{name} open otherwise than composed", phrase
+        for name, freed in self.dimensions.items():
+            if freed.edits:
+                yield f"{name} has other dimensions than its program", freed.phrase()
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data, without the scene."""
@@ -125,6 +177,13 @@ class Alignment:
                 }
                 for name, change in self.objects.items()
             },
+            **({"dimensions": self._dimensions()} if self.dimensions else {}),
+        }
+
+    def _dimensions(self) -> dict[str, Any]:
+        return {
+            name: asdict(freed) | {"phrase": freed.phrase()}
+            for name, freed in self.dimensions.items()
         }
 
 

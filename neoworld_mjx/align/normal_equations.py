@@ -12,7 +12,8 @@ from .contacts import ContactGaps
 from .contours import Contour, contour, displacements
 from .creases import creases
 from .rasterize import DrawnObjects, pixels_of, window_of
-from .unknowns import Placement, Unknowns
+from .shape_evidence import ShapeEvidence
+from .unknowns import STRETCH, Placement, Unknowns
 
 REFERENCE_PX = 640.0
 """Width of the image in which the constants in pixels are given."""
@@ -260,7 +261,7 @@ class NormalEquations:
     ):
         """Start from the prior's precision matrix, at some values of the unknowns."""
         self._unknowns, self._x = unknowns, x
-        self._precision = prior.copy()
+        self._prior, self._precision = prior, prior.copy()
         self._gradient = -prior[:, : unknowns.size] @ x
         self._contours: dict[int, _Block] = {}
         self._boxes: set[int] = set()
@@ -347,6 +348,27 @@ class NormalEquations:
     def covariance(self) -> Float[np.ndarray, "u u"]:
         """Return the covariance of the unknowns, in which contacts do not count."""
         return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
+
+    def shape_evidence(self) -> dict[int, ShapeEvidence]:
+        """Return what contours and 2D boxes say about the stretches of each object with a contour.
+
+        All other unknowns are marginalized; contacts do not count.
+        """
+        covariance = np.linalg.inv(self._precision)
+        estimate = covariance @ self._gradient
+        found = {}
+        for k in self.with_contour:
+            # The first are those of the object itself, not of what its joints move.
+            rows = np.array(self._unknowns.stretch_columns(k)[:STRETCH])
+            block = np.ix_(rows, rows)
+            precision = np.linalg.inv(covariance[block])
+            found[k] = ShapeEvidence(
+                precision - self._prior[block],
+                precision @ estimate[rows],
+                covariance[: len(self._x), rows] @ precision,
+                estimate[rows],
+            )
+        return found
 
     def _block(self, k: int, evidence: Evidence) -> "_Block":
         size = len(self._x)

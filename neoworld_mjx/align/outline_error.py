@@ -8,7 +8,7 @@ from ..spec import SceneSpec
 from .colors import LabImage, color_model, color_models
 from .contours import contour, displacements
 from .normal_equations import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_PX
-from .rasterize import draw_scene, height_of
+from .rasterize import DrawnObjects, draw_scene, height_of
 
 REACH_PX, STEP_PX = 24.0, 1.0
 """Largest distance that is recognized, and the distance of samples [px of REFERENCE_PX]."""
@@ -17,7 +17,9 @@ LEAST_INFORMED = 0.25
 
 
 def outline_errors(
-    scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
+    scene: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    drawn: DrawnObjects | None = None,
 ) -> dict[str, float | None]:
     """Return the median distance of each object's visible outline from the photograph's.
 
@@ -29,6 +31,7 @@ def outline_errors(
     Args:
         scene: the scene, with a camera.
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+        drawn: the scene as `draw_scene` draws it in REFERENCE_PX columns; None draws it.
 
     Returns:
         Pixels of an image 640 px wide, by object that is not a support; None where the object is
@@ -36,7 +39,7 @@ def outline_errors(
     """
     assert scene.camera is not None
     width = round(REFERENCE_PX)
-    drawn = draw_scene(scene, scene.camera, width)
+    drawn = drawn or draw_scene(scene, scene.camera, width)
     image = LabImage.of(photo, width, height_of(scene.camera, width))
     errors: dict[str, float | None] = {}
     for k, item in enumerate(scene.objects):

@@ -273,6 +273,11 @@ class AlignOptions(Options):
         "Also estimate the openings of doors, drawers and lids that are composed open. Where the "
         "shape of a program is wrong, an opening may come out worse.",
     )
+    dimensions: bool = option(
+        False,
+        "Where the outline of an object contradicts its proportions, change named constants of its "
+        "program one by one, and align again.",
+    )
 
 
 class ComposeOptions(Options):

@@ -41,7 +41,8 @@ def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
 
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
-    compose/scales.json, pictures/outlines.png and pictures/evidence.png.
+    compose/scales.json, pictures/outlines.png and pictures/evidence.png; and, with
+    `compose.align.dimensions`, the changed programs, objects/NAME/resized.py, with their objects.
     """
     from ..align.align import align
     from ..align.looks import as_photographed
@@ -50,6 +51,7 @@ def compose_scene(context: StepContext) -> None:
     from ..compose.on_supports import in_contact
     from ..fit.refit import refit_tree
     from ..measure import shown_sides
+    from .resized_programs import program_files, with_freed_dimensions, write_resized
 
     run, config = context.run, context.config
     tree = with_corrected_sizes(run, read_tree(run))
@@ -68,6 +70,9 @@ def compose_scene(context: StepContext) -> None:
     inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
     if config.compose.align.enabled or config.compose.looks:
         inputs["photo"] = run.path / "photo.png"
+    if config.compose.align.enabled and config.compose.align.dimensions:
+        inputs |= {"program": config.program, "verify": config.verify}
+        inputs |= program_files(run.path, tree)
     patch = read_layout_patch(run.path)
     if patch.objects:
         inputs["layout"] = patch
@@ -95,6 +100,21 @@ def compose_scene(context: StepContext) -> None:
                 photo = load_photo(run.path / "photo.png").rgb
                 known = tree.camera_measured
                 alignment = align(scene, photo, config.compose.align, measured=known)
+                if config.compose.align.dimensions:
+                    freed = with_freed_dimensions(
+                        run.path,
+                        tree,
+                        objects,
+                        config,
+                        photo,
+                        scene,
+                        alignment,
+                        lambda changed: compose(tree, dict(changed), config.compose).scene,
+                    )
+                    write_resized(run.path, freed, out)
+                    composed = compose(tree, {**objects, **freed.specs}, config.compose)
+                    notes, shortfalls = composed.notes, composed.shortfalls
+                    alignment = freed.alignment
                 write_alignment(run, scene, alignment, photo, out)
                 scene, moved = in_contact(alignment.scene, config.compose, composed=composed.scene)
                 notes = (*notes, *moved)

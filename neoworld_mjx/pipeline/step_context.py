@@ -29,6 +29,10 @@ VERIFIED = "verified.json"
 REPROGRAMMED = "reprogrammed.py"
 """Program that Step 3 requested in place of program.py; its rounds are in reprogrammed.json."""
 
+RESIZED = "resized.py"
+"""Program whose dimensions Step 4 changed, in place of the earlier ones; resized.json is its
+object."""
+
 
 @dataclass(frozen=True)
 class StepContext:

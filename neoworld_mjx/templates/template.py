@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SpecError, choices
+from ..program.named_constants import RANGE
 
 PROGRAMS = Path(__file__).parent / "programs"
 BOX = ("depth", "width", "height")
 """Parameters of every template: edges of the bounding box along x, y and z [m]."""
 
-_RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")
 _CHOICES = re.compile(r"#\s*one of (\w+(?:, \w+)*)\s*$")
 _HEADER = re.compile(r"# ([A-Z][\w-]*): (.+)")
 
@@ -153,7 +153,7 @@ def read_template(path: Path) -> Template:
 def _parameter(file: str, name: str, default: object, comment: str) -> Parameter:
     if isinstance(default, str) and (match := _CHOICES.match(comment)):
         parameter = Parameter(name, default, choices=tuple(match[1].split(", ")))
-    elif isinstance(default, int | float) and (match := _RANGE.match(comment)):
+    elif isinstance(default, int | float) and (match := RANGE.match(comment)):
         parameter = Parameter(name, default, float(match[1]), float(match[2]), unit=match[3] or "")
     else:
         raise SpecError(

@@ -22,6 +22,7 @@ from neoworld_bench.measures.surface_measure import geometry_measure, surface_po
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
 from neoworld_bench.noise import initial_scenes as starts
 from neoworld_bench.noise import joint_noise, parse_noise
+from neoworld_bench.noise.dimension_noise import WRONG, editable, with_wrong_dimensions
 from neoworld_bench.noise.environment_noise import with_other_supports
 from neoworld_bench.noise.initial_scenes import (
     composed_start,
@@ -49,7 +50,9 @@ from neoworld_bench.noise.share_noise import with_other_shares
 from neoworld_bench.noise.split_noise import with_halves
 
 from neoworld_mjx.fit.tree_checks import check_tree
+from neoworld_mjx.program.named_constants import named_constants
 from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial, part_bounds
+from neoworld_mjx.templates.template import BOX
 
 
 def test_missed_and_extra_objects_do_not_affect_errors():
@@ -431,3 +434,24 @@ def test_objects_that_fail_the_checks_are_redrawn_once(desk, monkeypatch):
     )
     monkeypatch.setattr(starts, "with_boxes_redrawn", worse)
     assert fitted_response(tree, 4, {}, wrong_tree=False).tree == wrong
+
+
+def test_dimension_noise_makes_edges_wrong_and_leaves_a_program_that_builds_them():
+    signs = set()
+    for item in declarations()["desk_laptop"].movable():
+        log = NoiseLog()
+        wrong = with_wrong_dimensions(item, 5, log)
+        assert with_wrong_dimensions(item, 5, NoiseLog()) == wrong and log.refused == []
+        right = template_of(item).program(item.set)
+        values = [{c.name: c.value for c in named_constants(text)} for text in (wrong.text, right)]
+        ratios = [values[0][name] / values[1][name] for name in BOX]
+        assert all(abs(ratio - 1) < WRONG + 1e-9 for ratio in ratios)
+        signs |= {tuple(np.sign(np.array(ratios) - 1))}
+        same = values[1]["depth"] == values[1]["width"]
+        assert not same or values[0]["depth"] == values[0]["width"]
+        programs = editable({item.name: wrong}, lambda changed: None)
+        assert programs.build(item.name, wrong.text) == wrong.spec
+        assert programs.check(item.name, wrong.text) == ""
+        assert programs.build(item.name, wrong.text + "depth = ") != wrong.spec
+        assert programs.check(item.name, wrong.text + "depth = ")
+    assert len(signs) > 2

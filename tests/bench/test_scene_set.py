@@ -110,7 +110,8 @@ def test_exact_response_composes_to_the_ground_truth():
 def test_each_error_affects_its_own_figure():
     scene = truth_scene(declarations()["dominoes"])
     zero = layout_errors(scene, scene)
-    assert zero == {"xy_error_m": 0.0, "yaw_error_deg": 0.0, "scale_error": 0.0}
+    names = ("xy_error_m", "yaw_error_deg", "scale_error", "edge_error")
+    assert zero == dict.fromkeys(names, 0.0)
     objects = [i for i in scene.objects if not i.static]
     first = objects[0]
     shifted = first.model_copy(update={"xy": (first.xy[0] + 0.03, first.xy[1])})
@@ -220,6 +221,7 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
             "max_drift_m": 0.0,
             "max_tilt_deg": 0.0,
             "scale_error": 0.01,
+            "edge_error": 0.02,
             "box_iou": 0.9,
             "seconds_to_valid": 2.0 if valid else None,
             "seconds": 3.0,
@@ -237,6 +239,12 @@ def test_summary_counts_results_and_rates_difficulty():
     rows += [_row("gravity", valid=False, scene="dominoes", o_stab=1.0, objects=12)]
     answer = summarise(rows)
     assert answer["methods"]["ours"]["n"] == 2
+    # Pairs have the same scene and initial scene: gravity has one with ours.
+    compared = answer["differences"]
+    assert compared["to"] == "ours"
+    farther = compared["methods"]["open_loop"]["xy_error_m"]
+    assert (farther["n"], farther["mean"]) == (2, pytest.approx(0.02 - rows[0].xy_error_m))
+    assert compared["methods"]["gravity"]["edge_error"]["n"] == 1
     # A search says what it takes for valid; gravity says nothing.
     rates = {name: of["accepted_rate"] for name, of in answer["methods"].items()}
     assert rates == {"ours": 1.0, "open_loop": None, "gravity": None}

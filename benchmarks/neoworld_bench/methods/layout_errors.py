@@ -28,15 +28,18 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
 
     Returns:
         "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", see
-        `heading_deg`; "scale_error", of the logarithm. Means over the
+        `heading_deg`; "scale_error", of the logarithm of the diagonal; "edge_error", of the
+        logarithms of the three edges. Means over the
         found objects that are no supports; what is missed or extra is for `unmatched` to count.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     items = [item for item in truth.objects if not item.static and item.name in ends]
-    turns, scales = [], []
+    turns, scales, edges = [], [], []
     for item in items:
         other = scene.object(item.name)
         scales.append(abs(math.log(_size(other) / _size(item))))
+        ratio = np.maximum(_edges(other), LEAST_M) / np.maximum(_edges(item), LEAST_M)
+        edges.append(float(np.abs(np.log(ratio)).mean()))
         turn = heading_deg(item, ends[item.name], starts[item.name])
         if turn is not None:
             turns.append(turn)
@@ -46,6 +49,7 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
         "xy_error_m": float(np.mean(np.linalg.norm(shift, axis=1))),
         "yaw_error_deg": float(np.mean(turns)) if turns else 0.0,
         "scale_error": float(np.mean(scales)),
+        "edge_error": float(np.mean(edges)),
     }
 
 
@@ -171,6 +175,10 @@ def _is_ball(item: SceneObject) -> bool:
     return symmetry(item) == 0 and float(np.ptp(sides)) < BALL_EXTENT * float(sides.max())
 
 
-def _size(item: SceneObject) -> float:
+def _edges(item: SceneObject) -> Float[np.ndarray, " 3"]:
     low, high = bounds(item.spec)
-    return float(np.linalg.norm(high - low))
+    return high - low
+
+
+def _size(item: SceneObject) -> float:
+    return float(np.linalg.norm(_edges(item)))

@@ -12,7 +12,13 @@ from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
-from ..noise.initial_scenes import NoiseLevel, composed_start, is_evaluation, noise_number
+from ..noise.initial_scenes import (
+    InitialScene,
+    NoiseLevel,
+    initial_scene,
+    is_evaluation,
+    noise_number,
+)
 from ..noise.parse_noise import NoiseLog
 from ..row_files import RowFile, check_level
 from ..rows import Row, log
@@ -101,6 +107,10 @@ class MethodJob:
     """Folder of another method's scenes to score in place of running methods."""
 
     def composed(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> SceneSpec:
+        """Return the scene of `initial`, with the same arguments."""
+        return self.initial(truth, stream, errors).scene
+
+    def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Compose the initial scene: a noisy response to a ground-truth scene.
 
         Args:
@@ -111,7 +121,7 @@ class MethodJob:
         s = self.settings
         number = noise_number(stream, s.seed, self.start)
         response = exact_response(truth)
-        return composed_start(truth, response, number, s.compose, noise=s.noise, log=errors)
+        return initial_scene(truth, response, number, s.compose, noise=s.noise, log=errors)
 
     def columns(self, method: str, errors: NoiseLog) -> dict[str, Any]:
         """Return the columns of `MethodRow`, except for `rollouts`."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from neoworld_mjx.align.align import align as align_scene
+from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import AlignOptions, RefineOptions, merged
 from neoworld_mjx.errors import SpecError, choices
@@ -27,6 +28,7 @@ from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
+from neoworld_mjx.program.freed_dimensions import EditablePrograms, free_dimensions
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.refinement.scene_refinement import refine
@@ -82,6 +84,8 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_camera": AlignOptions(camera=False),
 }
 """Ablations of the alignment with the photograph."""
+DIMENSIONS = {"aligned_dimensions": AlignOptions(dimensions=True)}
+"""Methods whose alignment also changes dimensions of programs."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "algorithm1": algorithm1,
@@ -96,6 +100,8 @@ BUDGETED = ("random", "cma_es")
 """Other optimizers, with as many rollouts as ours from the same initial scene."""
 METHODS = (
     "open_loop",
+    "aligned",
+    "aligned_dimensions",
     "gravity",
     "guided",
     *(name for name in SEARCHES if name != "ours"),
@@ -115,11 +121,14 @@ def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
 
 
 SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
-    "open_loop": lambda composed, o: snap_exactly(composed),
+    **dict.fromkeys(
+        ("open_loop", "aligned", "aligned_dimensions"), lambda start, o: snap_exactly(start)
+    ),
     "gravity": _gravity,
     "guided": lambda composed, o: settle_scene(composed, o.settle),
 }
-"""Methods without a search: snapped, fallen freely, or settled under guidance."""
+"""Methods without a search: snapped, fallen freely, or settled under guidance. `aligned` and
+`aligned_dimensions` are aligned with the photograph before."""
 
 
 def outcome_of(
@@ -225,6 +234,7 @@ def outcomes_of(
     photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
     *,
     align: AlignOptions | None = None,
+    programs: EditablePrograms | None = None,
     seed: int = 0,
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
@@ -241,6 +251,7 @@ def outcomes_of(
         engine: that rolls candidates out.
         photo: returns the photograph; called if a method aligns the scene with it.
         align: options of the alignment.
+        programs: of the objects, for alignments that change their dimensions.
         seed: of searches.
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
@@ -248,16 +259,30 @@ def outcomes_of(
     rollouts = 0
     starts: dict[AlignOptions, tuple[SceneSpec, float]] = {}
     picture = functools.cache(photo)
+    alignments: dict[AlignOptions, tuple[Alignment, float]] = {}
+
+    def alignment_of(used: AlignOptions) -> tuple[Alignment, float]:
+        if used not in alignments:
+            shown = picture()
+            began = time.perf_counter()
+            found = align_scene(composed, shown, used)
+            alignments[used] = found, time.perf_counter() - began
+        return alignments[used]
 
     def start_of(method: str) -> tuple[SceneSpec, float]:
-        used = EVIDENCE.get(method, align or AlignOptions())
+        used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
         if method in UNALIGNED or not used.enabled:
             return composed, 0.0
         if used not in starts:
-            shown = picture()
-            began = time.perf_counter()
-            aligned, _ = in_contact(align_scene(composed, shown, used).scene, composed=composed)
-            starts[used] = aligned, time.perf_counter() - began
+            plain = used.model_copy(update={"dimensions": False})
+            alignment, spent = alignment_of(plain)
+            began, before = time.perf_counter(), composed
+            if used.dimensions and programs is not None:
+                again = partial(align_scene, photo=picture(), options=plain)
+                freed = free_dimensions(composed, alignment, picture(), programs, again)
+                before, alignment = freed.composed, freed.alignment
+            aligned, _ = in_contact(alignment.scene, composed=before)
+            starts[used] = aligned, spent + time.perf_counter() - began
         return starts[used]
 
     for method in in_order(methods):

@@ -68,6 +68,8 @@ class SceneRow(MethodRow):
     xy_error_m: float
     yaw_error_deg: float
     scale_error: float
+    edge_error: float
+    """Of the three edges of an object; `scale_error` is that of its diagonal."""
     box_iou: float
     """Overlap of visible boxes with the ground truth's, mean over objects."""
     seconds_to_valid: float | None
@@ -179,19 +181,20 @@ def _outcomes(
     if job.submission is not None:
         yield job.methods[0], submitted(job.submission, job.start, truth, s.refine), None
         return
-    composed = job.composed(truth, job.subject, errors)
+    initial = job.initial(truth, job.subject, errors)
     engine = NativeEngine(threads=job.threads)
     for method, result in outcomes_of(
         job.methods,
-        composed,
+        initial.scene,
         s.refine,
         engine,
         lambda: photograph(truth),
         align=s.compose.align,
+        programs=initial.programs,
         seed=s.seed,
         named=dict(s.named),
     ):
-        yield method, result, composed
+        yield method, result, initial.scene
 
 
 def _row(

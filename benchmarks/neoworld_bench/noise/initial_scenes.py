@@ -5,6 +5,7 @@ programs (`program_noise`, `joint_noise`). Composition derives sizes from the bo
 """
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,17 +14,20 @@ from neoworld_mjx.config import ComposeOptions, ParseOptions
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.refit import refit_tree
 from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
+from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
 from ..dataset.declaration import declaration
 from ..fidelity.rendered_responses import noisy_response, with_boxes_redrawn
+from .dimension_noise import WrongDimensions, editable, with_wrong_dimensions
 from .environment_noise import with_other_supports
 from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
 
-NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
+NoiseLevel = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise of an initial scene. exact: none; layout: the numbers of a parse; parse: also its tree;
-programs: layout and programs; all: everything."""
+programs: layout and programs; dimensions: layout, and the edges of every program wrong by 10 %;
+all: parse and programs."""
 EVALUATION = 1
 """Initial scenes with odd numbers are the evaluation half: no default is tuned on them."""
 
@@ -31,6 +35,14 @@ EVALUATION = 1
 def noise_number(name: str, seed: int, start: int) -> int:
     """Return the seed of the noise of an initial scene."""
     return zlib.crc32(f"{name}/{seed}/{start}".encode())
+
+
+@dataclass(frozen=True)
+class InitialScene:
+    """A composed scene, and the programs that it is composed of."""
+
+    scene: SceneSpec
+    programs: EditablePrograms
 
 
 def composed_start(
@@ -42,6 +54,19 @@ def composed_start(
     noise: NoiseLevel = "all",
     log: NoiseLog | None = None,
 ) -> SceneSpec:
+    """Return the scene of `initial_scene`, with the same arguments."""
+    return initial_scene(scene, tree, number, options, noise=noise, log=log).scene
+
+
+def initial_scene(
+    scene: SceneSpec,
+    tree: SceneTree,
+    number: int,
+    options: ComposeOptions | None = None,
+    *,
+    noise: NoiseLevel = "all",
+    log: NoiseLog | None = None,
+) -> InitialScene:
     """Compose a scene from a noisy response, as in a run.
 
     Args:
@@ -53,11 +78,18 @@ def composed_start(
         options: of composition.
         noise: its level.
         log: list that receives the errors of the tree.
+
+    Returns:
+        The scene, with the programs of its movable objects where these have wrong dimensions alone.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
     shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
+    texts: dict[str, WrongDimensions] = {}
     if noise in ("programs", "all"):
         shapes |= wrong_shapes(scene, number, programs)
+    elif noise == "dimensions":
+        texts = wrong_edges(scene, number, programs)
+        shapes |= {name: each.spec for name, each in texts.items()}
     fitted = tree
     # A fit of what is exact would only move what is right, by up to some millimetres.
     if noise != "exact":
@@ -69,7 +101,11 @@ def composed_start(
         fitted = refit_tree(kept.tree, shapes)[0] if o.refit else kept.tree
     log.injected += programs.injected
     log.refused += programs.refused
-    return compose(fitted, shapes, o, name=scene.name).scene
+
+    def again(changed: Mapping[str, ObjectSpec]) -> SceneSpec:
+        return compose(fitted, shapes | dict(changed), o, name=scene.name).scene
+
+    return InitialScene(again({}), editable(texts, again))
 
 
 @dataclass(frozen=True)
@@ -145,6 +181,16 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
             parents = frozenset(link for link in links if link is not None)
             shapes[item.name] = wrong_program(item, number, parents, log)
     return shapes
+
+
+def wrong_edges(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, WrongDimensions]:
+    """Return the movable objects of a scene with wrong edges; arguments as for `wrong_shapes`."""
+    names = {item.name for item in scene.objects}
+    return {
+        item.name: with_wrong_dimensions(item, number, log)
+        for item in declaration(scene.name).movable()
+        if item.name in names
+    }
 
 
 def is_evaluation(start: int) -> bool:

@@ -5,6 +5,7 @@ from pathlib import Path
 from neoworld_mjx.errors import SpecError
 
 OBJECT_FILES = (
+    "resized.json",
     "verified.json",
     "spec.json",
     "program.py",

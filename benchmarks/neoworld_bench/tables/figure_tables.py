@@ -50,6 +50,7 @@ def scene_figure_table(rows: Sequence[SceneRow], methods: Sequence[str]) -> Tabl
                 "position": _mean(interval(own, "xy_error_m"), 1e3, 1, " mm"),
                 "heading": _mean(interval(own, "yaw_error_deg"), 1.0, 1, "°"),
                 "log scale": _mean(interval(own, "scale_error"), 100.0, 1, " %"),
+                "edges": _mean(interval(own, "edge_error"), 100.0, 1, " %"),
                 "box IoU": _mean(interval(own, "box_iou"), 1.0, 3, ""),
                 "whole": "" if seconds is None else f"{seconds:.2g} s",
             }

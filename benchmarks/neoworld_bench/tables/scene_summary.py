@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.sweeps.intervals import ratio_interval
+from neoworld_mjx.sweeps.intervals import mean, ratio_interval
 
 from ..methods.scene_runs import SceneRow
 
@@ -25,9 +25,12 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "xy_error_m": lambda r: r.xy_error_m,
     "yaw_error_deg": lambda r: r.yaw_error_deg,
     "scale_error": lambda r: r.scale_error,
+    "edge_error": lambda r: r.edge_error,
     "box_iou": lambda r: r.box_iou,
 }
 """Measures, as means over scenes and initial scenes."""
+COMPARED = ("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "box_iou", "displaced")
+"""Measures of the paired differences."""
 SHARES = ("valid_rate", "check_rate", "accepted_rate", "displaced", "missed")
 SHARES += ("s_pen", "p_pen", "s_stab", "o_stab")
 """Measures that are shares of scenes or objects."""
@@ -50,6 +53,7 @@ def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
         "starts": len({row.start for row in rows}),
         "methods": by_method(rows),
         "evaluation": by_method([row for row in rows if row.evaluation]),
+        "differences": differences(rows),
         "difficulty": difficulty(rows),
     }
 
@@ -58,6 +62,26 @@ def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
     """Return the statistics of each method."""
     names = dict.fromkeys(row.method for row in rows)
     return {name: figures([row for row in rows if row.method == name]) for name in names}
+
+
+def differences(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Compare each method with the first one of the rows, from the same initial scenes.
+
+    Returns:
+        Mean difference to the first method by method and measure of COMPARED, with the ends of its
+        interval, clustered by scene, and the number of pairs.
+    """
+    names = list(dict.fromkeys(row.method for row in rows))
+    by = {name: {(r.scene, r.start, r.seed): r for r in rows if r.method == name} for name in names}
+    result: dict[str, Any] = {}
+    for name in names[1:]:
+        pairs = [(row, by[names[0]][key]) for key, row in by[name].items() if key in by[names[0]]]
+        scenes = [row.scene for row, _ in pairs]
+        result[name] = {
+            of: mean([MEASURES[of](a) - MEASURES[of](b) for a, b in pairs], scenes)._asdict()
+            for of in COMPARED
+        }
+    return {"to": names[0] if names else None, "methods": result}
 
 
 def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:

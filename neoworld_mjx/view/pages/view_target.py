@@ -55,8 +55,10 @@ class ViewTarget:
         if self.program is not None:
             return self.program
         object_folder = self.object_folder(name)
-        path = None if object_folder is None else object_folder / "program.py"
-        return path if path is not None and path.is_file() else None
+        if object_folder is None:
+            return None
+        paths = (object_folder / file for file in ("resized.py", "program.py"))
+        return next((path for path in paths if path.is_file()), None)
 
     def object_folder(self, name: str) -> Path | None:
         """Return the folder of an object's files, if it exists."""
@@ -77,7 +79,7 @@ def open_target(path: Path, config: Config) -> ViewTarget:
         refuse_links(path)
         if (path / "run.json").is_file():
             return _run_target(path)
-        for name in ("scene.json", "program.py", "verified.json", "spec.json"):
+        for name in ("scene.json", "resized.py", "program.py", "verified.json", "spec.json"):
             if (path / name).is_file():
                 return open_target(path / name, config)
         raise SpecError(

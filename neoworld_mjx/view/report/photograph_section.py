@@ -56,6 +56,7 @@ def photograph_section(folder: Path) -> Markup:
         elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
         elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
         *_openings(objects),
+        *_dimensions(aligned),
     )
 
 
@@ -66,6 +67,15 @@ def _openings(objects: dict[str, Any]) -> list[Markup]:
         for name, item in objects.items()
         for joint, change in item.get("joints", {}).items()
     ]
+
+
+def _dimensions(aligned: dict[str, Any]) -> list[Markup]:
+    """Return a table of the programs' dimensions, if the alignment was to change them."""
+    rows = [
+        [name, freed["phrase"] if freed["edits"] else f"unchanged: {freed['reason']}"]
+        for name, freed in aligned.get("dimensions", {}).items()
+    ]
+    return [elements.table(["object", "dimensions of its program"], rows)] if rows else []
 
 
 def _camera(aligned: dict[str, Any]) -> str:

@@ -1,0 +1,104 @@
+"""Wrong dimensions of programs: every edge of every object is too long or too short by WRONG.
+
+The sign of each edge is drawn; equal edges of an object have one sign, as a round or square object
+is recognized. The text of the program has the wrong edges, so that it can be edited.
+"""
+
+import zlib
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from neoworld_mjx.program.freed_dimensions import EditablePrograms
+from neoworld_mjx.program.sandbox import build, run
+from neoworld_mjx.spec import ObjectSpec, SceneSpec, scale
+from neoworld_mjx.spec.extent import recentred
+from neoworld_mjx.templates import Template
+from neoworld_mjx.templates.template import BOX
+
+from ..dataset.declaration import ObjectDeclaration, Value, template_of
+from .parse_noise import NoiseLog
+
+WRONG = 0.1
+"""Relative error of an edge."""
+TRIES = 8
+"""Draws of the signs until a program passes the checks; there are eight."""
+
+
+class WrongDimensions(NamedTuple):
+    """A program with wrong edges, and the object that it builds at the scene's scale."""
+
+    text: str
+    spec: ObjectSpec
+    factor: float
+    """Scale of the object in its scene."""
+
+
+def with_wrong_dimensions(item: ObjectDeclaration, number: int, log: NoiseLog) -> WrongDimensions:
+    """Return an object whose edges are wrong by WRONG.
+
+    Args:
+        item: the object's declaration, which is true.
+        number: of the noise; every object has a stream of its own.
+        log: to which "dimensions" is added as refused where no draw passes the checks; the object
+            is then right.
+    """
+    rng = np.random.default_rng((number, 51, zlib.crc32(item.name.encode())))
+    template = template_of(item)
+    for _ in range(TRIES):
+        text = template.program(_with_wrong_edges(template, item.set, rng))
+        built = build(text)
+        if built.ok and built.spec is not None:
+            return WrongDimensions(text, _placed(built.spec, item.scale), item.scale)
+    log.refused.append("dimensions")
+    text = template.program(item.set)
+    built = build(text)
+    assert built.spec is not None
+    return WrongDimensions(text, _placed(built.spec, item.scale), item.scale)
+
+
+def _with_wrong_edges(
+    template: Template, given: Mapping[str, Value], rng: np.random.Generator
+) -> dict[str, Value]:
+    """Return a program's parameters with other edges, clipped to their ranges."""
+    values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()}
+    values |= given
+    factors: dict[Value, float] = {}
+    for name in BOX:
+        value, parameter = values[name], template.parameters[name]
+        assert not isinstance(value, str)
+        factor = 1 + WRONG * float(rng.choice((-1.0, 1.0)))
+        wrong = value * factors.setdefault(value, factor)
+        values[name] = min(max(wrong, parameter.low), parameter.high)
+    return values
+
+
+def _placed(spec: ObjectSpec, factor: float) -> ObjectSpec:
+    return scale(recentred(spec), factor)
+
+
+def editable(
+    programs: Mapping[str, WrongDimensions],
+    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
+) -> EditablePrograms:
+    """Return programs for `program.freed_dimensions.free_dimensions`.
+
+    Args:
+        programs: of the objects, by name.
+        compose: composes the scene with other objects.
+    """
+
+    def object_of(name: str, text: str) -> ObjectSpec | str:
+        ran = run(text)
+        if ran.spec is None:
+            return "; ".join(signal.phrase() for signal in ran.signals)
+        return _placed(ran.spec, programs[name].factor)
+
+    def check(name: str, text: str) -> str:
+        built = build(text)
+        return "" if built.ok else "; ".join(signal.phrase() for signal in built.signals)
+
+    return EditablePrograms(
+        {name: each.text for name, each in programs.items()}, object_of, check, compose
+    )

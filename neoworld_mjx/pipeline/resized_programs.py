@@ -1,0 +1,190 @@
+"""Programs whose dimensions Step 4 changes: how a run builds and checks them, and their files.
+
+The changed program stands next to the one that it replaces, as a program of Step 3 does: `RESIZED`
+with the object that it builds, and the patch of Step 3 that is applied to it.
+"""
+
+from collections.abc import Callable, Mapping, Set
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from pydantic import ValidationError
+
+from ..align.align import align
+from ..align.alignment import Alignment
+from ..checks.object_tests import run_object_tests
+from ..checks.verdict import Verdict
+from ..compose.resting_pose import on_level, pose_without_scene
+from ..config import Config, ProgramOptions, VerifyOptions
+from ..errors import SpecError
+from ..io import read_object
+from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
+from ..program.sandbox import BuildResult, build, run
+from ..spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
+from ..verify.patch import Patch, apply, read_overlay, write_overlay
+from .step_context import REPROGRAMMED, RESIZED
+
+
+def with_freed_dimensions(
+    folder: Path,
+    tree: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    config: Config,
+    photo: UInt8[np.ndarray, "row column 3"],
+    composed: SceneSpec,
+    alignment: Alignment,
+    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
+) -> FreedScene:
+    """Change dimensions of a run's programs where the photograph contradicts them.
+
+    Args:
+        folder: the run folder.
+        tree: the scene tree that the scene is composed of.
+        objects: its objects.
+        config: options of the run.
+        photo: the photograph (sRGB).
+        composed: the composed scene.
+        alignment: its alignment.
+        compose: composes the scene of these and other objects, by name.
+    """
+    sources = {node.name: _source(folder, node, tree, config) for node in tree.nodes}
+    texts, unchangeable = {}, {}
+    for name, source in sources.items():
+        reason = source.unchangeable(objects[name])
+        if reason:
+            unchangeable[name] = reason
+        else:
+            texts[name] = source.text
+    programs = EditablePrograms(
+        texts,
+        lambda name, text: sources[name].object_of(text),
+        lambda name, text: sources[name].fault(text),
+        lambda changed: compose({**objects, **changed}),
+        unchangeable,
+    )
+    known = tree.camera_measured
+    again = lambda scene: align(scene, photo, config.compose.align, measured=known)
+    return free_dimensions(composed, alignment, photo, programs, again)
+
+
+def program_files(folder: Path, tree: SceneTree) -> dict[str, Path]:
+    """Return the files of a run that its changed programs depend on, by a name of an input."""
+    files = {}
+    for node in tree.nodes:
+        if not node.environment:
+            own = folder / "objects" / node.name
+            for path in (_program(own), own / "verify.json"):
+                if path.is_file():
+                    files[f"{node.name}/{path.name}"] = path
+    return files
+
+
+def write_resized(folder: Path, freed: FreedScene, out: Path) -> None:
+    """Write the changed programs, their patches and the objects that they build.
+
+    Args:
+        folder: the run folder.
+        freed: the scene with the changed objects.
+        out: folder of the step's files.
+    """
+    for name, text in freed.texts.items():
+        own = out / "objects" / name
+        own.mkdir(parents=True)
+        (own / RESIZED).write_text(text, encoding="utf-8")
+        patch = read_overlay(_program(folder / "objects" / name))
+        if patch is not None and not patch.empty:
+            write_overlay(own / RESIZED, patch)
+        spec = (own / RESIZED).with_suffix(".json")
+        spec.write_text(freed.specs[name].to_json(), encoding="utf-8")
+
+
+def _program(folder: Path) -> Path:
+    """Return the program of an object before this step."""
+    replaced = folder / REPROGRAMMED
+    return replaced if replaced.is_file() else folder / "program.py"
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The program of one object of a run, and the tests that a changed one must pass."""
+
+    text: str
+    """Empty if there is none."""
+    patch: Patch
+    node: TreeNode
+    level: bool
+    """True if the object is on level ground in its scene."""
+    options: ProgramOptions
+    tests: VerifyOptions
+    known: Set[str]
+    """Checks that the object failed before."""
+
+    def unchangeable(self, spec: ObjectSpec) -> str:
+        """Return why the program may not be changed; empty if it may."""
+        if self.node.environment:
+            return "it belongs to the environment"
+        if not self.text:
+            return "it has no program"
+        own = self.object_of(self.text)
+        if isinstance(own, str):
+            return f"its program does not build: {own}"
+        return "" if own == spec else "its program builds another object than the composed one"
+
+    def object_of(self, text: str) -> ObjectSpec | str:
+        """Return the object of a text with the patch of Step 3, or why there is none."""
+        result = run(text, self.options)
+        return _errors(result) if result.spec is None else self._patched(result.spec)
+
+    def fault(self, text: str) -> str:
+        """Return why the object of a text is not valid; empty if it is as valid as it was."""
+        result = build(text, self.options)
+        if result.spec is None or not result.ok:
+            return _errors(result)
+        spec = self._patched(result.spec)
+        tilt, fixed = pose_without_scene(self.node, spec, level=self.level)
+        tests = run_object_tests(
+            spec, self.tests, fixed_base=fixed, tilt=tilt, allowed=result.allowances
+        )
+        new = _failed(tests.verdict) - self.known
+        return f"it fails {', '.join(sorted(new))}" if new else ""
+
+    def _patched(self, spec: ObjectSpec) -> ObjectSpec:
+        return spec if self.patch.empty else apply(self.patch, spec)[0]
+
+
+def _source(folder: Path, node: TreeNode, tree: SceneTree, config: Config) -> _Source:
+    own = folder / "objects" / node.name
+    path, verdict = _program(own), own / "verify.json"
+    return _Source(
+        path.read_text(encoding="utf-8") if path.is_file() else "",
+        (read_overlay(path) if path.is_file() else None) or Patch(),
+        node,
+        on_level(node, tree),
+        # A run folder is untrusted: its options must not disable the sandbox.
+        config.program.model_copy(update={"sandbox": "monty", "language": "sdk"}),
+        config.verify,
+        _failed(_read_verdict(verdict)) if verdict.is_file() else frozenset(),
+    )
+
+
+def _read_verdict(path: Path) -> Verdict:
+    data = read_object(path, SpecError)
+    try:
+        return Verdict.model_validate({key: data[key] for key in Verdict.model_fields})
+    except (KeyError, ValidationError) as error:
+        raise SpecError(f"{path} contains no verdict: {str(error).splitlines()[0]}") from None
+
+
+def _failed(verdict: Verdict) -> set[str]:
+    return {
+        " ".join(filter(None, (check.scenario, check.name, check.part, check.joint)))
+        for check in verdict.checks
+        if check.failed
+    }
+
+
+def _errors(result: BuildResult) -> str:
+    errors = [s.phrase() for s in result.signals if s.severity == "error"]
+    return "; ".join(errors) or "it builds no object"

@@ -1,0 +1,167 @@
+"""Candidates for the change of one dimension of a program, rated by the photograph's pixels."""
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..align.acceptance import gain
+from ..align.alignment import FittedUnknowns
+from ..align.rasterize import DrawnObjects, WorldMesh, draw_objects
+from ..align.shape_evidence import ShapeEvidence
+from ..spec import ObjectSpec, bounds
+from .named_constants import NamedConstant, named_constants, with_value
+
+PROBE = 0.01
+"""Relative change of a constant that shows what it changes."""
+LEAST_SENSITIVITY = 0.05
+"""Least change of an object's proportions, over that of a constant, that a contour can tell."""
+EQUAL = 0.01
+"""Difference of the logarithms of two edges up to which they are equal."""
+SIGNIFICANT, LEAST_CHANGE = 1.0, 0.03
+"""Stretch along an axis from which a shape may be wrong: in standard deviations, and relative; the
+latter is also the least change of a constant that is tried."""
+LEAST_STEP = 0.01
+"""The same of a constant that was changed before, relative."""
+LARGEST = math.log(1.25)
+"""Largest change of the logarithm of a constant."""
+TRIED = (0.5, 1.0, 1.5, 2.0)
+"""Changes that the pixels rate, over the estimate, whose prior and nuisances make it small."""
+
+Build = Callable[[str], ObjectSpec | str]
+"""Builds an object from a text; a string says why there is none."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A change of a constant."""
+
+    constant: NamedConstant
+    value: float
+    gain: float
+    """Log likelihood ratio of the outlines after and before [nats, of independent pixels]."""
+
+
+@dataclass(frozen=True)
+class Contours:
+    """An aligned scene as drawn over the photograph."""
+
+    fitted: FittedUnknowns
+    drawn: DrawnObjects
+    bins: Int[np.ndarray, "row column"]
+    """Bins of the photograph's colors."""
+    outlines: Mapping[str, float | None]
+    """Error of each object's outline [px]; see `outline_errors`."""
+
+    def stretched(
+        self, k: int, stretches: Float[np.ndarray, " 3"]
+    ) -> Bool[np.ndarray, "row column"]:
+        """Return the pixels that show an object with other edges, at its most probable place.
+
+        Args:
+            k: index of the object.
+            stretches: logarithms along its axes.
+        """
+        unknowns, shape = self.fitted.unknowns, self.fitted.shapes[k]
+        x = self.fitted.x + shape.response @ (stretches - shape.discarded)
+        place = unknowns.place(x[None])[0]
+        surface = unknowns.surfaces[k]
+        foot = unknowns.lowest[k] * place.turn[k][2]
+        points = foot + (surface.vertices - foot) * np.exp(stretches)
+        mesh = WorldMesh(place.world(k, points), surface.triangles)
+        alone = draw_objects([mesh], place.camera, self.drawn.owner.shape[1])
+        free = (self.drawn.owner == k) | (alone.depth <= self.drawn.depth)
+        return (alone.owner == 0) & free
+
+
+def best_candidate(
+    contours: Contours,
+    k: int,
+    text: str,
+    build: Build,
+    original: dict[str, float],
+    *,
+    refused: Collection[str] = (),
+    changed: str = "",
+) -> Candidate | None:
+    """Return the change of a constant whose outline explains the photograph best.
+
+    Args:
+        contours: the aligned scene.
+        k: index of the object.
+        text: its program.
+        build: builds the object.
+        original: values of the constants before all changes.
+        refused: names of constants that stay.
+        changed: name of a constant that was changed before, and is the only one to be changed
+            further; empty for any.
+
+    Returns:
+        None if no change is significant.
+    """
+    shape = contours.fitted.shapes[k]
+    if not changed and not significant(shape):
+        return None
+    now, best = contours.drawn.owner == k, None
+    for constant, direction in sensitivities(text, build):
+        if constant.name in refused or changed not in ("", constant.name):
+            continue
+        change = shape.change(direction)
+        least = LEAST_STEP if changed else LEAST_CHANGE
+        for share in TRIED:
+            value = _bounded(constant, share * change.log_change, original[constant.name])
+            step = math.log(value / constant.value)
+            if abs(step) < least:
+                continue
+            favored = gain(contours.stretched(k, step * direction), now, contours.bins)
+            if best is None or favored > best.gain:
+                best = Candidate(constant, value, favored)
+    return best
+
+
+def _bounded(constant: NamedConstant, log_change: float, original: float) -> float:
+    change = math.log(constant.value / original) + log_change
+    return constant.within(original * math.exp(min(max(change, -LARGEST), LARGEST)))
+
+
+def significant(shape: ShapeEvidence) -> bool:
+    """Return whether a contour says that an object is too long or too short along some axis."""
+    changes = (shape.change(np.eye(3)[axis] - 1 / 3) for axis in range(3))
+    return any(
+        abs(change.log_change) > max(LEAST_CHANGE, SIGNIFICANT * change.deviation)
+        for change in changes
+    )
+
+
+def sensitivities(text: str, build: Build) -> list[tuple[NamedConstant, Float[np.ndarray, " 3"]]]:
+    """Return the constants of a program that change its object's proportions.
+
+    Constants that would make equal edges unequal are left out: a round or square object stays so.
+
+    Returns:
+        Each constant with the derivatives of the logarithms of the object's edges along x, y and z
+        by its own logarithm, less their mean, which composition undoes.
+    """
+    before = build(text)
+    if isinstance(before, str):
+        return []
+    edges, found = _log_edges(before), []
+    equal = np.abs(edges[:, None] - edges) < EQUAL
+    for constant in named_constants(text):
+        probed = with_value(text, constant, constant.value * (1 + PROBE))
+        after = build(probed)
+        if isinstance(after, str):
+            continue
+        value = next(c.value for c in named_constants(probed) if c.name == constant.name)
+        direction = (_log_edges(after) - edges) / math.log(value / constant.value)
+        apart = np.abs(direction[:, None] - direction)
+        if apart.max() > LEAST_SENSITIVITY and apart[equal].max() < LEAST_SENSITIVITY:
+            found.append((constant, direction - direction.mean()))
+    return found
+
+
+def _log_edges(spec: ObjectSpec) -> Float[np.ndarray, " 3"]:
+    low, high = bounds(spec)
+    return np.log(np.maximum(high - low, 1e-9))

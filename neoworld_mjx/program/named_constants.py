@@ -1,0 +1,114 @@
+"""Named constants of a program, and edits of one number in its text.
+
+A program names its dimensions at top level, as the programmers' guide asks: `X, Y, Z = 0.60, 0.90,
+0.45`, or `depth = 0.55  # 0.4 to 0.7 m` in a template. An edit replaces the literal alone.
+"""
+
+import ast
+import math
+import re
+from collections import Counter
+from typing import NamedTuple
+
+RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")
+"""Comment behind a parameter of a template: its range and unit."""
+
+
+class NamedConstant(NamedTuple):
+    """A positive float that a program assigns, once, to a name at top level."""
+
+    name: str
+    value: float
+    line: int
+    """Line of the literal, counted from 0."""
+    start: int
+    """Columns of the literal [bytes of UTF-8]."""
+    end: int
+    low: float = 0.0
+    """Range that the comment behind a template's parameter states."""
+    high: float = math.inf
+
+    def within(self, value: float) -> float:
+        """Return a value, clipped to the stated range."""
+        return min(max(value, self.low), self.high)
+
+
+def named_constants(text: str) -> tuple[NamedConstant, ...]:
+    """Return the named constants of a program, in their order; none of a text that is no Python.
+
+    Whole numbers are counts rather than lengths, and names that are assigned more than once, or in
+    a loop or a function, are no constants: both are left out.
+    """
+    if "\r" in text.replace("\r\n", "\n"):
+        return ()  # Python ends a line there, and the columns would be of another one.
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return ()
+    stored = Counter(
+        node.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    )
+    lines = text.split("\n")
+    found = []
+    for node in tree.body:
+        for target, value in _pairs(node):
+            if stored[target] != 1 or value.end_col_offset is None:
+                continue
+            number = value.value
+            if not isinstance(number, float) or not 0 < number < math.inf:
+                continue
+            line = value.lineno - 1
+            rest = lines[line].encode()[value.end_col_offset :].decode().strip()
+            match = RANGE.match(rest)
+            limits = (0.0, math.inf) if match is None else (float(match[1]), float(match[2]))
+            span = value.col_offset, value.end_col_offset
+            found.append(NamedConstant(target, number, line, *span, *limits))
+    return tuple(found)
+
+
+def _pairs(node: ast.stmt) -> list[tuple[str, ast.Constant]]:
+    """Return the names of an assignment with the literals that they get."""
+    if isinstance(node, ast.AnnAssign):
+        targets: list[ast.expr] = [node.target]
+        values = [node.value]
+    elif isinstance(node, ast.Assign) and len(node.targets) == 1:
+        targets, values = [node.targets[0]], [node.value]
+        if isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple):
+            targets, values = node.targets[0].elts, list(node.value.elts)
+    else:
+        return []
+    if len(targets) != len(values):
+        return []
+    return [
+        (target.id, value)
+        for target, value in zip(targets, values, strict=True)
+        if isinstance(target, ast.Name) and isinstance(value, ast.Constant)
+    ]
+
+
+def with_value(text: str, constant: NamedConstant, value: float) -> str:
+    """Return the text with another number in place of a constant's literal; all else stays.
+
+    The number has four significant digits.
+
+    Raises:
+        ValueError: the text does not hold the constant there, or the number is not positive.
+    """
+    if not 0 < value < math.inf:
+        raise ValueError(f"{constant.name} must be positive and finite, got {value!r}")
+    lines = text.split("\n")
+    held = lines[constant.line].encode() if constant.line < len(lines) else b""
+    literal = held[constant.start : constant.end].decode("utf-8", "replace")
+    try:
+        same = float(literal) == constant.value
+    except ValueError:
+        same = False
+    if not same:
+        raise ValueError(f"line {constant.line + 1} does not hold {constant.name} any more")
+    number = repr(float(f"{value:.4g}"))
+    lines[constant.line] = (
+        held[: constant.start] + number.encode() + held[constant.end :]
+    ).decode()
+    return "\n".join(lines)
