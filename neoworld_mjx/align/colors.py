@@ -142,12 +142,13 @@ class FaceColors(NamedTuple):
         cls, inside: Float[np.ndarray, "n 3"], outside: Float[np.ndarray, "m 3"]
     ) -> "FaceColors":
         """Return the colors of two faces from their pixels, robustly."""
-        medians = [np.median(lab, axis=0) for lab in (inside, outside)]
+        first, second = np.median(inside, axis=0), np.median(outside, axis=0)
         spreads = [
             1.48 * np.median(np.abs(lab - median), axis=0)
-            for lab, median in zip((inside, outside), medians, strict=True)
+            for lab, median in ((inside, first), (outside, second))
         ]
-        return cls(*medians, float(np.sqrt(LEAST_SPREAD**2 + np.mean(np.square(spreads)))))
+        spread = float(np.sqrt(LEAST_SPREAD**2 + np.mean(np.square(spreads))))
+        return cls(first, second, spread)
 
     def log_ratio(
         self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
