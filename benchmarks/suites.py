@@ -222,8 +222,25 @@ class Cameras:
     """Responses per scene, each with its own noise."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """Count the 90 % intervals of aligned objects that hold the truth, over rendered scenes.
+
+    Initial scenes have all errors of responses; nothing is searched. A quarter of an hour on two
+    cores.
+    """
+
+    scenes: int = 30
+    """Number of scenes of the data set, in their order."""
+    starts: int = 3
+    """Initial scenes of each; those with odd numbers are the evaluation half."""
+    workers: int = 2
+    """Processes."""
+
+
 SUITES = {
     "cameras": Suite(Cameras, "benchmarks.cameras:run_suite"),
+    "coverage": Suite(Coverage, "benchmarks.coverage:run_suite"),
     "composing": Suite(Composing, "benchmarks.composing:run_suite"),
     "frames": Suite(Frames, "benchmarks.frames:run_suite"),
     "decisions": Suite(Decisions, "benchmarks.decisions:run_suite"),

@@ -1,0 +1,67 @@
+"""Errors of aligned objects in stated standard deviations, of a desk with known displacements."""
+
+import math
+
+import pytest
+
+from benchmarks.coverage import Error, _row, object_errors
+from neoworld_mjx.spec.scene import PoseUncertainty
+from tests.align import desk
+
+KNOWN = PoseUncertainty(along=0.01, across=0.002, yaw=math.radians(2), log_scale=0.03)
+
+
+def errors(change, name="box"):
+    """Errors of one object of the desk after a change; all objects have KNOWN deviations."""
+    truth = desk.five()
+    moved = [
+        item.model_copy(update={"uncertainty": KNOWN, **(change if item.name == name else {})})
+        for item in truth.objects
+    ]
+    found = list(object_errors(truth.model_copy(update={"objects": tuple(moved)}), truth))
+    index = [item.name for item in truth.objects if item.parent].index(name)
+    # Of a ball and a can there is no heading.
+    before = sum(3 if item.name in ("can", "ball") else 4 for item in truth.objects[1 : 1 + index])
+    return dict(found[before : before + (3 if name in ("can", "ball") else 4)])
+
+
+def test_a_scene_that_is_right_has_no_error():
+    assert errors({}) == pytest.approx(dict.fromkeys(("along", "across", "yaw", "log_scale"), 0.0))
+    assert errors({}, "can").keys() == {"along", "across", "log_scale"}
+
+
+def test_a_displacement_is_split_along_and_across_the_view():
+    box = desk.five().object("box")
+    x, y = 0.9 + box.xy[0], box.xy[1]
+    length = math.hypot(x, y)
+    ahead = (box.xy[0] + 0.02 * x / length, box.xy[1] + 0.02 * y / length)
+    found = errors({"xy": ahead})
+    assert found["along"] == pytest.approx(2.0) and found["across"] == pytest.approx(0.0, abs=1e-6)
+    aside = (box.xy[0] - 0.003 * y / length, box.xy[1] + 0.003 * x / length)
+    found = errors({"xy": aside})
+    # The view turns with the object by a hundredth of the displacement.
+    assert found["across"] == pytest.approx(1.5, abs=0.01) and found["along"] < 0.01
+
+
+def test_headings_and_sizes_are_errors_of_their_own():
+    box = desk.five().object("box")
+    assert errors({"yaw": box.yaw + math.radians(3)})["yaw"] == pytest.approx(1.5)
+    smaller = desk.block("box", 0.09, 0.072, 0.081, "red")
+    assert errors({"spec": smaller})["log_scale"] == pytest.approx(-math.log(0.9) / 0.03)
+
+
+def test_objects_of_another_support_do_not_count():
+    truth = desk.five()
+    ball = truth.object("ball").model_copy(update={"uncertainty": KNOWN, "parent": "box"})
+    objects = [ball if item.name == "ball" else item for item in truth.objects]
+    assert not list(object_errors(truth.model_copy(update={"objects": tuple(objects)}), truth))
+
+
+def test_rows_count_what_the_intervals_hold_and_state_a_factor():
+    found = [Error(f"scene {k % 5}", "yaw", False, 0.1 * k) for k in range(40)]
+    row = _row([*found, Error("scene 0", "along", False, 9.0)], False, "yaw")
+    assert row["n"] == 40 and row["half"] == "development"
+    # 1.645 deviations: the errors 0 to 1.6.
+    assert row["held"] == pytest.approx(17 / 40)
+    assert row["low"] < 17 / 40 < row["high"]
+    assert row["factor"] == pytest.approx(3.51 / 1.645)
