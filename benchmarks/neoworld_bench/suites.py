@@ -31,6 +31,7 @@ MethodName = Literal[
     "aligned_dimensions",
     "without_photo",
     "without_contours",
+    "without_creases",
     "without_contacts",
     "without_camera",
     "algorithm1",

@@ -1,6 +1,7 @@
 """The mailbox asks by folders, waits, rejects with a reason, and takes up what was begun."""
 
 import json
+import logging
 import os
 import threading
 import time
@@ -66,7 +67,12 @@ def test_a_folder_holds_the_whole_request(make, tmp_path):
     assert str(tmp_path) in message[0]
 
 
-def test_a_request_announces_itself_on_stderr_with_its_name_and_path(make, tmp_path, capsys):
+def test_a_request_announces_itself_on_stderr_with_its_name_and_path(
+    make, tmp_path, capsys, monkeypatch
+):
+    # A command of another test may have given the package's log to its terminal.
+    monkeypatch.setattr(logging.getLogger("neoworld_mjx"), "handlers", [])
+
     def answer():
         folder = wait_for(tmp_path / "0001-program-cup")
         (folder / "response.json").write_text('{"name": "red"}')

@@ -84,9 +84,10 @@ def shot(right):
 @pytest.mark.parametrize(
     ("name", "wrong", "within"),
     [
-        ("WIDTH", 0.077, 0.02),
-        ("WIDTH", 0.063, 0.02),
-        ("DEPTH", 0.108, 0.02),
+        # Up to a quarter of the error of 10 %.
+        ("WIDTH", 0.077, 0.025),
+        ("WIDTH", 0.063, 0.025),
+        ("DEPTH", 0.108, 0.025),
         # The camera looks down on the brick, and shows least of its height.
         ("HEIGHT", 0.05, 0.03),
     ],
