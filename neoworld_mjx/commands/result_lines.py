@@ -34,7 +34,7 @@ def run_lines(result: CommandResult) -> list[str]:
     if agreement.get("refined") is not None:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
-        rows.append(f"photo:  boxes match with {agreement['refined']:.2f} (mean IoU{low})")
+        rows.append(f"photo:  mean box IoU {agreement['refined']:.2f}{low}")
     fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
     if fallbacks:
         rows.append(f"{count(fallbacks, 'fallback')}:")
