@@ -216,11 +216,17 @@ def test_the_instructions_have_one_rule_for_tables_robots_cloths_and_cut_objects
         "A cloth that is draped",
         "A side of the box that lies on the picture's edge is a side in `cut_sides`",
         "`camera.pitch_doubt_deg`",
+        "Objects that usually lie (a spoon, a book, a banana, a cloth) are described as they lie, "
+        "without tilt",
+        "The patch on which an object rests lies within its parent's footprint",
     ):
         assert rule in guide, rule
     assert "A table on a listed floor has the floor as parent" not in guide
     critic = package_text("neoworld_mjx.parse", "critic")
     assert "robots, hands and people are left out on purpose" in critic
+    # A correction contains only what changes, and the camera has a check of its own.
+    assert "is corrected: the model sees your faults and gives what changes" in critic
+    assert "one about the camera from the photograph's\nstraight edges" in critic
 
 
 def test_the_instructions_say_what_of_the_background_which_end_of_a_knob_and_what_is_too_heavy():
