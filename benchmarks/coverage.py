@@ -89,8 +89,8 @@ def _errors_of_scene(name: str, starts: int) -> list[Error]:
 def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, float]]:
     """Yield the errors of aligned objects, in their stated standard deviations.
 
-    An object that rests on a movable one is compared with it, as its place is relative to it.
-    Objects on walls, of another support than in the ground truth, and headings that symmetry makes
+    Positions are relative to the support, as the deviations are: a wrong field of view moves the
+    whole scene along the view. Objects on walls, of another support than in the ground truth, and headings that symmetry makes
     meaningless do not count.
 
     Args:
@@ -107,9 +107,7 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
             continue
         if item.relation == "attached" or item.parent not in offset:
             continue
-        off = offset[item.name]
-        if not scene.object(item.parent).environment:
-            off = off - offset[item.parent]
+        off = offset[item.name] - offset[item.parent]
         view = ends[item.name].pos[:2] / np.linalg.norm(ends[item.name].pos[:2])
         yield "along", abs(float(off @ view)) / known.along
         yield "across", abs(float(off @ [-view[1], view[0]])) / known.across
