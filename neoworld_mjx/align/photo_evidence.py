@@ -48,7 +48,7 @@ def with_photo(model: SceneModel, photo: UInt8[np.ndarray, "row column 3"]) -> S
 def photo_evidence(
     scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
 ) -> tuple[Float[np.ndarray, "object cell cell"], Float[np.ndarray, "object 4"]]:
-    """Rate the pixels near each object of a scene with a camera.
+    """Return the scaled log likelihood ratios of the pixels near each object.
 
     Returns:
         The log likelihood ratio over its absolute sum within the object as composed [1/px^2], so
@@ -93,7 +93,9 @@ class RatedPixels(NamedTuple):
 def rated_pixels(
     scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
 ) -> Iterator[RatedPixels]:
-    """Rate the pixels near each visible, opaque object that is no support of the environment.
+    """Yield the log likelihood ratios of the pixels near each visible, opaque object.
+
+    Environment supports are omitted, as are objects with too few pixels around them.
 
     Args:
         scene: the scene, with a camera.

@@ -68,7 +68,7 @@ def pixels_of(
 
 
 def height_of(camera: Camera, width: int) -> int:
-    """Return the height of an image of another width [px]."""
+    """Return the height [px] of the camera's image scaled to `width`."""
     return max(1, round(camera.height_px * width / camera.width))
 
 

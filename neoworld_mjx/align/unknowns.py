@@ -145,7 +145,7 @@ class Unknowns:
 
     @cached_property
     def mover(self) -> Int[np.ndarray, " body"]:
-        """What moves each body: 0 for its object, a number for each set of open joints."""
+        """Mover of each body: 0 is its object's pose alone, k >= 1 the k-th set of open joints."""
         sets = list(dict.fromkeys(part.joints for part in self.parts))
         moved = [1 + sets.index(part.joints) for part in self.parts]
         return np.array([0] * len(self.scene.objects) + moved)

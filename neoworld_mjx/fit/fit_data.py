@@ -90,7 +90,10 @@ class FitData:
         return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 
     def unpacked(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
-        """Return the camera and the objects' unknowns, with positions projected to their walls."""
+        """Return the camera and the objects' unknowns.
+
+        For an object on a wall, the displacement along the wall's normal is removed.
+        """
         camera = self.tree.camera
         pitch, log_height = x[:CAMERA] * self.camera_sd
         moved = camera.model_copy(

@@ -67,7 +67,7 @@ class Shape:
 
 @no_type_check
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, context: str) -> Pose:
-    """Return the pose of a shape's spec whose origin, or whose anchor `by`, lies at `at`.
+    """Return the pose of a shape's spec that puts the shape's origin, or its anchor `by`, at `at`.
 
     Args:
         shape: the shape.

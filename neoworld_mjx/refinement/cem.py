@@ -78,8 +78,9 @@ class CEM(eqx.Module):
             reward: ranks the candidates; those with -inf or NaN are never elites, and if fewer
                 than K candidates are finite only those are used.
             absolute: unused.
-            credit: reward of each object; if given, an object's numbers are fitted to the K
-                candidates that are best for it, or not at all if none is finite.
+            credit: reward of each object; if given, each object's mean and deviation are fitted
+                to the K candidates with its highest credit, and stay unchanged if none of these is
+                finite.
         """
         del absolute
         elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]

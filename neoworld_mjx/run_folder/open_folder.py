@@ -131,7 +131,7 @@ class RunFolder:
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
-        """Return True if the method `step` would keep this step; start nothing."""
+        """Return True if `step` would reuse this step's stored result. Runs nothing."""
         self._visited.add(name)
         return self._keeps(name, self._hashes(name, inputs))
 

@@ -49,7 +49,7 @@ def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
 
 
 def joint_keys(joint: JointSpec) -> tuple[str, ...]:
-    """Return the keys of a joint in a joint state: its name, or the three of a ball."""
+    """Return a joint's keys in a joint state: NAME; of a ball joint NAME.x, NAME.y and NAME.z."""
     if joint.type == "ball":
         return tuple(f"{joint.name}.{axis}" for axis in "xyz")
     return (joint.name,)

@@ -40,7 +40,7 @@ def scaled_state(spec: ObjectSpec, state: Mapping[str, float], s: float) -> dict
 
 
 def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
-    """Return the exponent of s of each quantity of a joint, by field of `JointSpec`."""
+    """Return the exponent of the scale factor s with which each `JointSpec` field scales."""
     motion = Motion(mass=mass_exponent(child), slides=joint.type == "prismatic")
     return {
         name: scaling.exponent(motion)

@@ -122,7 +122,7 @@ def with_other_walls(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec:
 
 
 def with_other_shape(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec | None:
-    """Return an object one of whose shapes is another primitive that fills the same box."""
+    """Return the object with one shape replaced by another primitive of about the same bounds."""
     options = [
         (geom, other) for part in spec.parts for geom in part.geoms for other in _others(geom.shape)
     ]
