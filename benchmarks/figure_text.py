@@ -25,7 +25,7 @@ def markdown(figure: Figure) -> str:
 
 def conditions(figure: Figure) -> str:
     """Return the command, the device, the sizes and the date, one a line."""
-    date = figure.date + (f", commit {figure.commit} or before" if figure.commit else "")
+    date = figure.date + (f", at commit {figure.commit} or an earlier one" if figure.commit else "")
     lines = [
         f"`{figure.command}`",
         f"**Device:** {figure.device}" + (f"; {figure.software}" if figure.software else ""),
@@ -40,7 +40,8 @@ def older(figure: Figure) -> list[str]:
     if not figure.changed:
         return []
     folders = ", ".join(f"`{path}`" for path in figure.changed)
-    return [f"**Of an older version** ({age(figure)}): since then the code of {folders} changed."]
+    mark = f"**Recorded with an older version** ({age(figure)})"
+    return [f"{mark}: since then the code of {folders} changed."]
 
 
 def age(figure: Figure) -> str:

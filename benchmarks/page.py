@@ -97,9 +97,9 @@ def filled(template: str) -> str:
             cell, bar, rest = text.removeprefix("| ").partition(" |")
             text = f"{'| ' if bar else ''}{cell}\\*{bar}{rest}"
         lines.append(text)
-    notes = [f"{name}: {age}" for name, age in old.items()]
+    notes = [f"{name} ({age})" for name, age in old.items()]
     if old:
-        lines += ["", f"\\* Of an older version. {'; '.join(notes)}."]
+        lines += ["", f"\\* Recorded with an older version: {', '.join(notes)}."]
     return "\n".join(lines)
 
 

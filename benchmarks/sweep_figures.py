@@ -36,6 +36,7 @@ SHOWN = ("passed", "merit", "xy_error_m", "yaw_error_deg", "rollouts_to_valid")
 """Columns of the table; the merit only where it is compared, as it depends on options."""
 SOFTWARE = ("python", "jax", "mujoco")
 MINUS = "minus base: "
+ABOVE = "scenes above:below the base"
 NOISE = "noise"
 """Option of a sweep whose scenes are named bench:NAME@LEVEL."""
 
@@ -121,7 +122,7 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
     column = COLUMNS[swept.compared]
     shown = [name for name in SHOWN if name != "merit" or swept.compared == "merit"]
     columns = ["option", "value", "n", *(COLUMNS[name].title for name in shown)]
-    columns += [MINUS + COLUMNS["passed"].title, MINUS + column.title, "scenes above:below", "p"]
+    columns += [MINUS + COLUMNS["passed"].title, MINUS + column.title, ABOVE, "p"]
     cells = [_cells(factor, each, by_value, shown, swept.compared) for factor, each in summaries]
     if isinstance(plan, Ablation):
         order = sorted(range(len(cells)), key=lambda k: -summaries[k][1][swept.compared]["mean"])
@@ -147,9 +148,9 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
         keys=columns,
         rows=cells,
         notes=f"{len(tested)} values are compared with the base's. Bold: the 95 % interval of a "
-        f"difference excludes zero ({apart} of {2 * len(tested)}). p is that of the sign test of "
-        f"{column.title.partition(',')[0]} over scenes by Holm's method for {len(tested)} "
-        f"comparisons; {low} are below .05.",
+        f"difference excludes zero ({apart} of {2 * len(tested)}). p: sign test of "
+        f"{column.title.partition(',')[0]} over scenes, corrected by Holm's method for "
+        f"{len(tested)} comparisons; {low} are below .05.",
         code={path: fingerprint(ROOT / path) for path in (*CODE, swept.plan)},
     )
 

@@ -26,7 +26,8 @@ from neoworld_mjx.spec import SceneSpec, read_scene
 from neoworld_mjx.sweeps.result import commit
 
 SHOWS = {
-    "examples.jpg": "The three bundled photographs, their refined scenes, and with joints open",
+    "examples.jpg": "The three bundled photographs, their refined scenes, and these scenes with "
+    "joints open",
     "coffee.jpg": "`coffee`: photograph, outlines of the objects over it, and refined scene",
     "report.jpg": "Its report: rows of objects, and the scene in three dimensions",
 }

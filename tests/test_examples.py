@@ -53,7 +53,7 @@ def test_a_reconstruction_gives_the_figures_of_the_pages(name, tmp_path):
     check_figures(name, {c: values[columns[c]] for c in (*TOLERANCES, "valid")})
     known = (example.responses.by, example.responses.date, example.responses.prompts)
     assert (row.answered_by, row.date, row.prompts) == known
-    assert tuple(figure.cell(name, c) for c in ("responses", "of", "prompts")) == known
+    assert tuple(figure.cell(name, c) for c in ("responses", "written on", "prompts")) == known
     costs = read_figure("costs")
     for column in ("tokens in", "tokens out"):
         stated = int(costs.cell(name, column).replace(" ", ""))

@@ -31,7 +31,8 @@ class ShapeEvidence(NamedTuple):
     information: Float[np.ndarray, " 3"]
     """Precision times the most probable stretches."""
     response: Float[np.ndarray, "u 3"]
-    """Derivatives of the most probable values of the alignment's unknowns by the stretches."""
+    """Derivatives of the most probable values of the alignment's unknowns with respect to the
+    log stretches."""
     discarded: Float[np.ndarray, " 3"]
     """Stretches that the alignment estimated and discarded, with their narrow prior."""
 
@@ -39,7 +40,7 @@ class ShapeEvidence(NamedTuple):
         """Estimate the change of a dimension.
 
         Args:
-            direction: logarithms of the stretches by the logarithm of the dimension.
+            direction: derivatives of the log stretches with respect to the log of the dimension.
         """
         # The stretches that nothing explains are marginalized.
         noise = np.eye(3) + UNEXPLAINED**2 * self.precision

@@ -109,7 +109,7 @@ class ControlledScene:
 
     @cached_property
     def hold(self) -> NDArray:
-        """Action that holds the initial state of an episode without reset noise [action]."""
+        """Action that holds the nominal initial state, the one without reset noise [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
         return np.array([drive.held for drive in self.drives] + tail, np.float32)
 

@@ -50,7 +50,7 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, o: SettleOptions) ->
     """
     rollout = jax.device_get(
         engine.rollout(
-            with_held_joints(scene),
+            with_damped_joints(scene),
             poses,
             duration=o.duration_s,
             record_every=o.duration_s,
@@ -72,22 +72,22 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, o: SettleOptions) ->
     )
 
 
-def with_held_joints(scene: SceneModel) -> SceneModel:
+def with_damped_joints(scene: SceneModel) -> SceneModel:
     """Return a scene in which damping holds all joints at any scale."""
     if not len(scene.static.joints):
         return scene
-    known = _held_joints.get(scene.static)
+    known = _damped_joints.get(scene.static)
     if known is None:
-        known = _held_joints[scene.static] = _static_with_held_joints(scene.static)
+        known = _damped_joints[scene.static] = _static_with_damped_joints(scene.static)
     return dataclasses.replace(scene, static=known)
 
 
-_held_joints: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKeyDictionary()
+_damped_joints: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKeyDictionary()
 
 
-def _static_with_held_joints(static: StaticScene) -> StaticScene:
+def _static_with_damped_joints(static: StaticScene) -> StaticScene:
     model = copy.copy(static.mjm)
-    hold_joints(model)
+    damp_joints(model)
     of_joint = model.jnt_type[model.dof_jntid] != FREE
     turning = np.array([is_rotational(model, dof) for dof in range(model.nv)])
     mass = static.powers.body_mass[model.dof_bodyid]
@@ -96,7 +96,7 @@ def _static_with_held_joints(static: StaticScene) -> StaticScene:
     return dataclasses.replace(static, mjm=model, powers=powers)
 
 
-def hold_joints(model: mujoco.MjModel) -> None:
+def damp_joints(model: mujoco.MjModel) -> None:
     """Set damping that holds all joints except free ones."""
     of_joint = model.jnt_type[model.dof_jntid] != FREE
     model.dof_damping[of_joint] = HOLD_RATE * model.dof_M0[of_joint]
@@ -116,7 +116,7 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
     if not model.nv:
         return scene
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    hold_joints(model)
+    damp_joints(model)
     bodies = free_bodies(model, data.qpos)
     held = Held(bodies, springs(bodies, data.qpos[bodies.qpos]))
     guided, every = guidance(o), max(1, round(INTERVAL_S / timestep))

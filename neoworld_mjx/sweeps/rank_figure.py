@@ -33,11 +33,16 @@ class Ranks(NamedTuple):
 
 
 def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
-    """Rank points in each scene by the mean over its seeds; None for too few points or scenes.
+    """Rank points in each scene by the mean of a metric over the seeds.
+
+    The metric is the first of `RANKED` for which two scenes have a finite value of every point.
 
     Args:
         rows: the runs; a scene in which a point lacks runs is left out.
-        points: three or more points.
+        points: the points to rank.
+
+    Returns:
+        None for fewer than three points, or without such a metric.
     """
     for name, title in RANKED:
         cells: dict[str, dict[str, list[float]]] = {}

@@ -94,7 +94,7 @@ def test_an_old_figure_is_marked_wherever_its_values_are(monkeypatch):
         f"| drift\\* | {value} mm |",
         "| c | d |",
         "",
-        "\\* Of an older version. examples: commit abc1234.",
+        "\\* Recorded with an older version: examples (commit abc1234).",
     ]
     assert "changed." in page.markdown(old) and "`neoworld_mjx/refinement`" in page.markdown(old)
     monkeypatch.setattr(page, "read_figure", lambda name: new)

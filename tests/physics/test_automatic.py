@@ -13,7 +13,7 @@ from neoworld_mjx.physics.automatic import AutomaticEngine
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.settling import with_held_joints
+from neoworld_mjx.physics.settling import with_damped_joints
 from neoworld_mjx.refinement import scene_refinement
 from neoworld_mjx.refinement.scene_refinement import refine
 from tests.support import scenes
@@ -39,13 +39,13 @@ class Timed:
         return unmoved(scene, poses)
 
 
-def test_a_scene_with_held_joints_counts_as_started_with_its_scene(clock):
+def test_a_scene_with_damped_joints_counts_as_started_with_its_scene(clock):
     scene = compile_scene(scenes.furnished(), samples=16)
-    assert with_held_joints(scene).static is not scene.static
+    assert with_damped_joints(scene).static is not scene.static
     warp, mjx = Timed("warp", clock, 20.0, 0.001), Timed("mjx", clock, 0.0, 0.001)
     engine = AutomaticEngine({"warp": warp, "mjx": mjx})
     engine.rollout(scene, place(scene, 8))
-    engine.rollout(with_held_joints(scene), place(scene, 8))
+    engine.rollout(with_damped_joints(scene), place(scene, 8))
     assert (len(warp.sizes), len(mjx.sizes)) == (2, 0)
 
 

@@ -16,7 +16,7 @@ from neoworld_mjx.physics.placed import (
     TOPPLED,
     settled_by,
 )
-from neoworld_mjx.physics.settling import moved, settle, settle_scene, with_held_joints
+from neoworld_mjx.physics.settling import moved, settle, settle_scene, with_damped_joints
 from neoworld_mjx.spec import Box, Sphere, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose, quat_mul
 from tests.support import scenes
@@ -157,10 +157,10 @@ def test_joints_stay_while_their_object_settles():
 def test_held_joints_do_not_move_in_a_free_fall():
     model = compile_scene(scenes.lamp(), samples=16)
     poses = model.place_exactly(Layout.zero(1, len(model.names)))
-    held = NativeEngine().rollout(with_held_joints(model), poses, duration=1.0)
+    held = NativeEngine().rollout(with_damped_joints(model), poses, duration=1.0)
     free = NativeEngine().rollout(model, poses, duration=1.0)
     assert held.joint_shift.max() < 2e-3 < 1e-2 < free.joint_shift.max()
-    assert with_held_joints(model).static is with_held_joints(model).static
+    assert with_damped_joints(model).static is with_damped_joints(model).static
 
 
 def test_springs_hold_an_object_in_the_air_until_they_fade():

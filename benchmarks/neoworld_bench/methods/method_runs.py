@@ -107,14 +107,14 @@ class MethodJob:
     """Folder of another method's scenes to score in place of running methods."""
 
     def composed(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> SceneSpec:
-        """Return the scene of `initial`, with the same arguments."""
+        """Compose the initial scene as `initial` does, and return its SceneSpec alone."""
         return self.initial(truth, stream, errors).scene
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
-        """Compose the initial scene: a noisy response to a ground-truth scene.
+        """Compose the initial scene from the exact response for a true scene, with noise added.
 
         Args:
-            truth: scene with a camera.
+            truth: ground-truth scene with a camera.
             stream: name that the noise's random numbers derive from.
             errors: log that receives the injected errors.
         """
