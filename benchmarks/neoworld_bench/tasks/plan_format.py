@@ -34,7 +34,7 @@ Opening = Annotated[float, Field(ge=0, le=MAX_OPENING)]
 
 
 class ToolMove(Spec):
-    """One motion of the tool at constant speed, and the gripper opening at its end."""
+    """One movement of the tool at an even pace, and where the fingers are at its end."""
 
     displacement: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
     """By how much the tool moves in the world [m]."""
