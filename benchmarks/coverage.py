@@ -90,8 +90,8 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
     """Yield the errors of aligned objects, in their stated standard deviations.
 
     Positions are relative to the support, as the deviations are: a wrong field of view moves the
-    whole scene along the view. Objects on walls, of another support than in the ground truth, and headings that symmetry makes
-    meaningless do not count.
+    whole scene along the view. Objects on walls, of another support than in the ground truth, and
+    headings that symmetry makes meaningless do not count.
 
     Args:
         scene: the aligned scene.

@@ -39,9 +39,9 @@ COARSE_PX, FINE_PX = 320, 640
 NO_CONTOUR = "no visible contour has other colors on its two sides"
 """Reason of objects without evidence of a contour."""
 CALIBRATION = (1.2, 1.9, 1.0, 1.5)
-"""Factors of the deviations along and across the view, of the heading and of the log scale: with
-them, 90 % intervals hold the truth for 88 to 89 % of the objects of the benchmark's development
-half, and for 84, 80, 91 and 87 % of those of the evaluation half."""
+"""Factors of the deviations along and across the view, of the heading and of the log scale, set on
+the benchmark's development half. `python -m benchmarks coverage` counts the 90 % intervals that
+hold the truth: along the view too few of them do."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "check": CommandEntry(
         ".object_commands:CheckCommand",
-        "Check a scene or an object: every check with its value and threshold.",
+        "Check a scene or an object, and print each check with its value and threshold.",
     ),
     "build": CommandEntry(
         ".object_commands:BuildCommand",

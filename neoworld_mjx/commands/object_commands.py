@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCommand(ConfiguredCommand):
-    """Check a scene or an object: every check with its value and threshold."""
+    """Check a scene or an object, and print each check with its value and threshold."""
 
     target: Positional[Path]
     """A run folder, a scene.json, a program (.py), a URDF, MJCF, USD or glTF file."""

@@ -296,8 +296,8 @@ class ComposeOptions(Options):
         True,
         "Find resting poses by simulation for objects that lie tilted on a dish or slope or "
         "lean in a container. Place contents and lids inside their container rather than on its "
-        "rim, clear of its walls. Move leaning objects, at their tilt, into contact with their "
-        "support.",
+        "rim, clear of its walls. Move leaning objects, without changing their tilt, until they "
+        "touch what they lean on.",
         difference=PaperDifference(
             False,
             "The search does not change tilts, and objects rarely rest at their parsed tilt.",
@@ -320,9 +320,9 @@ class ComposeOptions(Options):
     align: AlignOptions = AlignOptions()
     looks: bool = option(
         True,
-        "Give the composed scene the looks of the photograph: its print on large flat faces, one "
-        "exposure and white balance for all pictures, and a backdrop of the measured color. "
-        "Shapes, masses and poses do not change.",
+        "Give the composed scene the looks of the photograph: the photograph as a texture on large "
+        "flat faces, one exposure and white balance for all pictures, and a backdrop of the "
+        "measured color. Shapes, masses and poses do not change.",
         difference=PaperDifference(
             False,
             "Scores by a model and the report compare rendered pictures with the photograph.",

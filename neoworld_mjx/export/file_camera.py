@@ -87,7 +87,9 @@ def read_camera(path: Path) -> FileCamera:
 
 
 def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
-    """Return the camera of a photograph; its image is cropped so that its middle is the axis.
+    """Return the camera of a photograph.
+
+    The image is cropped so that its center is the principal point.
 
     Args:
         camera: with pose and intrinsics.

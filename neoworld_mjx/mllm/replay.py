@@ -48,7 +48,7 @@ class Entry(BaseModel):
 
 
 class Tape(BaseModel):
-    """A tape in memory."""
+    """Recorded model responses (a tape), loaded in memory."""
 
     model_config = ConfigDict(extra="forbid")
 

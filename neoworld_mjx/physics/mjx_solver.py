@@ -32,7 +32,10 @@ class Rows(NamedTuple):
 
 
 def constraint_rows(d: MjxState) -> Rows:
-    """Return the rows of a step: equalities, dry friction, then limits and pyramids of friction."""
+    """Return the constraint rows (efc) of a step.
+
+    They are equality constraints, friction loss, limits and pyramidal contacts, in this order.
+    """
     impl = d._impl
     count = impl.efc_D.shape[0]
     k = jnp.arange(count)

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 
 
 def compose_scene(context: StepContext) -> None:
-    """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
+    """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
+
+    It is aligned with the photograph; then the rendering of its picture is started.
 
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png and pictures/evidence.png; and, with

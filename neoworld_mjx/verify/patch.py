@@ -129,7 +129,7 @@ class Patch(Edit):
         )
 
     def to_json(self) -> str:
-        """Return the fields that it sets as JSON."""
+        """Return, as JSON, the fields that the patch sets."""
         return self.model_dump_json(indent=1, exclude_none=True, exclude_defaults=True) + "\n"
 
 

@@ -96,7 +96,13 @@ def geometry_measure(
 
 
 def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
-    """Compare samples [n, 3] and [m, 3]; `tree` is an existing tree of `b`."""
+    """Return the Chamfer distance and F-scores between point sets `a` [n, 3] and `b` [m, 3].
+
+    Args:
+        a: points, over the diagonal of the ground truth.
+        b: points, in the same unit.
+        tree: KD-tree of `b`, if it is already built.
+    """
     forth = (tree or KDTree(b)).query(a)[0]
     back = KDTree(a).query(b)[0]
 

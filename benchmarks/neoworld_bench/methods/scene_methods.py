@@ -146,15 +146,15 @@ def outcome_of(
     """Run a method from an initial scene.
 
     Args:
-        method: of METHODS, an optimizer of `is_budgeted`, or of `named`.
-        start: where it starts.
+        method: name from METHODS, an optimizer accepted by `is_budgeted`, or a name from `named`.
+        start: the initial scene.
         o: options of the refinement and of the final check.
-        engine: that rolls candidates out.
-        seed: of searches.
-        rollouts: budget of BUDGETED.
+        engine: engine that rolls out the candidates.
+        seed: random seed of the search.
+        rollouts: number of rollouts of an optimizer accepted by `is_budgeted`.
         warm: whether to search once for a single iteration, in which one candidate stands for all,
             before the clock runs, so that its time is without compiling.
-        named: options of the searches that a user named.
+        named: options of user-defined searches, by name.
         photo: the photograph, for S_photo.
     """
     if method in SETTLED:
@@ -241,18 +241,18 @@ def outcomes_of(
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene; see `outcome_of`.
 
-    Ours runs first, as BUDGETED get its number of rollouts; if it is not requested, it runs for the
-    count only.
+    `ours` runs first, because the optimizers accepted by `is_budgeted` get as many rollouts as it
+    used; if it was not requested, its result is discarded.
 
     Args:
-        methods: of METHODS.
+        methods: names, as for `outcome_of`.
         composed: the composed scene.
         o: options of the refinement and of the final check.
-        engine: that rolls candidates out.
+        engine: engine that rolls out the candidates.
         photo: returns the photograph; called if a method aligns the scene with it.
         align: options of the alignment.
-        programs: of the objects, for alignments that change their dimensions.
-        seed: of searches.
+        programs: the objects' programs, for alignments that change their dimensions.
+        seed: random seed of the searches.
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
     """

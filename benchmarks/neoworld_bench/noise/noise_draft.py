@@ -19,7 +19,10 @@ Variant = Callable[[ObjectSpec, np.random.Generator], ObjectSpec | None]
 
 
 class Draft:
-    """An object to which errors are added one by one; each must pass the checks."""
+    """An object to which errors are added one by one.
+
+    An error is kept only if the object with it passes the checks.
+    """
 
     def __init__(
         self,

@@ -168,7 +168,7 @@ def work_joint(
         joint: the joint, which is no ball.
         target: its value at the end [rad or m].
         hold: how to hold the handle.
-        seconds: duration of the way; 0 takes an even pace.
+        seconds: duration of the motion [s]; 0 derives it from the path's length.
 
     Raises:
         ValueError: the plan would leave its bounds, such as a handle wider than the fingers open.

@@ -97,14 +97,13 @@ def scene_of(name: str, *objects: SceneObject, size: float = 1.0) -> SceneSpec:
 
 
 def size_of(scene: SceneSpec, name: str) -> np.ndarray:
-    """Return the edges of an object's box at rest [3] m."""
+    """Return the edge lengths of an object's bounding box with all joints at 0 [3] m."""
     low, high = bounds(scene.object(name).spec)
     return high - low
 
 
 def grown(truth: SceneSpec, scene: SceneSpec, name: str) -> np.ndarray:
-    """Return an object's edges in a scene over those in the ground truth [3]; 1 in the ground truth
-    itself."""
+    """Return an object's edge lengths in a scene over those in the ground truth [3]."""
     return size_of(scene, name) / size_of(truth, name)
 
 

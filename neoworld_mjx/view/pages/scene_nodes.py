@@ -218,7 +218,11 @@ class SceneNodes:
         )
 
     def pickable(self, pickable: bool) -> None:
-        """Make objects clickable or not: nobody can drag a handle behind a clickable object."""
+        """Enable or disable clicks on objects.
+
+        Disable them while a drag handle is shown: clickable objects in front of it would intercept
+        the pointer.
+        """
         self._clickable = pickable
         with self._server.atomic():
             for node in (*self._visible, *self._transparent_copies, *self._pieces):
