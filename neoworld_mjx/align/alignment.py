@@ -30,7 +30,7 @@ class JointAlignment:
     value: float
     """Position after the alignment."""
     change: float
-    """How much farther it is from 0 than composed, in the same unit."""
+    """Increase of its distance from 0 over the composed position, in the same unit."""
     deviation: float
     """Standard deviation of the position."""
 
@@ -70,8 +70,8 @@ class FittedUnknowns:
     unknowns: Unknowns
     x: Float[np.ndarray, " u"]
     shapes: dict[int, ShapeEvidence]
-    """What contours say about the proportions of objects; those that the pixels do not place are
-    missing."""
+    """Evidence of contours about the proportions of objects; those that the pixels do not place
+    are missing."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def cabinet(door, moving, hinge, height=HEIGHT):
 
 
 def with_door(degrees, door="red", upper=2.0):
-    """A desk with a cabinet whose door is open, and two other things."""
+    """A desk with a cabinet whose door is open, and two other objects."""
     panel = geom("panel", (WALL, WIDTH, HEIGHT), (FRONT, 0, HEIGHT / 2), door)
     hinge = {"type": "revolute", "pos": (FRONT, WIDTH / 2, 0), "axis": (0, 0, -1), "upper": upper}
     state = {"open": math.radians(degrees)}

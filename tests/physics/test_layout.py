@@ -22,7 +22,7 @@ from tests.support import scenes
 from tests.support.scenes import compile_scene
 
 snapped = jax.jit(heights)
-"""As one program; op by op, dozens are compiled."""
+"""Heights of one compiled program; op by op, dozens are compiled."""
 
 HALF = np.sqrt(0.5)
 ABOUT_X = (HALF, HALF, 0.0, 0.0)
