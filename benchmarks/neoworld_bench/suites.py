@@ -405,7 +405,7 @@ SUITES = {
 """Suites that `neoworld bench run NAME` runs."""
 
 DEVELOPER_SUITES = (
-    *("battery", "cameras", "composing", "decisions", "faults", "frames", "inputs", "mutation"),
-    *("programs", "readers", "round-trips", "scoring", "templates", "verify"),
+    *("battery", "cameras", "composing", "coverage", "decisions", "faults", "frames", "inputs"),
+    *("mutation", "programs", "readers", "round-trips", "scoring", "templates", "verify"),
 )
 """Suites that `python -m benchmarks NAME` runs from a clone of the repository."""
