@@ -5,8 +5,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_erosion
 
 from .colors import LEAST_PIXELS, around, color_model, log_likelihood_ratio, ring_width
+from .placement import Placement
 from .rasterize import DrawnObjects, draw_objects, window_of
-from .unknowns import Placement, Unknowns
+from .unknowns import Unknowns
 
 SAME_PX = 0.5
 """Distance between two outlines [px] up to which they are the same for the photograph."""

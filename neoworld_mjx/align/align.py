@@ -28,9 +28,11 @@ from .alignment_prior import (
 )
 from .colors import LabImage
 from .contacts import SceneGeoms, contacts
-from .normal_equations import NormalEquations, box_evidence, contour_evidence
+from .linear_evidence import box_evidence, contour_evidence
+from .normal_equations import NormalEquations
+from .placement import Placement
 from .rasterize import DrawnObjects, height_of
-from .unknowns import CAMERA, FOCAL, Placement, Unknowns
+from .unknowns import CAMERA, FOCAL, Unknowns
 
 SAME_ASPECT = 0.02
 """Largest difference of the logarithms of two equal aspect ratios."""

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from ..spec import bounds
 from .open_joints import OpenJoint
-from .unknowns import CAMERA, EACH, STRETCH, Placement, Unknowns
+from .placement import Placement
+from .unknowns import CAMERA, EACH, STRETCH, Unknowns
 
 FREEDOM = 4.0
 """Degrees of freedom of the t distribution."""

@@ -17,7 +17,8 @@ from ..physics.mjcf import body_name
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import matrix
 from .open_joints import MovingPart
-from .unknowns import STEP, Placement, Unknowns
+from .placement import Placement
+from .unknowns import STEP, Unknowns
 
 REACH_M = 0.01
 """Largest gap between two geoms that is a contact [m]."""

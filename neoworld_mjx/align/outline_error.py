@@ -7,7 +7,7 @@ from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from .colors import LabImage, color_model, color_models
 from .contours import contour, displacements
-from .normal_equations import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_PX
+from .linear_evidence import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_PX
 from .rasterize import DrawnObjects, draw_scene, height_of
 
 REACH_PX, STEP_PX = 24.0, 1.0

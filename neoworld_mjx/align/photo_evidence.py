@@ -19,7 +19,7 @@ from ..physics.photo_view import see_through
 from ..physics.scene_arrays import on_device
 from ..spec import SceneSpec
 from .colors import LabImage, color_models, log_likelihood_ratio
-from .normal_equations import MARGIN_PX
+from .linear_evidence import MARGIN_PX
 from .rasterize import draw_scene, height_of, window_of
 
 EVIDENCE_CELLS = 48

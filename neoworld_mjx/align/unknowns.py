@@ -29,7 +29,8 @@ from .open_joints import (
     parts_moved,
     with_changes,
 )
-from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined, pixels_of
+from .placement import Placement
+from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined
 
 CAMERA = 4
 """Number of unknowns of the camera."""
@@ -42,39 +43,6 @@ STRETCH = 3
 along the object's axes."""
 STEP = 1e-5
 """Step of finite differences, in m, rad or log."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Camera and poses of all bodies at some values of the unknowns.
-
-    Points of a body are in the frame of its object, as composed and at scale 1.
-    """
-
-    camera: Camera
-    pos: Float[np.ndarray, "body 3"]
-    """Origins [m]; of objects first."""
-    turn: Float[np.ndarray, "body 3 3"]
-    """Rotations."""
-    scale: Float[np.ndarray, " body"]
-
-    def world(
-        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Transform points of a body, or each of its own, to the world."""
-        if isinstance(body, int):
-            return self.scale[body] * points @ self.turn[body].T + self.pos[body]
-        turned = np.einsum("nij,nj->ni", self.turn[body], points)
-        return self.scale[body, None] * turned + self.pos[body]
-
-    def local(
-        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Transform points in the world to a body, or each to its own."""
-        if isinstance(body, int):
-            return (points - self.pos[body]) @ self.turn[body] / self.scale[body]
-        turned = np.einsum("nji,nj->ni", self.turn[body], points - self.pos[body])
-        return turned / self.scale[body, None]
 
 
 @dataclass(frozen=True)
@@ -318,61 +286,6 @@ class Unknowns:
     def neighbors(self, x: Float[np.ndarray, " u"]) -> list[Placement]:
         """Place the scene with every unknown increased by STEP."""
         return self.place(x + STEP * np.eye(self.size))
-
-    def jacobian(
-        self,
-        now: Placement,
-        neighbors: list[Placement],
-        k: int,
-        points: Float[np.ndarray, "n 3"],
-        normal: Float[np.ndarray, "n 2"],
-        width: int,
-        bodies: Int[np.ndarray, " n"] | None = None,
-    ) -> Float[np.ndarray, "n v"]:
-        """Return the derivatives of points along normals in the image.
-
-        Args:
-            now: the placement.
-            neighbors: of `neighbors`, at the same unknowns.
-            k: index of the object.
-            points: points of its bodies [m].
-            normal: directions in the image.
-            width: width of the image [px].
-            bodies: body of each point; the object itself by default.
-
-        Returns:
-            Pixels by unit of the unknowns, followed by those of the stretches of
-            `stretch_columns`.
-        """
-        along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
-        # Objects without open joints are transformed as a whole.
-        body = k if bodies is None or (bodies == k).all() else bodies
-        start = along(now.world(body, points), now.camera)
-        moved_by = [j for j, joint in enumerate(self.joints) if joint.object == k]
-        result = np.zeros((len(points), self.size + STRETCH * (1 + len(moved_by))))
-        for u in [*range(CAMERA), *self.columns_of(k)]:
-            near = neighbors[u]
-            result[:, u] = (along(near.world(body, points), near.camera) - start) / STEP
-        foot = self.lowest[k] * now.turn[k][2]
-        own = points if body is k else now.local(k, now.world(body, points))
-        for axis in range(STRETCH):
-            stretched = own.copy()
-            stretched[:, axis] += STEP * (own - foot)[:, axis]
-            moved = along(now.world(k, stretched), now.camera)
-            result[:, self.size + axis] = (moved - start) / STEP
-        for i, j in enumerate(moved_by, 1):
-            anchor = self.joints[j].anchor
-            if anchor is None or body is k:
-                continue
-            # A door of another length looks like one at another angle.
-            moves = np.array([j in part.joints for part in self.parts])
-            rows = np.append(np.zeros(len(self.scene.objects), bool), moves)[body]
-            for axis in range(STRETCH):
-                stretched = points.copy()
-                stretched[rows, axis] += STEP * (points - anchor)[rows, axis]
-                moved = along(now.world(body, stretched), now.camera)
-                result[:, self.size + STRETCH * i + axis] = (moved - start) / STEP
-        return result
 
     def view_axes(self, now: Placement, k: int) -> Float[np.ndarray, "2 2"]:
         """Return the horizontal directions along and across the view of an object, as rows.

@@ -4,6 +4,7 @@ Paper Section 3.3, Step 4, and Appendix B. Programs have arbitrary units; the pa
 determines the absolute scale of each object, and the support determines its height.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,7 @@ class Composed:
 
 def compose(
     tree: SceneTree,
-    objects: dict[str, ObjectSpec],
+    objects: Mapping[str, ObjectSpec],
     options: ComposeOptions | None = None,
     *,
     name: str = "scene",

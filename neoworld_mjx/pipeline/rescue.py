@@ -35,9 +35,10 @@ from ..run_folder import RunFolder
 from ..spec import SceneSpec, bounds, read_scene
 from ..spec.pose import pose
 from ..spec.scene import moved_whole
+from .compose_step import write_alignment
 from .reconstruction import finish
 from .scene_pictures import Pictures
-from .scene_steps import export_files, refine_layout, write_alignment
+from .scene_steps import export_files, refine_layout
 from .step_context import COMPOSED, SCENE, StepContext
 
 REPORT = "rescue.json"

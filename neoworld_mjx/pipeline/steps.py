@@ -6,8 +6,9 @@ have changed.
 
 from collections.abc import Callable
 
+from .compose_step import compose_scene
 from .object_steps import parse_photo, program_objects, verify_objects
-from .scene_steps import compose_scene, export_files, refine_layout
+from .scene_steps import export_files, refine_layout
 from .step_context import StepContext
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {

@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.align.colors import LabImage
 from neoworld_mjx.align.creases import creases, smooth_faces
-from neoworld_mjx.align.normal_equations import contour_evidence
+from neoworld_mjx.align.linear_evidence import contour_evidence
 from neoworld_mjx.align.unknowns import CAMERA
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Sphere

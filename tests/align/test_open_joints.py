@@ -9,6 +9,7 @@ import pytest
 from neoworld_mjx.align.align import align
 from neoworld_mjx.align.alignment_prior import OPENING, RANGE, opening_deviation
 from neoworld_mjx.align.contacts import SceneGeoms
+from neoworld_mjx.align.image_jacobian import image_jacobian
 from neoworld_mjx.align.open_joints import LEAST_OPENING
 from neoworld_mjx.align.rasterize import draw_objects, draw_scene
 from neoworld_mjx.align.unknowns import STRETCH
@@ -231,7 +232,7 @@ def test_the_jacobian_of_moving_parts_is_that_of_the_written_scene(make):
     angle = rng.uniform(0, 2 * np.pi, 6)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
-    mine = unknowns.jacobian(now, neighbors, k, points, normal, 640, np.full(6, part))
+    mine = image_jacobian(unknowns, now, neighbors, k, points, normal, 640, np.full(6, part))
     assert mine.shape == (6, unknowns.size + 2 * STRETCH)
     composed = link_poses(scene.objects[k].spec, scene.objects[k].joint_state)["front"]
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from neoworld_mjx.align.image_jacobian import image_jacobian
 from neoworld_mjx.align.unknowns import CAMERA, EACH, STRETCH
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import matrix
@@ -119,7 +120,7 @@ def check_jacobian(unknowns, x, k):
     angle = rng.uniform(0, 2 * np.pi, 7)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
-    mine = unknowns.jacobian(now, neighbors, k, points, normal, 640)
+    mine = image_jacobian(unknowns, now, neighbors, k, points, normal, 640)
     assert mine.shape == (7, unknowns.size + len(unknowns.stretch_columns(k)))
     step = 1e-4
     for u in range(unknowns.size):
@@ -154,7 +155,7 @@ def test_stretches_are_about_the_foot_of_the_object():
     points = np.array([[0, 0, low[2]], [0, 0, high[2]], [high[0], 0, low[2]]])
     pixels, _ = scene.camera.project(now.world(k, points))
     up = np.tile([0.0, -1.0], (3, 1))
-    mine = unknowns.jacobian(now, unknowns.neighbors(x), k, points, up, 640)[:, -STRETCH:]
+    mine = image_jacobian(unknowns, now, unknowns.neighbors(x), k, points, up, 640)[:, -STRETCH:]
     assert np.abs(mine[0]).max() < 1e-6
     # The image of a stretch of the height by 1 % is its whole by a hundred, but for perspective.
     grown = points[1] + [0, 0, 1e-4 * (high[2] - low[2])]

@@ -1,0 +1,275 @@
+"""Step 4 of a run: compose the scene of the built objects and align it with the photograph."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..parse.photo import load_photo
+from ..run_folder import RunFolder
+from ..spec import ObjectSpec, SceneSpec, SceneTree, read_scene
+from .program_inputs import with_corrected_sizes
+from .step_context import (
+    ALIGNED,
+    ANNOTATION,
+    CHECK,
+    COMPOSED,
+    EVIDENCE,
+    OUTLINES,
+    REFIT,
+    RESPONSE_TREE,
+    TREE,
+    VERIFIED,
+    StepContext,
+    read_spec,
+    read_tree,
+)
+
+if TYPE_CHECKING:
+    from ..align.alignment import Alignment
+    from ..compose.compose import Composed
+    from ..compose.layout_patch import LayoutPatch
+
+
+def compose_scene(context: StepContext) -> None:
+    """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
+
+    The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
+    compose/scales.json, pictures/outlines.png and pictures/evidence.png; and, with
+    `compose.align.dimensions`, the changed programs, objects/NAME/resized.py, with their objects.
+    Rendering of the scene's picture starts in the background.
+    """
+    from ..compose.compose import compose
+    from ..compose.layout_patch import apply_layout, read_layout_patch
+
+    run, config = context.run, context.config
+    options = config.compose
+    tree = with_corrected_sizes(run, read_tree(run))
+    specs = {node.name: _spec_file(run, node.name) for node in tree.nodes}
+    edited = TREE in run.edited_by_hand("parse")
+    refits = options.refit and config.parse.fit
+    if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
+        # Start from the unfitted tree: the first fit has already used the same boxes.
+        tree = with_corrected_sizes(run, read_tree(run, RESPONSE_TREE))
+    patch = read_layout_patch(run.path)
+    inputs = _inputs(context, tree, specs, patch, refits=refits)
+    with run.step("compose", inputs) as out:
+        if out is not None:
+            objects = {name: read_spec(path) for name, path in specs.items()}
+            (out / "compose").mkdir()
+            if refits:
+                # The fit keeps supports that a person chose.
+                by_person = edited or (run.path / ANNOTATION).is_file()
+                tree = _refitted(context, tree, objects, out, change_supports=not by_person)
+            composed = compose(tree, objects, options)
+            scene, moved = composed.scene, ()
+            if options.align.enabled:
+                composed, scene, moved = _aligned(context, tree, objects, composed, out)
+            scene, stale = apply_layout(scene, patch, options.gap_m)
+            if options.looks:
+                from ..align.looks import as_photographed
+
+                scene = as_photographed(scene, _rgb(run))
+            (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
+            _write_json(out / "compose" / "scales.json", composed.scales)
+            _record_notes(run, composed, moved)
+            _record_patch(run, patch, stale)
+    context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
+    _check_composed(context)
+
+
+def _spec_file(run: RunFolder, name: str) -> Path:
+    """Return the file of an object after Step 3."""
+    folder = run.path / "objects" / name
+    repaired = folder / VERIFIED
+    return repaired if repaired.is_file() else folder / "spec.json"
+
+
+def _inputs(
+    context: StepContext,
+    tree: SceneTree,
+    specs: Mapping[str, Path],
+    patch: "LayoutPatch",
+    *,
+    refits: bool,
+) -> dict[str, object]:
+    """Return what the step depends on; where it changes, the step runs again."""
+    from .resized_programs import program_files
+
+    run, config = context.run, context.config
+    align = config.compose.align
+    inputs: dict[str, object] = {"tree": tree, "options": config.compose, "refits": refits, **specs}
+    if align.enabled or config.compose.looks:
+        inputs["photo"] = run.path / "photo.png"
+    if align.enabled and align.dimensions:
+        inputs |= {"program": config.program, "verify": config.verify}
+        inputs |= program_files(run.path, tree)
+    if patch.objects:
+        inputs["layout"] = patch
+    return inputs
+
+
+def _refitted(
+    context: StepContext,
+    tree: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    out: Path,
+    *,
+    change_supports: bool,
+) -> SceneTree:
+    """Fit the tree to the built shapes; write the tree and the report of the fit."""
+    from ..compose.compose import compose
+    from ..fit.refit import refit_tree
+    from ..measure import shown_sides
+
+    run = context.run
+    visible_sides = shown_sides(compose(tree, objects, context.config.compose).scene)
+    tree, report = refit_tree(tree, objects, visible_sides, change_supports=change_supports)
+    (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
+    _write_json(out / REFIT, report.to_json())
+    for outcome, reason in report.notes():
+        run.note("compose", outcome, reason)
+    for name, support in report.supports.items():
+        change = f"{name} {support.relation} {support.parent}, not {support.before}"
+        run.note("compose", change, support.phrase())
+    return tree
+
+
+def _aligned(
+    context: StepContext,
+    tree: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    composed: "Composed",
+    out: Path,
+) -> tuple["Composed", SceneSpec, tuple[str, ...]]:
+    """Align a composed scene with the photograph, and bring its objects back into contact.
+
+    Returns:
+        The composition, of changed objects if their dimensions changed; the aligned scene; and
+        notes on objects that contact moved.
+    """
+    from ..align.align import align
+    from ..compose.compose import compose
+    from ..compose.on_supports import in_contact
+    from .resized_programs import with_freed_dimensions, write_resized
+
+    run, config = context.run, context.config
+    options, photo = config.compose, _rgb(run)
+    start = composed.scene
+    alignment = align(start, photo, options.align, measured=tree.camera_measured)
+    if options.align.dimensions:
+        freed = with_freed_dimensions(
+            run.path,
+            tree,
+            objects,
+            config,
+            photo,
+            start,
+            alignment,
+            lambda changed: compose(tree, changed, options).scene,
+        )
+        write_resized(run.path, freed, out)
+        composed = compose(tree, {**objects, **freed.specs}, options)
+        alignment = freed.alignment
+    write_alignment(run, start, alignment, photo, out)
+    scene, moved = in_contact(alignment.scene, options, composed=composed.scene)
+    return composed, scene, moved
+
+
+def write_alignment(
+    run: RunFolder,
+    scene: SceneSpec,
+    alignment: "Alignment",
+    photo: UInt8[np.ndarray, "row column 3"],
+    out: Path,
+) -> None:
+    """Write the report and the pictures of an alignment, and note large changes in the run.
+
+    Args:
+        run: the run.
+        scene: the scene before.
+        alignment: its alignment with the photograph.
+        photo: the photograph (sRGB).
+        out: folder of the step's files.
+    """
+    from ..align.evidence_picture import evidence_picture
+    from ..align.outline_error import outline_errors
+    from ..align.outline_picture import outline_picture
+    from ..render import to_png
+
+    report, aligned = alignment.to_json(), alignment.scene
+    if aligned.camera is not None:
+        (out / OUTLINES).parent.mkdir(exist_ok=True)
+        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned)))
+        (out / EVIDENCE).write_bytes(to_png(evidence_picture(aligned, photo)))
+        before, after = (outline_errors(s, photo) for s in (scene, aligned))
+        report["outlines_px"] = {
+            name: {"composed": before[name], "aligned": after[name]} for name in after
+        }
+    _write_json(out / ALIGNED, report)
+    if alignment.failure:
+        reason = alignment.failure
+        run.fallback("compose", "the scene is not aligned with the photograph", reason)
+    for outcome, reason in alignment.notes(scene):
+        run.note("compose", outcome, reason)
+
+
+def _record_notes(run: RunFolder, composed: "Composed", moved: tuple[str, ...]) -> None:
+    for note in (*composed.notes, *moved):
+        name, _, change = note.partition(": ")
+        record = run.fallback if note in composed.shortfalls else run.note
+        record("compose", name, change)
+
+
+def _record_patch(run: RunFolder, patch: "LayoutPatch", stale: tuple[str, ...]) -> None:
+    """Record the objects that a person placed, and those that the scene no longer contains."""
+    from ..compose.layout_patch import LAYOUT_PATCH
+
+    for name in sorted(patch.objects.keys() - set(stale)):
+        run.note("compose", f"{name} is where a person placed it", f"{LAYOUT_PATCH} contains it")
+    for name in stale:
+        reason = f"{LAYOUT_PATCH} contains it, but the scene does not"
+        run.fallback("compose", f"no {name}", reason)
+
+
+def _check_composed(context: StepContext) -> None:
+    """Write compose/check.json with the objects of the composed scene that do not stay in place.
+
+    Objects that no layout can stabilize become fallbacks of the run; the search may fix the others.
+    """
+    from ..measure import measured, unstable_objects
+    from ..measure.unstable import phrases
+
+    run, limits = context.run, context.config.refine
+    bounds = limits.model_dump(
+        include={"check_duration_s", "check_timestep_s", "max_depth_m", "max_drift_m"}
+        | {"max_tilt_deg"}
+    )
+    with run.step("compose/check", {"scene": run.path / COMPOSED, "bounds": bounds}) as out:
+        if out is None:
+            return
+        scene = read_scene(run.path / COMPOSED)
+        measure = measured(scene, limits)
+        moving = unstable_objects(
+            scene, measure, max_drift=limits.max_drift_m, max_tilt=limits.max_tilt_deg
+        )
+        entries = [json.loads(e.model_dump_json()) | {"phrase": e.phrase()} for e in moving]
+        (out / CHECK).parent.mkdir()
+        _write_json(out / CHECK, {"unstable": entries})
+        if moving:
+            count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
+            run.note("compose/check", f"{count} not rest before the search", phrases(moving))
+        for entry in moving:
+            if not entry.held:
+                run.fallback("compose/check", f"{entry.name} has no stable support", entry.why)
+
+
+def _rgb(run: RunFolder) -> UInt8[np.ndarray, "row column 3"]:
+    return load_photo(run.path / "photo.png").rgb
+
+
+def _write_json(path: Path, data: object) -> None:
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
