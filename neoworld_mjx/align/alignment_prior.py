@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
-from ..spec import bounds
 from .open_joints import OpenJoint
 from .placement import Placement
 from .unknowns import CAMERA, EACH, STRETCH, Unknowns
@@ -134,8 +133,8 @@ def _room(unknowns: Unknowns, k: int) -> float:
     item = unknowns.scene.objects[k]
     if item.parent is None or item.relation not in ("in", "on"):
         return np.inf
-    parent = unknowns.scene.object(item.parent)
-    sides = [np.subtract(*bounds(o.spec, o.joint_state)[::-1])[:2].min() for o in (parent, item)]
+    parent = unknowns.scene.index(item.parent)
+    side = float(unknowns.shorter_side[parent])
     if item.relation == "in":
-        return max(float(sides[0] - sides[1]) / 2, LEAST_CLEARANCE_M)
-    return np.inf if parent.environment else SUPPORTED * float(sides[0])
+        return max((side - float(unknowns.shorter_side[k])) / 2, LEAST_CLEARANCE_M)
+    return np.inf if unknowns.scene.objects[parent].environment else SUPPORTED * side

@@ -5,6 +5,7 @@ parallel ones converge, the camera. As for contours, the colors on their two sid
 are.
 """
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -25,6 +26,8 @@ LEAST_PX = 8
 """Least number of pixels along a crease."""
 MOST_POINTS = 100
 """Largest number of points of a crease."""
+BLUR_REACH_PX = math.ceil(4 * NORMAL_BLUR_PX) + 2
+"""Distance beyond which pixels do not change the gradient of the smoothed mask."""
 
 
 class Crease(NamedTuple):
@@ -95,14 +98,17 @@ def creases(
         inside, outside = colors[first], colors[second]
         if inside is None or outside is None:
             continue
-        smooth = gaussian_filter((face == first).astype(float), NORMAL_BLUR_PX, mode="nearest")
-        slope = np.gradient(smooth)
         _, _, y, x, down, right = (values[pair_of == index] for values in borders)
         here, there = (y, x), (y + down, x + right)
+        # Only pixels near the crease determine its normals.
+        near = tuple(slice(max(v.min() - BLUR_REACH_PX, 0), v.max() + BLUR_REACH_PX) for v in here)
+        side = (face[near] == first).astype(float)
+        slope = np.gradient(gaussian_filter(side, NORMAL_BLUR_PX, mode="nearest"))
+        spot = tuple(v - part.start for v, part in zip(here, near, strict=True))
         points = sampled_contour(
             corner + np.stack([x + (1 + right) / 2, y + (1 + down) / 2], axis=1),
             np.minimum(depth[here], depth[there]),
-            -np.stack([slope[1][here], slope[0][here]], axis=1),
+            -np.stack([slope[1][spot], slope[0][spot]], axis=1),
             np.full(len(x), -1),
             np.where(depth[here] <= depth[there], bodies[here], bodies[there]),
             shape=drawn.owner.shape,

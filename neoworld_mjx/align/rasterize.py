@@ -4,6 +4,7 @@ Unlike the ray caster of `render`, it needs no compiled model, so a scene can be
 every change of a pose or a size.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,7 +18,9 @@ from ..spec import Camera, SceneSpec, world_poses
 NEAR_M = 0.02
 """Triangles with a corner nearer to the camera than this are not drawn [m]."""
 CHUNK = 1 << 21
-"""Largest number of pixels that are tested at once."""
+"""Number of pixels that are drawn at once."""
+LEAST_AREA = 1e-12
+"""Twice the area [px^2] below which a triangle is not drawn."""
 
 
 class WorldMesh(NamedTuple):
@@ -90,7 +93,6 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         width: width of the image [px]; the height follows from the camera's aspect ratio.
     """
     height = height_of(camera, width)
-    size = np.array([width, height])
     corners, owners, faces = [], [], []
     for k, mesh in enumerate(meshes):
         pixels, depth = pixels_of(camera, mesh.vertices, width)
@@ -101,25 +103,16 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         owners.append(np.full(len(rows), k))
         faces.append(np.zeros(len(rows), int) if mesh.face is None else mesh.face[ahead])
     triangle, owner, face = (np.concatenate(part) for part in (corners, owners, faces))
-    # Pixel centers are at half-integers.
-    low = np.ceil(np.clip(triangle[..., :2].min(axis=1) - 0.5, 0, size)).astype(int)
-    high = np.floor(np.clip(triangle[..., :2].max(axis=1) - 0.5, -1, size - 1)).astype(int)
-    box = np.maximum(high - low + 1, 0)
     nearest = np.zeros(width * height)
     first = np.full(width * height, -1)
-    powers = np.ceil(np.log2(np.maximum(box, 1))).astype(int)
-    visible = (box > 0).all(axis=1)
-    for tall in np.unique(powers[visible], axis=0):
-        columns, lines = np.minimum(2**tall, size).tolist()
-        group = np.flatnonzero(visible & (powers == tall).all(axis=1))
-        step = max(1, CHUNK // (columns * lines))
-        for start in range(0, len(group), step):
-            rows = group[start : start + step]
-            pixel, inverse, k = _covered(triangle[rows], low[rows], box[rows], columns, lines)
-            spot = pixel[:, 1] * width + pixel[:, 0]
-            np.maximum.at(nearest, spot, inverse)
-            front = inverse >= nearest[spot]
-            first[spot[front]] = rows[k[front]]
+    spans = _spans(triangle, width, height)
+    # Chunks bound the memory; each ends with a whole span.
+    chunk = np.cumsum(spans.count) // CHUNK
+    for start, stop in itertools.pairwise([0, *(np.flatnonzero(np.diff(chunk)) + 1), len(chunk)]):
+        pixel, inverse, row = _covered(_Spans(*(part[start:stop] for part in spans)), width)
+        np.maximum.at(nearest, pixel, inverse)
+        front = inverse >= nearest[pixel]
+        first[pixel[front]] = row[front]
     shape = (height, width)
     with np.errstate(divide="ignore"):
         depth = np.where(first >= 0, 1.0 / nearest, np.inf)
@@ -128,26 +121,82 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     return DrawnObjects(owner, depth.reshape(shape), face=face)
 
 
+class _Spans(NamedTuple):
+    """Runs of pixels in one row of the image that one triangle covers."""
+
+    triangle: Int[np.ndarray, " n"]
+    line: Int[np.ndarray, " n"]
+    """Row of the image."""
+    start: Int[np.ndarray, " n"]
+    """First column."""
+    count: Int[np.ndarray, " n"]
+    """Number of pixels, at least one."""
+    inverse: Float[np.ndarray, " n"]
+    """Inverse depth at the first pixel [1/m]."""
+    slope: Float[np.ndarray, " n"]
+    """Change of the inverse depth from one pixel to the next [1/m]."""
+
+
+def _spans(triangle: Float[np.ndarray, "t 3 3"], width: int, height: int) -> _Spans:
+    """Return the runs of pixels whose centers lie in triangles.
+
+    Args:
+        triangle: corners, each with its pixel and its inverse depth [1/m], which is linear in
+            the image.
+        width: width of the image [px].
+        height: height of the image [px].
+    """
+    order = np.lexsort((triangle[..., 0], triangle[..., 1]), axis=1)
+    # Edges run downward, so triangles with a common edge end at the same pixels.
+    top, middle, bottom = np.take_along_axis(triangle, order[..., None], axis=1).transpose(1, 2, 0)
+    left, right = middle - top, bottom - top
+    area = left[0] * right[1] - right[0] * left[1]
+    flat = np.abs(area) < LEAST_AREA
+    area = np.where(flat, np.inf, area)
+    slope_x = (left[2] * right[1] - right[2] * left[1]) / area
+    slope_y = (left[0] * right[2] - right[0] * left[2]) / area
+    # Pixel centers are at half-integers.
+    low, high = (np.clip(y[1] - 0.5, -1, height) for y in (top, bottom))
+    low, high = np.ceil(low).clip(0).astype(int), np.floor(high).clip(max=height - 1).astype(int)
+    t, line = _runs(low, np.where(flat, 0, high - low + 1))
+    y = line + 0.5
+    x0, y0, _ = top[:, t]
+    x1, y1, _ = middle[:, t]
+    x2, y2, _ = bottom[:, t]
+    long = _crossing(x0, y0, x2, y2, y)
+    short = np.where(y < y1, _crossing(x0, y0, x1, y1, y), _crossing(x1, y1, x2, y2, y))
+    start = np.ceil(np.clip(np.minimum(long, short) - 0.5, 0, width)).astype(int)
+    stop = np.floor(np.clip(np.maximum(long, short) - 0.5, -1, width - 1)).astype(int)
+    inverse = top[2, t] + slope_x[t] * (start + 0.5 - x0) + slope_y[t] * (y - y0)
+    full = stop >= start
+    parts = t, line, start, stop - start + 1, inverse, slope_x[t]
+    return _Spans(*(part[full] for part in parts))
+
+
+def _crossing(
+    x0: np.ndarray, y0: np.ndarray, x1: np.ndarray, y1: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    """Return where edges cross rows; the start of an edge that does not descend."""
+    height = y1 - y0
+    share = np.divide(y - y0, height, out=np.zeros_like(y), where=height > 0)
+    return x0 + share * (x1 - x0)
+
+
 def _covered(
-    triangle: Float[np.ndarray, "t 3 3"],
-    low: Int[np.ndarray, "t 2"],
-    box: Int[np.ndarray, "t 2"],
-    columns: int,
-    lines: int,
-) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the pixels that triangles cover, their inverse depths, and the triangles' rows."""
-    x = low[:, 0, None, None] + np.arange(columns)[None, None, :]
-    y = low[:, 1, None, None] + np.arange(lines)[None, :, None]
-    a, b, c = (triangle[:, k, :, None, None] for k in range(3))
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    safe = np.where(np.abs(area) < 1e-12, np.inf, area)
-    u, v = x + 0.5, y + 0.5
-    second = ((u - a[:, 0]) * (c[:, 1] - a[:, 1]) - (v - a[:, 1]) * (c[:, 0] - a[:, 0])) / safe
-    third = ((b[:, 0] - a[:, 0]) * (v - a[:, 1]) - (b[:, 1] - a[:, 1]) * (u - a[:, 0])) / safe
-    inside = (second >= 0) & (third >= 0) & (second + third <= 1) & np.isfinite(safe)
-    inside &= (np.arange(columns) < box[:, 0, None])[:, None, :]
-    inside &= (np.arange(lines) < box[:, 1, None])[:, :, None]
-    inverse = a[:, 2] + second * (b[:, 2] - a[:, 2]) + third * (c[:, 2] - a[:, 2])
-    k, line, column = np.nonzero(inside)
-    pixel = np.stack([low[k, 0] + column, low[k, 1] + line], axis=1)
-    return pixel, inverse[inside], k
+    spans: _Spans, width: int
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return the pixels of spans, their inverse depths [1/m], and the triangle of each."""
+    row, offset = _runs(np.zeros(len(spans.count), int), spans.count)
+    pixel = (spans.line * width + spans.start)[row] + offset
+    inverse = spans.inverse[row] + spans.slope[row] * offset
+    return pixel, inverse, spans.triangle[row]
+
+
+def _runs(
+    start: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """Return start, start + 1, ... of every run of `count` integers, after the run's index."""
+    count = np.maximum(count, 0)
+    row = np.repeat(np.arange(len(count)), count)
+    first = np.cumsum(count) - count
+    return row, np.arange(len(row)) - first[row] + start[row]

@@ -119,6 +119,12 @@ class Unknowns:
         return np.array([0] * len(self.scene.objects) + moved)
 
     @cached_property
+    def shorter_side(self) -> Float[np.ndarray, " object"]:
+        """Shorter horizontal side of each object's bounding box, upright [m]."""
+        boxes = [bounds(o.spec, o.joint_state) for o in self.scene.objects]
+        return np.array([min(np.subtract(high, low)[:2]) for low, high in boxes])
+
+    @cached_property
     def surfaces(self) -> list[WorldMesh]:
         """Visible surface of each body; every smooth face of the scene has an index of its own."""
         moving = {(p.object, p.part) for p in self.parts}
