@@ -15,7 +15,7 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import photograph
 from neoworld_bench.machine import machine
 from neoworld_bench.methods.layout_errors import heading_deg, offsets
-from neoworld_bench.noise.initial_scenes import composed_start, is_evaluation, noise_number
+from neoworld_bench.noise.initial_scenes import initial_scene, is_evaluation, noise_number
 
 from benchmarks.suites import Coverage
 from neoworld_mjx.align.align import align
@@ -77,7 +77,7 @@ def _errors_of_scene(name: str, starts: int) -> list[Error]:
     photo, response = photograph(truth), exact_response(truth)
     found = []
     for start in range(starts):
-        composed = composed_start(truth, response, noise_number(name, 0, start))
+        composed = initial_scene(truth, response, noise_number(name, 0, start)).scene
         aligned = align(composed, photo).scene
         found += [
             Error(name, quantity, is_evaluation(start), value)

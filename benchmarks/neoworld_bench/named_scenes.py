@@ -23,7 +23,7 @@ from .dataset.truth_scene import photographed
 from .engines.table_scenes import Noise, crowded, noisy_layouts
 from .fidelity.rendered_responses import exact_response
 from .methods.layout_errors import layout_errors
-from .noise.initial_scenes import NoiseLevel, composed_start, noise_number
+from .noise.initial_scenes import NoiseLevel, initial_scene, noise_number
 from .photographs.real_scenes import FOLDER
 
 CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
@@ -52,7 +52,7 @@ def bench_case(name: str) -> Case:
     except SpecError as error:
         raise SpecError(f"scene bench:{name}: {error}") from None
     number = noise_number(scene, seed=0, start=int(start or 0))
-    composed = composed_start(truth, response, number, noise=noise)
+    composed = initial_scene(truth, response, number, noise=noise).scene
     return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
 
 

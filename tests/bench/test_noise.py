@@ -25,8 +25,8 @@ from neoworld_bench.noise import joint_noise, parse_noise
 from neoworld_bench.noise.dimension_noise import WRONG, editable, with_wrong_dimensions
 from neoworld_bench.noise.environment_noise import with_other_supports
 from neoworld_bench.noise.initial_scenes import (
-    composed_start,
     fitted_response,
+    initial_scene,
     wrong_shapes,
 )
 from neoworld_bench.noise.noise_draft import Draft
@@ -111,7 +111,7 @@ def test_children_of_missed_objects_do_not_count_as_displaced():
 
 def test_initial_scene_without_noise_has_no_errors(desk, answer):
     log = NoiseLog()
-    start = composed_start(desk, answer, 5, noise="exact", log=log)
+    start = initial_scene(desk, answer, 5, noise="exact", log=log).scene
     assert log == NoiseLog()
     assert unmatched(start, desk) == ([], []) and displaced(start, desk) == []
     errors = layout_errors(start, desk)
@@ -396,7 +396,7 @@ def test_initial_scene_with_all_noise_composes(desk):
     names = ("table", "chest", "dice", "carton", "tin", "cup")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     log = NoiseLog()
-    start = composed_start(few, exact_response(few), 0, noise="all", log=log)
+    start = initial_scene(few, exact_response(few), 0, noise="all", log=log).scene
     missed, extra = unmatched(start, few)
     split = log.injected.count("split")
     assert len(missed) == log.injected.count("missed") + split

@@ -45,19 +45,6 @@ class InitialScene:
     programs: EditablePrograms
 
 
-def composed_start(
-    scene: SceneSpec,
-    tree: SceneTree,
-    number: int,
-    options: ComposeOptions | None = None,
-    *,
-    noise: NoiseLevel = "all",
-    log: NoiseLog | None = None,
-) -> SceneSpec:
-    """Return the scene of `initial_scene`, with the same arguments."""
-    return initial_scene(scene, tree, number, options, noise=noise, log=log).scene
-
-
 def initial_scene(
     scene: SceneSpec,
     tree: SceneTree,
