@@ -149,7 +149,8 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
             if not any(attached):
                 yield _detached(probe, indices, joint, options)
                 attached[0] = True
-        # The component with the most shapes is the part; all others must touch the parent.
+        # The main component is the largest of those that touch the parent, or else the largest.
+        # All other components must touch the parent.
         main = max(range(len(components)), key=lambda k: (attached[k], len(components[k])))
         for k, shapes in enumerate(components):
             if k != main and not attached[k]:
@@ -165,7 +166,7 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
 
 
 def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramOptions) -> Signal:
-    """Return the error of a joint whose child does not touch its parent, with the size of the gap."""
+    """Return the error of a joint whose child does not touch its parent, with the gap [m]."""
     near = probe.nearest(pieces, probe.of_part(probe.names.index(joint.parent)), 100.0)
     return error_signal(
         "detached_part",

@@ -30,11 +30,11 @@ from .static_checks import is_placeholder
 from .verdict import Check, Fault, Limit, judged, skipped
 
 AT_ONCE = 0.25
-"""A joint is blocked from the start if its free range is smaller than this fraction of its range."""
+"""A joint is blocked from the start if its free range, over its whole range, is below this."""
 CLEAR = 0.5
 """Depth up to which joint positions count as free, as a fraction of the allowed depth.
 
-The fraction is 1 instead if the free range would be smaller than `AT_ONCE`.
+If the free range, over the whole range, would then be below `AT_ONCE`, the fraction is 1 instead.
 """
 GAP_SLACK, GAP_SHARE = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
@@ -238,7 +238,7 @@ def _together(
 
 
 def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
-    """Yield a check of the gap [m] between each part and its parent, in the probe's present state."""
+    """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
     slack = max(GAP_SLACK * options.touch_gap_m, GAP_SHARE * size)
@@ -281,7 +281,7 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
 
 
 def _intents(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield checks that compare each joint's type, direction and travel with the declared intent."""
+    """Yield checks of each joint's type, direction and travel against the declared intent."""
     for joint in spec.joints:
         intent, names = joint.intent, {"part": joint.child, "joint": joint.name}
         if intent is None:

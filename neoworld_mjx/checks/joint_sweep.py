@@ -37,7 +37,7 @@ _RANGE_END = 0.02
 
 @dataclass(frozen=True)
 class Overlap:
-    """Deepest overlap of two parts that touch or overlap, and the joint state in which it occurs."""
+    """Deepest overlap of two parts, and the joint state in which it occurs."""
 
     depth: float
     """Depth [m]; at most 0 if the parts only touch."""
@@ -189,7 +189,7 @@ def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tupl
         share: the fraction of the allowed depth.
 
     Returns:
-        The lower and upper end [rad or m]. The two are equal if the closed joint collides.
+        The lower and upper end [rad or m]. The two are equal if parts collide with the joint at 0.
     """
     probe, values = sweep.probe, swept.values
 
@@ -255,7 +255,8 @@ def sweep_together(
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
     for k in range(options.sweep_combinations):
-        # Parts often collide in the first two states: all joints at the upper, and at the lower end.
+        # In the first two states, all joints are at the upper end or all at the lower end, where
+        # parts often collide.
         state: State = {}
         for swept in sweep.ranges:
             values, name = swept.values, swept.joint.name
@@ -309,7 +310,7 @@ def joint_states(joint: JointSpec, value: float) -> list[State]:
 def _poses(
     probe: Probe, joint: JointSpec, value: float, opened: State, pairs: Sequence[Pair]
 ) -> Iterator[tuple[State, dict[Pair, Near]]]:
-    """Yield each state of a joint at a value, with the pairs that touch or overlap in this state."""
+    """Yield each state of a joint at a value, and the pairs that touch or overlap in the state."""
     for state in joint_states(joint, value):
         probe.place({**opened, **state})
         yield state, probe.depths(pairs)

@@ -25,7 +25,7 @@ class OutOfTime(Exception):
 
 @dataclass(frozen=True)
 class Near:
-    """Two convex pieces, given by index, and their signed distance [m], negative if they overlap."""
+    """Indices of two convex pieces, and their signed distance [m], negative if they overlap."""
 
     first: int
     second: int
@@ -94,7 +94,7 @@ class Probe:
         self.low, self.high = centre - half, centre + half
 
     def extent(self, part: int) -> tuple[NDArray, NDArray]:
-        """Return the lowest and highest corner of a part's bounding box in the present state [m]."""
+        """Return the lowest and highest corner of a part's bounding box in the present pose [m]."""
         owned = self.owner == part
         return self.low[owned].min(axis=0), self.high[owned].max(axis=0)
 
@@ -130,8 +130,8 @@ class Probe:
             reach: largest distance that is measured [m].
 
         Returns:
-            The distance [m], at most `reach`, and the unit vector from the first part to the second,
-            shape [3]. If the distance exceeds `reach` or is 0, the vector points up.
+            The distance [m], at most `reach`, and the unit vector from the first part to the
+            second, shape [3]. If the distance exceeds `reach` or is 0, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
         near = self.nearest(self.of_part(first), self.of_part(second), reach)

@@ -224,7 +224,7 @@ class _Synthesis:
     async def debugged(
         self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
-        """Build a program, repair it in up to `debug_rounds` rounds, and return the best attempt."""
+        """Build a program, repair it in up to `debug_rounds` rounds, and return the best one."""
 
         async def repaired(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
             signals = attempts[-1].built.signals
