@@ -30,11 +30,11 @@ from .static_checks import is_placeholder
 from .verdict import Check, Fault, Limit, judged, skipped
 
 AT_ONCE = 0.25
-"""A joint is blocked from the start if its free range, over its whole range, is below this."""
+"""A joint is blocked from the start if less than this fraction of its range is collision-free."""
 CLEAR = 0.5
-"""Depth up to which joint positions count as free, as a fraction of the allowed depth.
+"""Depth up to which a joint position counts as free of collisions, over the allowed depth.
 
-If the free range, over the whole range, would then be below `AT_ONCE`, the fraction is 1 instead.
+The full allowed depth applies if less than `AT_ONCE` of the joint's range would remain free.
 """
 GAP_SLACK, GAP_SHARE = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.

@@ -26,7 +26,7 @@ BEGINS_M = 0.001
 COASTED_S = 0.5
 """Time after which the loss of speed of a coasting joint is measured [s]."""
 SHORT_M, SHORT_RAD = 0.08, 0.6
-"""Overshoot is relative to the joint's range, but at least to these ranges: sliding, turning."""
+"""Overshoot is relative to the range, but at least to this: sliding [m], turning joints [rad]."""
 ROUND = 0.01
 """A bottom is round if the support polygon's width, over the object's size, is below this."""
 WIDENS = 1.25

@@ -47,7 +47,7 @@ class Trajectory:
     qvel: NDArray
     """Velocities, shape [t, nv]."""
     energy: NDArray
-    """Potential and kinetic energy [J], shape [t]."""
+    """Total energy, potential plus kinetic [J], shape [t]."""
     diverged: bool
 
 

@@ -61,7 +61,7 @@ def is_placeholder(part: PartSpec) -> bool:
 def _inertia(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
     """Check that an authored inertia is physical and fits the part.
 
-    The center of mass must lie inside the part's bounding box.
+    The center of mass must lie inside the part's bounding box, within a tolerance.
     """
     if part.inertia is None or part.mass is None:
         return

@@ -77,10 +77,9 @@ class Fault(StrEnum):
 
 
 BORDERLINE = 0.8
-"""A passing value is borderline above this fraction of the distance from best to threshold.
+"""Fraction of the distance from the best value to the threshold, above which a value is borderline.
 
-The distance is that from the best value to the threshold. A different time step or processor, or a
-small additional load, changes values by about 20 %.
+A different time step or processor, or a small additional load, changes values by about 20 %.
 """
 
 
@@ -120,7 +119,7 @@ class Check(Spec):
 
     @property
     def least(self) -> bool:
-        """True if the threshold is the smallest valid value, otherwise it is the largest."""
+        """True if the threshold is the smallest valid value; False if it is the largest."""
         if self.value is None or self.threshold is None:
             return False
         return (self.value > self.threshold) == (self.outcome == "PASS")
@@ -154,7 +153,7 @@ class Verdict(Spec):
 
     object: str
     passed: bool
-    """True if every check ran and none failed."""
+    """True if no check failed and every check could be evaluated; skipped checks do not count."""
     mass_kg: float
     battery: str = ""
     """Version of the object tests."""
@@ -244,7 +243,7 @@ class Limit:
     unit: str
     fault: Fault
     least: bool = False
-    """True if the threshold is the smallest valid value, otherwise it is the largest."""
+    """True if the threshold is the smallest valid value; False if it is the largest."""
     best: float | None = None
     """Best value; if None, it is 0, or twice the threshold if `least` is True."""
     hint: str = ""

@@ -53,7 +53,7 @@ class CallClock:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Watch calls until the block ends."""
+        """Watch SDK calls and the worker until the block ends."""
         watcher = threading.Thread(target=self._watch, name="call clock", daemon=True)
         watcher.start()
         try:

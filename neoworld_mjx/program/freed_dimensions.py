@@ -1,10 +1,10 @@
 """Corrections of dimensions in programs where the contour of an object contradicts its shape.
 
-The dimensions are named constants, and one is changed at a time. The alignment estimates three
-stretch factors of every object and discards them. If they show that a shape is wrong,
-`dimension_candidates` selects the constant of the object's program whose change explains the
-pixels best. The scene is then composed and aligned again with the changed object. The pixels in
-which the outlines before and after differ decide whether the change is kept.
+The dimensions are named constants, and one constant of an object is changed at a time. The
+alignment estimates three stretch factors of every object and discards them. If they show that a
+shape is wrong, `dimension_candidates` selects the constant of the object's program whose change
+explains the pixels best. The scene is then composed and aligned again with the changed object. The
+pixels in which the outlines before and after differ decide whether the change is kept.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,7 +39,7 @@ constant only needs a positive ratio. The ratio treats pixels as independent, bu
 are not, so the limit is far above 0.
 """
 STEPS = 3
-"""Largest number of times that the scene is composed and aligned again."""
+"""Largest number of rounds; in each round, changes are proposed and the scene is aligned again."""
 UNCHANGED = "its outline agrees with its proportions"
 UNFAVORED = "the pixels favor no change of a dimension"
 NO_CONSTANT = "no named constant of its program changes its proportions alone"
@@ -180,7 +180,7 @@ def _states(
     for name in alignment.objects:
         k = alignment.scene.index(name)
         if k not in contours.fitted.shapes:
-            others[name] = "the pixels do not place it"
+            others[name] = "the pixels do not determine its pose"
         elif name not in texts:
             others[name] = programs.unchangeable.get(name, "it has no program")
         elif not (values := {c.name: c.value for c in named_constants(texts[name])}):

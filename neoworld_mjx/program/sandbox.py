@@ -2,9 +2,8 @@
 
 Errors of a program are returned as signals. Programs call the SDK. The sandbox `monty`, the
 default, runs a program in an isolated worker process. `cpython` runs a program in this process
-without isolation; use it only for programs that you trust. Equal texts build objects that are equal
-to the byte. With `program.language: blender`, a program that imports bpy runs in Blender
-(`blender/`).
+without isolation; use it only for programs that you trust. Equal texts build byte-identical
+objects. With `program.language: blender`, a program that imports bpy runs in Blender (`blender/`).
 """
 
 import errno

@@ -57,7 +57,8 @@ class Object(Furniture):
     ) -> str:
         """Define a material, and return its name.
 
-        Omitted properties are those of the material `like`.
+        Omitted properties are copied from the material `like`. If `like` is None, they are copied
+        from the named material `name`, if it exists.
 
         Args:
             name: name of the material.

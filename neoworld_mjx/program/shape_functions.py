@@ -65,7 +65,7 @@ def prism(outline: Sequence[Point2], height: float) -> Shape:
 
 @no_type_check
 def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape:
-    """Make a hollow box, centered at the origin, with walls of one thickness and `open` faces."""
+    """Make a hollow box, centered at the origin; the faces in `open` have no wall."""
     faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
         if face not in _FACES:

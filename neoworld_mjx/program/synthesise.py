@@ -377,7 +377,7 @@ class _Synthesis:
         ratio = np.array(edges) / np.array(node.box3d.size)
         shown = " x ".join(f"{v:.3f}" for v in edges)
         if np.max(np.maximum(ratio, 1 / ratio)) > MAX_RESIZE:
-            reason = f"{role} requested {shown} m, over {MAX_RESIZE:g} times off"
+            reason = f"{role} requested {shown} m, which differs by a factor of over {MAX_RESIZE:g}"
             self.fallbacks.append((f"{node.name}: the measured box", reason))
             return
         self.size = (x, y, z)
