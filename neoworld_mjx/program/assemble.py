@@ -21,8 +21,8 @@ def assemble(
         loose: if True, the parts have no joints yet, and every part is fixed to the first part.
 
     Returns:
-        The ObjectSpec and its warnings. The origin of the ObjectSpec is the center of the bounding
-        box's bottom face. If the object is invalid, None and the errors.
+        The ObjectSpec and an empty list, or, if the object is invalid, None and the errors. The
+        origin of the ObjectSpec is the center of the bounding box's bottom face.
     """
     if len(objects) != 1:
         names = ", ".join(repr(obj.name) for obj in objects[:5])
