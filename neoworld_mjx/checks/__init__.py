@@ -1,8 +1,8 @@
-"""Checks of a single object: does its program compile to something that can be simulated?
+"""Checks of a single object: compile checks (Step 2) and object tests (Step 3).
 
-The compile checks (`compile_checks.check`) examine the object at rest, over a sweep of its joints,
-and for plausible sizes and masses; each finding is a `Signal` that the author of the program can
-act on. The object tests (`object_tests.run_object_tests`) repeat the sweep, simulate the object in
-a set of scenarios, and return a `Verdict` on all of their checks. Steps 2 and 3 share this package,
-so that both apply the same thresholds to the same measurements.
+The compile checks (`compile_checks.check`) examine the object with all joints at zero, sweep the
+joints over their ranges, and check that sizes and masses are plausible. Each finding is a `Signal`
+on which the author of the program can act. The object tests (`object_tests.run_object_tests`)
+repeat the sweep, simulate the object in a set of scenarios, and return a `Verdict` on all checks.
+Both steps use this package, so they apply equal thresholds to equal measurements.
 """

@@ -1,4 +1,4 @@
-"""Overlaps that a program declares."""
+"""Overlaps of parts that a program declares as intended."""
 
 from typing import NamedTuple
 
@@ -9,5 +9,5 @@ class Allowance(NamedTuple):
     first: str
     second: str
     depth: float
-    """Largest depth [m]."""
+    """Largest allowed depth [m]."""
     reason: str

@@ -1,9 +1,11 @@
 """Compile checks of an object (paper Section 3.2, Step 2), independent of its program.
 
-At rest, every part is connected, touches its parent, and overlaps no other part. In motion, no two
-parts overlap anywhere over the joints' ranges, one joint at a time and in sampled combinations. A
-joint's axis passes through its child, and its range moves the child. Sizes and masses are those of
-real objects.
+A valid object satisfies the following conditions:
+
+- With all joints at zero, every part is connected, touches its parent, and overlaps no other part.
+- No two parts overlap over the range of any joint, or in sampled combinations of joint positions.
+- The axis of a joint passes through its child, and the joint's range moves the child.
+- Sizes and masses are plausible for a real object.
 """
 
 import itertools
@@ -24,11 +26,11 @@ from .plausibility import plausibility
 from .signals import Signal, deduplicated, error_signal, in_radians
 
 AXIS_SLACK = 0.05
-"""Largest distance between an axis and the part that it turns, over that part's diagonal."""
+"""Largest distance between a joint's axis and the joint's child, over the child's diagonal."""
 LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
-"""Smallest range of a turning joint [rad], and of a sliding one, over the child's diagonal."""
+"""Smallest range of a turning joint [rad], and of a sliding joint over the child's diagonal."""
 OPENS_COSINE = 0.3
-"""Least cosine between the direction in which a part begins to move and the declared one."""
+"""Smallest cosine of the angle between the initial direction of motion and the declared one."""
 LONGEST_SLIDE = 1.5
 """Largest range of a sliding joint, over the object's diagonal."""
 
@@ -44,11 +46,12 @@ def check(
     Args:
         spec: the object.
         options: thresholds and the number of positions of the joint sweep.
-        lines: the program's line of each part and joint, as in `BuildResult.lines`.
+        lines: line of the program that creates each part and joint, as in `BuildResult.lines`.
         allowances: overlaps that the program declares.
 
     Returns:
-        Each finding once, errors first; empty for a valid object without warnings.
+        The findings without duplicates, errors first. The tuple is empty if the object is valid and
+        has no warnings.
     """
     options = options or ProgramOptions()
     declared = [
@@ -78,13 +81,13 @@ def check_geometry(
     """Run the compile checks on parts whose joints are not declared yet.
 
     Args:
-        spec: the object, its parts fixed to the first one for lack of joints.
+        spec: the object, in which every part is fixed to the first part.
         options: thresholds.
-        lines: the program's line of each part.
+        lines: line of the program that creates each part.
     """
 
     def measured(probe: Probe) -> Iterator[Signal]:
-        # The joints will decide what a part is attached to.
+        # The joints, which are declared later, decide to which part a part is attached.
         yield from (s for s in _loose_shapes(probe, options) if s.code != "detached_part")
         yield from rest_overlap_signals(probe, options)
 
@@ -98,7 +101,10 @@ def _check(
     measured: Callable[[Probe], Iterable[Signal]],
     declared: Sequence[Signal] = (),
 ) -> tuple[Signal, ...]:
-    """Return implausible sizes and masses, and what is measured while the time allows."""
+    """Return signals for implausible sizes and masses, `declared`, and the measured signals.
+
+    Measuring ends with an error if it exceeds the processor time `check_timeout_s`.
+    """
     signals = [*plausibility(spec), *declared]
     try:
         signals += measured(Probe(spec, options.check_timeout_s))
@@ -111,7 +117,7 @@ def _check(
 
 
 def _with_line(signal: Signal, lines: Mapping[str, int]) -> Signal:
-    """Add the line that defines the signal's joint or part."""
+    """Add the line that creates the signal's joint or part, unless the signal has a line."""
     key = f"joint:{signal.joint}" if signal.joint is not None else f"part:{signal.part}"
     if signal.line is None and key in lines:
         return signal.model_copy(update={"line": lines[key]})
@@ -119,7 +125,10 @@ def _with_line(signal: Signal, lines: Mapping[str, int]) -> Signal:
 
 
 def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
-    """Find shapes of a part that touch neither the rest of it nor the part it is attached to."""
+    """Yield errors for shapes that touch neither the rest of their part nor the part's parent.
+
+    If no shape of a part touches the parent, the error is that the part is detached.
+    """
     reach = options.touch_gap_m + 1e-6
     joints = {joint.child: joint for joint in probe.spec.joints}
     for index, part in enumerate(probe.spec.parts):
@@ -140,7 +149,8 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
             if not any(attached):
                 yield _detached(probe, indices, joint, options)
                 attached[0] = True
-        # The largest component is the part; the others must be attached to the parent.
+        # The main component is the largest of those that touch the parent, or else the largest.
+        # All other components must touch the parent.
         main = max(range(len(components)), key=lambda k: (attached[k], len(components[k])))
         for k, shapes in enumerate(components):
             if k != main and not attached[k]:
@@ -156,7 +166,7 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
 
 
 def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramOptions) -> Signal:
-    """Return the error of a part that does not touch its parent, with the gap between them."""
+    """Return the error of a joint whose child does not touch its parent, with the gap [m]."""
     near = probe.nearest(pieces, probe.of_part(probe.names.index(joint.parent)), 100.0)
     return error_signal(
         "detached_part",
@@ -170,7 +180,7 @@ def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramO
 
 
 def _joints(probe: Probe) -> Iterator[Signal]:
-    """Check the axis, the range and the declared direction of every joint that moves."""
+    """Check the axis, the range and the opening direction of every joint that is not fixed."""
     whole = float(np.linalg.norm(probe.high.max(axis=0) - probe.low.min(axis=0)))
     for joint in probe.spec.joints:
         if joint.type != "fixed":
@@ -182,7 +192,7 @@ def _joints(probe: Probe) -> Iterator[Signal]:
 
 
 def _axis(joint: JointSpec, low: NDArray, high: NDArray, slack: float) -> Iterator[Signal]:
-    """Check the distance [m] of a joint's axis or centre from the bounding box of its child."""
+    """Check the distance [m] of a joint's axis or center from the bounding box of the child."""
     point = np.array(joint.pos)
     if joint.type == "ball":
         distance = float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0)))
@@ -199,7 +209,13 @@ def _axis(joint: JointSpec, low: NDArray, high: NDArray, slack: float) -> Iterat
 
 
 def _range(joint: JointSpec, size: float, whole: float) -> Iterator[Signal]:
-    """Check a joint's limits against the diagonals [m] of its child and of the whole object."""
+    """Check the limits of a joint.
+
+    Args:
+        joint: the joint.
+        size: diagonal of the child's bounding box [m].
+        whole: diagonal of the object's bounding box [m].
+    """
     if joint.type == "continuous" or (joint.type == "ball" and joint.upper == 0.0):
         return
     width = joint.upper - joint.lower
@@ -225,7 +241,7 @@ def _range(joint: JointSpec, size: float, whole: float) -> Iterator[Signal]:
 
 
 def _opens(spec: ObjectSpec, joint: JointSpec) -> Iterator[Signal]:
-    """Check that positive values move the child in the direction that `opens` declares."""
+    """Check that positive positions move the child in the direction that `opens` declares."""
     if joint.intent is None or joint.intent.opens is None:
         return
     cosine = opening_alignment(spec, joint)

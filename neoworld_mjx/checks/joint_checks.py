@@ -1,6 +1,7 @@
-"""Kinematic checks of an object: overlaps over every range, gaps, pivots, declared intents.
+"""Kinematic checks of an object: overlaps over joint ranges, gaps, pivots and declared intents.
 
-Gaps are measured at rest: a drawer that is pulled out of its carcass is still attached.
+Gaps are measured with all joints at zero, because a drawer that is pulled out of its carcass is
+still attached.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,33 +30,42 @@ from .static_checks import is_placeholder
 from .verdict import Check, Fault, Limit, judged, skipped
 
 AT_ONCE = 0.25
-"""Share of its range below which a joint's free range counts as blocked from the start."""
+"""A joint is blocked from the start if less than this fraction of its range is collision-free."""
 CLEAR = 0.5
-"""Share of the allowed depth up to which a range counts as free, if any of it then remains."""
+"""Depth up to which a joint position counts as free of collisions, over the allowed depth.
+
+The full allowed depth applies if less than `AT_ONCE` of the joint's range would remain free.
+"""
 GAP_SLACK, GAP_SHARE = 2.0, 0.01
-"""Largest gap between a part and its parent, over `touch_gap_m`, and over the object's size."""
+"""Limits on the gap between a part and its parent; the larger limit applies.
+
+The first limit is a multiple of `touch_gap_m`, the second is a fraction of the object's size.
+"""
 
 
 @dataclass(frozen=True)
 class JointChecks:
-    """Checks of the joint sweep, and the measurements that repairs need."""
+    """Results of the kinematic checks, and measurements that repairs need."""
 
     checks: list[Check] = field(default_factory=list)
     free: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Free range around rest [rad or m] of each joint that collides within its range."""
+    """Collision-free range around zero [rad or m] of each joint that collides within its range."""
     overlapping: list[tuple[str, str, float]] = field(default_factory=list)
-    """Pairs of parts that overlap at rest, with the depth [m]."""
+    """Pairs of parts that overlap too deeply with all joints at zero, with the depth [m]."""
 
 
 def check_joints(
     spec: ObjectSpec, options: VerifyOptions, allowances: Sequence[Allowance] = ()
 ) -> JointChecks:
-    """Check overlaps at rest, over ranges and in combinations, then gaps, pivots and intents.
+    """Check overlaps, gaps, pivots and declared intents of an object.
+
+    Overlaps are measured with all joints at zero, over the range of each joint, and in combinations
+    of joint positions.
 
     Args:
         spec: the object.
         options: thresholds and the resolution of the sweep.
-        allowances: overlaps that its program declares.
+        allowances: overlaps that the object's program declares.
     """
     probe = Probe(spec)
     placeholders = [part.name for part in spec.parts if is_placeholder(part)]
@@ -81,7 +91,11 @@ def check_joints(
 
 
 def _at_rest(sweep: JointSweep, options: VerifyOptions) -> Iterator[Check]:
-    """Check the depth of every pair of parts that overlaps at rest."""
+    """Check the depth of pairs of parts that overlap with all joints at zero.
+
+    Yield one check for each pair that overlaps too deeply or has a declared allowance. If no pair
+    fails, also yield one check of the deepest other overlap.
+    """
     worst, worst_evidence, failed = 0.0, "", False
     depths = dict.fromkeys(sweep.reasons, 0.0) | {p: o.depth for p, o in sweep.at_rest.items()}
     for pair, depth in depths.items():
@@ -93,7 +107,7 @@ def _at_rest(sweep: JointSweep, options: VerifyOptions) -> Iterator[Check]:
             failed = True
             yield check
         elif pair in sweep.reasons:
-            # The program declares this depth, so a depth close to it is not borderline.
+            # The program declares the allowed depth, so a depth close to it is not borderline.
             evidence += f", granted: {sweep.reasons[pair]}"
             yield check.model_copy(update={"borderline": False, "evidence": evidence})
         elif depth > worst:
@@ -109,9 +123,13 @@ def _over_range(
     free: Mapping[str, tuple[float, float]],
     options: VerifyOptions,
 ) -> Check:
-    """Check the depth over one joint's range; a collision has one of three faults."""
+    """Check the largest depth over one joint's range.
+
+    The fault of a collision is the pivot, the axis (the joint is blocked from the start), or a
+    limit.
+    """
     probe, joint, usual = sweep.probe, swept.joint, options.max_depth_m
-    # A pair within a declared allowance does not count against the joint.
+    # Ignore pairs whose depth is within a declared allowance.
     counted = {
         pair: overlap
         for pair, overlap in swept.deepest.items()
@@ -144,7 +162,7 @@ def _over_range(
 
 
 def _free_range(sweep: JointSweep, swept: JointRange) -> tuple[float, float]:
-    """Return a joint's free range around rest [rad or m], with clearance if any of it remains."""
+    """Return a joint's collision-free range around zero [rad or m], with clearance if possible."""
     # A range that is cut exactly at the threshold would pass only as borderline.
     low, high = free_range(sweep, swept, CLEAR)
     if high - low >= AT_ONCE * swept.width:
@@ -153,10 +171,10 @@ def _free_range(sweep: JointSweep, swept: JointRange) -> tuple[float, float]:
 
 
 def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
-    """Return True if a hinge on no edge of its child would be free of collisions on one of them.
+    """Return True if moving a hinge to an edge of its child would remove all collisions.
 
-    A hinge belongs on an edge of the part that it turns. If it is elsewhere and an edge would free
-    its range, its pivot is the fault; a hinge that is on an edge has another fault.
+    Return False if the hinge already lies on an edge of the child, because the pivot is then not
+    the fault.
     """
     spec, joint = sweep.probe.spec, swept.joint
     low, high = part_bounds(spec, spec.part(joint.child))
@@ -174,7 +192,10 @@ def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
 
 
 def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
-    """Return True if a joint's axis runs along an edge of a box, within 10 % of its diagonal."""
+    """Return True if a joint's axis runs along an edge of a box.
+
+    The tolerance is 10 % of the box's diagonal perpendicular to the axis.
+    """
     axis = np.array(joint.axis)
     offsets = pivot_edges(joint, low, high) - np.array(joint.pos)
     if not len(offsets):
@@ -185,7 +206,11 @@ def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
 
 
 def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
-    """Return points [4, 3] m on a box's four edges along a joint's axis; none if it is oblique."""
+    """Return the midpoints of the four edges of a box that are parallel to a joint's axis.
+
+    Returns:
+        Points [m], shape [4, 3]. If the axis is oblique, the shape is [0, 3].
+    """
     along = int(np.argmax(np.abs(joint.axis)))
     if abs(joint.axis[along]) < 0.99:
         return np.zeros((0, 3))
@@ -199,7 +224,7 @@ def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
 def _together(
     sweep: JointSweep, free: Mapping[str, tuple[float, float]], options: VerifyOptions
 ) -> Check:
-    """Check the depth while all joints move at once, within their free ranges."""
+    """Check the largest depth while all joints move at once within their collision-free ranges."""
     deepest = sweep_together(sweep, options, free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
@@ -213,7 +238,7 @@ def _together(
 
 
 def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
-    """Yield a check of the gap [m] at rest between each part and its parent."""
+    """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
     slack = max(GAP_SLACK * options.touch_gap_m, GAP_SHARE * size)
@@ -233,7 +258,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
 
 
 def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
-    """Check the distance [m] of each turning joint's axis from the two parts that it joins."""
+    """Check the distance [m] of each turning joint's axis from the two parts that it connects."""
     for joint in probe.spec.joints:
         placeholders = [is_placeholder(probe.spec.part(n)) for n in (joint.child, joint.parent)]
         if joint.type not in ("revolute", "continuous") or placeholders[0]:
@@ -244,7 +269,8 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
         point, axis = np.array(joint.pos), np.array(joint.axis)
         distance = line_box_distance(point, axis, *child)
         if not placeholders[1]:
-            # A hinge has a size of its own, so the parent may end short of the axis: half counts.
+            # Half of the distance from the parent counts, because the hinge has a size, so the
+            # parent may end before the axis.
             distance = max(distance, line_box_distance(point, axis, *parent) / 2)
         size = float(np.linalg.norm(child[1] - child[0]))
         limit = Limit(max(options.max_pivot_off * size, 0.004), "m", Fault.PIVOT_OFF)
@@ -255,7 +281,7 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
 
 
 def _intents(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield checks of each joint's type, direction and travel against its declared intent."""
+    """Yield checks of each joint's type, direction and travel against the declared intent."""
     for joint in spec.joints:
         intent, names = joint.intent, {"part": joint.child, "joint": joint.name}
         if intent is None:

@@ -1,9 +1,9 @@
-"""Joint sweep: depth of overlap of an object's parts over the ranges of its joints.
+"""Joint sweep: depths of overlaps between an object's parts over the ranges of its joints.
 
-Parts are measured at rest, over the range of each joint, and with all joints moved at once. Step
-2's compile checks and Step 3's object tests compare the same measurements with the same thresholds,
-so an object that passes one passes the other. Depths are exact (`mj_geomDistance`), also between
-parent and child.
+Depths are measured with all joints at zero, over the range of each joint, and with all joints moved
+at once. The compile checks of Step 2 and the object tests of Step 3 compare equal measurements with
+equal thresholds, so the two steps agree on which overlaps are too deep. Depths are exact
+(`mj_geomDistance`), and include pairs of parent and child.
 """
 
 import itertools
@@ -21,29 +21,30 @@ from .allowance import Allowance
 from .part_distances import Near, Probe
 
 Pair = tuple[int, int]
-"""Indices of two parts, the lower first."""
+"""Indices of two parts, in ascending order."""
 State = dict[str, float]
-"""Joint values [rad or m] by name; a ball has three."""
+"""Joint positions [rad or m], by the keys of `joint_keys`; a ball joint has three."""
 
 _DIRECTIONS = [
     np.array(direction) / np.linalg.norm(direction)
     for direction in itertools.product((-1, 0, 1), repeat=3)
     if any(direction)
 ]
-"""Unit vectors along the axes, the edges and the diagonals of a cube."""
+"""Unit vectors from the center of a cube to its 6 faces, 12 edges and 8 corners."""
 _RANGE_END = 0.02
-"""Distance from either limit of an additional position, over the range."""
+"""Distance of the additional positions from the limits, as a fraction of the range."""
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two parts that touch or overlap, in the joint state in which they are deepest."""
+    """Deepest overlap of two parts, and the joint state in which it occurs."""
 
     depth: float
-    """[m], at most 0 if they only touch."""
+    """Depth [m]; at most 0 if the parts only touch."""
     near: Near
-    """The two convex pieces."""
+    """The two convex pieces that overlap most deeply."""
     state: State
+    """Positions of the joints."""
     value: float = 0.0
     """Position of the swept joint [rad or m]."""
 
@@ -54,15 +55,17 @@ class JointRange:
 
     joint: JointSpec
     opened: State
+    """Positions of the prerequisites."""
     moving: frozenset[int]
-    """Indices of the parts that move with it."""
+    """Indices of the parts that the joint moves."""
     pairs: Sequence[Pair]
-    """Pairs whose distance depends on the joint."""
+    """Pairs of parts whose distance depends on the joint."""
     values: NDArray
-    """Ascending positions [value], rad or m."""
+    """Positions at which depths are measured, ascending [rad or m], shape [value]."""
     depth_share: NDArray
-    """Largest ratio of depth to allowed depth over all pairs, at each position [value]."""
+    """Largest ratio of depth to allowed depth over all pairs at each position, shape [value]."""
     deepest: Mapping[Pair, Overlap]
+    """Deepest overlap of each pair that touches or overlaps."""
 
     @property
     def width(self) -> float:
@@ -72,23 +75,24 @@ class JointRange:
 
 @dataclass(frozen=True)
 class JointSweep:
-    """Measurements of an object at rest and over the range of each joint."""
+    """Measurements of an object with all joints at zero, and over the range of each joint."""
 
     probe: Probe
     allowed: Mapping[Pair, float]
     """Allowed depth [m] of every pair of parts that can move relative to each other."""
     reasons: Mapping[Pair, str]
-    """The program's reason for allowing a pair a larger depth than the threshold."""
+    """Reason that the program states, for each pair with an allowance above the threshold."""
     at_rest: Mapping[Pair, Overlap]
+    """Overlaps with all joints at zero."""
     ranges: Sequence[JointRange]
 
     def too_deep(self, overlaps: Mapping[Pair, Overlap]) -> dict[Pair, Overlap]:
-        """Select the overlaps that are deeper than allowed."""
+        """Return the overlaps that are deeper than allowed."""
         return {pair: o for pair, o in overlaps.items() if o.depth > self.allowed[pair]}
 
     @property
     def colliding(self) -> set[Pair]:
-        """Pairs that are too deep at rest or over the range of some joint."""
+        """Pairs that overlap too deeply with all joints at zero, or over the range of any joint."""
         pairs = set(self.too_deep(self.at_rest))
         return pairs.union(*(self.too_deep(swept.deepest) for swept in self.ranges))
 
@@ -100,16 +104,16 @@ def sweep_joints(
     *,
     ignored: Collection[str] = (),
 ) -> JointSweep:
-    """Measure overlaps at rest and over the range of each joint.
+    """Measure overlaps with all joints at zero, and over the range of each joint.
 
-    A pair that is too deep at rest is not measured in motion. Parts that are fixed to each other
-    may overlap.
+    A pair that overlaps too deeply with all joints at zero is not measured in motion. Parts that
+    are fixed to each other may overlap, and are not measured.
 
     Args:
         probe: the object.
         options: thresholds and the number of positions.
         allowances: overlaps that the object's program declares.
-        ignored: names of placeholder parts of links without geometry.
+        ignored: names of placeholder parts, which stand for links without geometry.
     """
     spec, names = probe.spec, probe.names
     group = welded(spec)
@@ -151,10 +155,10 @@ def sweep_range(
     Args:
         probe: the object.
         joint: the joint.
-        pairs: pairs of parts to measure; pairs that the joint cannot change are skipped.
+        pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        opened: state of the other joints; by default its prerequisites are open.
+        opened: positions of the other joints; by default, the joint's prerequisites are open.
     """
     spec = probe.spec
     opened = prerequisite_state(spec, joint) if opened is None else opened
@@ -175,9 +179,17 @@ def sweep_range(
 
 
 def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tuple[float, float]:
-    """Return the range around rest in which no depth exceeds a share of the allowed depth.
+    """Return the range around zero in which no depth exceeds a fraction of the allowed depth.
 
-    Bisection finds its ends [rad or m] to a thousandth of the joint's range.
+    Bisection finds the ends of the range with a tolerance of a thousandth of the joint's range.
+
+    Args:
+        sweep: measurements of the object.
+        swept: measurements of the joint.
+        share: the fraction of the allowed depth.
+
+    Returns:
+        The lower and upper end [rad or m]. The two are equal if parts collide with the joint at 0.
     """
     probe, values = sweep.probe, swept.values
 
@@ -213,7 +225,7 @@ def collides_at(
     allowed: Mapping[Pair, float],
     share: float = 1.0,
 ) -> bool:
-    """Return True if any depth exceeds a share of the allowed depth at a joint position."""
+    """Return True if, at a joint position, any depth exceeds a fraction of the allowed depth."""
     return any(
         -near.distance > share * allowed[pair]
         for _, depths in _poses(probe, joint, value, opened, pairs)
@@ -226,14 +238,14 @@ def sweep_together(
     options: JointSweepOptions,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[Pair, Overlap]:
-    """Move all joints at once, and return the pairs that are too deep only then.
+    """Move all joints at once, and return the pairs that overlap too deeply only in combinations.
 
-    No joint moves unless its prerequisites are open. The seed of the sampled states is fixed.
+    A joint moves only while its prerequisites are open. States are sampled with a fixed seed.
 
     Args:
-        sweep: the object at rest and over each range.
+        sweep: measurements of the object.
         options: the number of sampled states.
-        free: range [rad or m] to which a joint is restricted, by its name.
+        free: range [rad or m] to which a joint is restricted, by the joint's name.
     """
     free = free or {}
     if len(sweep.ranges) < 2:
@@ -243,7 +255,8 @@ def sweep_together(
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
     for k in range(options.sweep_combinations):
-        # The first two states, all open and all closed, are those in which parts often collide.
+        # In the first two states, all joints are at the upper end or all at the lower end, where
+        # parts often collide.
         state: State = {}
         for swept in sweep.ranges:
             values, name = swept.values, swept.joint.name
@@ -267,9 +280,10 @@ def _depth(overlap: Overlap) -> float:
 
 
 def joint_positions(joint: JointSpec, steps: int) -> NDArray:
-    """Return ascending values that cover a joint's range [rad or m], for a ball angles from rest.
+    """Return ascending positions that cover a joint's range [rad or m].
 
-    A limited range has two more positions close to its limits, where parts often collide.
+    For a ball joint, the positions are angles from the initial orientation. A limited range has two
+    additional positions close to the limits, where parts often collide.
     """
     if joint.type == "continuous":
         return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
@@ -282,7 +296,7 @@ def joint_positions(joint: JointSpec, steps: int) -> NDArray:
 
 
 def joint_states(joint: JointSpec, value: float) -> list[State]:
-    """Return the states of a joint at a value: one, or 26 for a ball, one in each direction."""
+    """Return the states of a joint at a value: one state, or 26 directions of a ball joint."""
     if joint.type != "ball":
         return [{joint.name: value}]
     names = joint_keys(joint)
@@ -296,7 +310,7 @@ def joint_states(joint: JointSpec, value: float) -> list[State]:
 def _poses(
     probe: Probe, joint: JointSpec, value: float, opened: State, pairs: Sequence[Pair]
 ) -> Iterator[tuple[State, dict[Pair, Near]]]:
-    """Yield each state of a joint at a value, with the pairs that touch or overlap in it."""
+    """Yield each state of a joint at a value, and the pairs that touch or overlap in the state."""
     for state in joint_states(joint, value):
         probe.place({**opened, **state})
         yield state, probe.depths(pairs)

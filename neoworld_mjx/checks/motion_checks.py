@@ -1,4 +1,4 @@
-"""Dynamic checks of an object: each compares one measurement of one scenario with its limit."""
+"""Dynamic checks of an object: each check compares a measurement in one scenario with a limit."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,31 +16,40 @@ from .support_polygon import on_wheels, support_polygon
 from .verdict import Check, Fault, Limit, judged, skipped
 
 SETTLED_S = 0.2
-"""Time at the end of a run over which an object at rest does not move."""
+"""Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
-"""Speed [m/s] of the far end of a joint's child below which it is at rest."""
+"""Largest speed of a settled joint, measured at the far end of the parts that it moves [m/s]."""
 STIRRED = 0.02
-"""Share of its range by which a joint may move without forces."""
+"""Largest motion of a joint on which no force acts, as a fraction of the joint's range."""
 BEGINS_M = 0.001
-"""Displacement on a slope that counts as sliding."""
+"""Displacement on a slope from which an object counts as sliding [m]."""
 COASTED_S = 0.5
-"""Time after which the loss of speed of a coasting joint is measured."""
+"""Time after which the loss of speed of a coasting joint is measured [s]."""
 SHORT_M, SHORT_RAD = 0.08, 0.6
-"""Smallest ranges, of a sliding and a turning joint, that overshoot is relative to."""
+"""Overshoot is relative to the range, but at least to this: sliding [m], turning joints [rad]."""
 ROUND = 0.01
-"""Width of the support polygon, over the object's size, below which its bottom is round."""
+"""A bottom is round if the support polygon's width, over the object's size, is below this."""
 WIDENS = 1.25
-"""Growth of the support polygon within `max_tilt_deg` above which a faceted bottom is round."""
+"""A faceted bottom is round if the support polygon widens by more than this factor when leaning.
+
+The object leans by `max_tilt_deg`.
+"""
 ROUND_SHARE = 0.7
-"""Width of that polygon, over the object's width, above which its base is flat with a bump."""
+"""A base is flat with a bump, and not round, if the widened polygon is at least this wide.
+
+The value is a fraction of the object's smaller horizontal extent.
+"""
 NODS_DEG, NODS = 30.0, 0.5
-"""Largest tilt, and displacement over its size, of a round object that settles with another side
-down; the tilt is also the largest that composition corrects."""
+"""Limits for a round object, which may settle with another side down.
+
+The first is the largest tilt [deg], which is also the largest tilt that composition corrects. The
+second is the largest displacement, over the object's size.
+"""
 ROUND_HINT = "draw it in the pose in which it rests, or give it a flat where it lies"
 
 
 def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Iterator[Check]:
-    """Yield the checks of all trajectories of an object."""
+    """Yield the checks of all scenarios of an object from their trajectories."""
     by_kind: dict[str, list[Trajectory]] = defaultdict(list)
     for trajectory in trajectories:
         by_kind[trajectory.scenario.kind].append(trajectory)
@@ -62,14 +71,15 @@ def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> 
 
 
 def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterator[Check]:
-    """Check that the object balances, and that falls leave it upright, in place and at rest."""
+    """Check that the object balances, and that it is upright, in place and settled after a fall."""
     o, size = simulation.options, float(np.linalg.norm(simulation.size))
     width, margin = support_polygon(simulation)
-    # Pieces that reach the floor before the object leans too far support it as well.
+    # Pieces that touch the floor before the object leans too far also support the object.
     lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(simulation.size[:2]) / 2)
     wider = support_polygon(simulation, lean)
     rolls = width < ROUND * size and max(margin, wider[1]) > -ROUND * size
-    # A round bottom widens as it leans, but not as suddenly as a base with a bump below it.
+    # The polygon of a round bottom widens as the object leans. That of a flat base with a bump
+    # below it widens much more.
     is_round = rolls or wider[0] > WIDENS * width
     is_round &= wider[0] < ROUND_SHARE * float(simulation.size[:2].min())
     if margin < 0 and wider[1] > margin:
@@ -79,7 +89,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
     if rolls:
         yield skipped("free_fall", "balance", "its bottom is round, or it stands on points")
     else:
-        # The best margin is that of the middle of the support polygon.
+        # The best margin is that of a center of mass above the middle of the support polygon.
         limit = Limit(0.0, "m", Fault.OFF_BALANCE, least=True, best=width / 2)
         yield judged("free_fall", "balance", margin, limit)
     upright = Limit(o.max_tilt_deg, "deg", Fault.TOPPLES)
@@ -94,7 +104,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
             yield _diverged(trajectory)
             continue
         name, qpos = trajectory.scenario.name, trajectory.qpos
-        # A tilted drop makes a round object roll, and nothing on a level floor stops it.
+        # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
         tilted = name not in ("fall", "fall_high")
         if not (rolls and tilted):
             speeds = np.linalg.norm(_settled(o, trajectory.qvel)[:, :3], axis=1)
@@ -118,7 +128,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
 
 
 def _pushes(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Iterable[Check]:
-    """Return the checks of pushed objects, per part and name the worst over all pushes."""
+    """Return the worst check over all pushes, for each part and name of a check."""
     worst: dict[tuple[str | None, str], Check] = {}
 
     def rank(check: Check) -> tuple[bool, float]:
@@ -137,15 +147,15 @@ def _pushes(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Itera
 
 
 def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iterator[Check]:
-    """Check the resting depth, the gain of energy and the overshoot of joint limits of a run."""
+    """Check the final depth of contacts, the gain of energy, and the overshoot of joint limits."""
     o, pushed = simulation.options, trajectory.scenario.part
     depth, part = _resting_depth(simulation, trajectory)
     limit = Limit(o.max_depth_m, "m", Fault.SINKS_IN)
     yield _check(trajectory, f"resting_depth:{name}", depth, limit, part=part)
-    # Relative to the largest extent: relative to a plate's height, the energy of soft contacts
-    # would be large.
+    # The energy is relative to the weight times the largest extent. If it were relative to the
+    # height, the energy of soft contacts would be large for a plate.
     weight = simulation.mass * G * float(simulation.size.max())
-    # A push adds energy; nothing may add energy after it.
+    # A push adds energy. Afterwards, the energy must not increase.
     after = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
     energy = trajectory.energy[after:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
@@ -155,7 +165,11 @@ def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iter
 
 
 def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
-    """Check that a released joint settles, stays still without forces, or loses its speed."""
+    """Check a joint release; the check depends on the scenario.
+
+    A released joint must settle, a joint without forces must not move, and a coasting joint must
+    lose speed.
+    """
     scenario, o = trajectory.scenario, simulation.options
     name, joint = scenario.name, simulation.joint_of(scenario)
     position, dof = simulation.address(joint.name)
@@ -183,7 +197,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
 
 
 def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
-    """Check the share of its range that a driven joint covers."""
+    """Check the fraction of its range that a driven joint covers."""
     scenario = trajectory.scenario
     joint = simulation.joint_of(scenario)
     q = trajectory.qpos[:, simulation.address(joint.name)[0]]
@@ -194,7 +208,7 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
 
 
 def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
-    """Check the slope at which an object begins to slide, unless it topples or rolls before."""
+    """Check the slope at which an object begins to slide, unless it topples or rolls first."""
     o, qpos = simulation.options, trajectory.qpos
     kind, name = "tilt_until_slide", "slide"
     if on_wheels(simulation):
@@ -209,7 +223,7 @@ def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
         degrees = slope[int(np.argmax(leaning))]
         yield skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
         return
-    # The ground keeps tilting while the object slides this far: x = g rate t^3 / 6.
+    # The ground continues to tilt while the object slides by BEGINS_M: x = g rate t^3 / 6.
     rate = np.radians(STEEPEST_DEG) / (o.duration_s - TILT_FROM_S)
     delay = (6 * BEGINS_M / (G * rate)) ** (1 / 3)
     angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
@@ -228,12 +242,18 @@ def _diverged(trajectory: Trajectory) -> Check:
 
 
 def _settled(options: VerifyOptions, values: NDArray) -> NDArray:
-    """Return the values [t, ...] of the last steps of a run, over which the object is at rest."""
+    """Return the values of the last steps of a run, during which the object must be settled.
+
+    The first axis of the values is time.
+    """
     return values[-max(1, round(SETTLED_S / options.timestep_s)) :]
 
 
 def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None]:
-    """Return the deepest contact [m] at the end of a run, and its part; None without contact."""
+    """Return the depth of the deepest contact at the end of a run [m], and the part in contact.
+
+    Without contacts, the depth is 0 and the part is None.
+    """
     model, data = simulation.model, simulation.data
     data.qpos[:], data.qvel[:] = trajectory.qpos[-1], 0.0
     mujoco.mj_forward(model, data)
@@ -246,7 +266,7 @@ def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[floa
 
 
 def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Check:
-    """Check the largest excess over a joint's limits, relative to the joint's range."""
+    """Check the largest excess over any joint's limits, relative to the joint's range."""
     model = simulation.model
     limit = Limit(simulation.options.max_overshoot, "of its range", Fault.LIMIT_SOFT)
     single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -255,7 +275,7 @@ def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Che
         return _check(trajectory, name, 0.0, limit)
     q = trajectory.qpos[:, model.jnt_qposadr[limited]]
     low, high = model.jnt_range[limited].T
-    # Limits are soft: a millimetre must not count more in a short range than in a usual one.
+    # Limits are soft, so an excess of a millimeter must not count more for a very short range.
     sliding = model.jnt_type[limited] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     span = np.maximum(high - low, np.where(sliding, SHORT_M, SHORT_RAD))
     excess = np.maximum(low - q, q - high) / span
@@ -266,13 +286,13 @@ def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Che
 
 
 def _check(trajectory: Trajectory, name: str, value: float, limit: Limit, **context: Any) -> Check:
-    """Compare a value of a run with its limit; the run is the evidence."""
+    """Compare a value that was measured in a run with a limit; the evidence is the run."""
     scenario = trajectory.scenario
     evidence = f"run {scenario.name}"
     return judged(scenario.kind, name, float(value), limit, evidence=evidence, **context)
 
 
 def _largest(trajectory: Trajectory, name: str, values: NDArray, limit: Limit) -> Check:
-    """Compare the largest of values [t] over time with its limit."""
+    """Compare the largest value over time, shape [t], with a limit."""
     k = int(np.argmax(values))
     return _check(trajectory, name, values[k], limit, time=trajectory.time[k])

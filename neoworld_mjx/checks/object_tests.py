@@ -1,7 +1,8 @@
-"""The object tests: all checks of a single object, and the verdict on them.
+"""The object tests: all checks of a single object, and the verdict.
 
-The static checks run first, then the sweep over the ranges of all joints, then all scenarios in
-one batched rollout. An error inside a check is an outcome of its own and never counts as a pass.
+The static checks run first, then the sweep over the ranges of all joints, and then all scenarios in
+one batched rollout. If a check raises an error, the outcome is TOOL_FAILURE, which does not count
+as a pass.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,12 +24,15 @@ from .static_checks import check_statics, without_bad_inertia
 from .verdict import Check, ScenarioKind, Verdict
 
 VERSION = "7"
-"""Increased when the same object may get another verdict; part of the key of cached results."""
+"""Version of the object tests, which is part of the key of cached results.
+
+It is increased when a change of the tests can change the verdict on an object.
+"""
 
 
 @dataclass(frozen=True)
 class ObjectTests:
-    """Result of testing one object: the verdict, and measurements for repairs and pictures."""
+    """Results of testing one object: the verdict, and measurements for repairs and pictures."""
 
     spec: ObjectSpec
     verdict: Verdict
@@ -49,19 +53,20 @@ def run_object_tests(
     allowed: Sequence[Allowance] = (),
     threads: int = 0,
 ) -> ObjectTests:
-    """Test an object by itself on a floor.
+    """Test an object by itself on a level floor.
 
-    Free fall drops it from small heights and tilts, force perturbation pushes and twists each part,
-    every joint is released, coasts and is driven, and the ground tilts until the object slides.
+    The object falls from small heights, upright and tilted. Each part is pushed and twisted. Each
+    joint is released, coasts, and is driven over its range. The ground tilts until the object
+    slides.
 
     Args:
         spec: the object.
         options: durations, impulses and thresholds.
-        fixed_base: True if its base is fixed; then only the scenarios of its joints are simulated.
-        tilt: its resting orientation, for instance that of an object that lies on its side.
-        joint_state: positions of its joints while it falls and is pushed [rad or m].
-        allowed: overlaps that its program declares.
-        threads: threads of the rollout; 0 uses all cores.
+        fixed_base: if True, the base is fixed, and only the scenarios of joints are simulated.
+        tilt: orientation in which the object rests, for example lying on its side.
+        joint_state: positions of the joints [rad or m] in scenarios that do not set them.
+        allowed: overlaps that the object's program declares.
+        threads: number of threads of the rollout; if 0, use all cores.
     """
     options = options or VerifyOptions()
     checks: list[Check] = []
@@ -92,7 +97,7 @@ def run_object_tests(
 
 @contextmanager
 def _record_error(scenario: ScenarioKind, checks: list[Check]) -> Iterator[None]:
-    """Turn an error of the tests themselves into a check of its own."""
+    """Convert an error that the tests raise into a check with the outcome TOOL_FAILURE."""
     try:
         yield
     except (ValueError, mujoco.FatalError, np.linalg.LinAlgError) as error:

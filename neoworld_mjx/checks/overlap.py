@@ -1,4 +1,4 @@
-"""Signals for parts that overlap at rest, over the range of a joint, or in combinations."""
+"""Signals for parts that overlap, with joints at zero, over a joint's range or in combinations."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -21,10 +21,11 @@ from .signals import Signal, error_signal
 def overlap_signals(
     probe: Probe, options: ProgramOptions, allowances: Sequence[Allowance] = ()
 ) -> list[Signal]:
-    """Return a signal for every pair of parts that overlap too deep, where they are deepest.
+    """Return signals for all pairs of parts that overlap too deeply.
 
-    A joint with prerequisites (`after`) is moved while these are open, in combinations too; the
-    prerequisites themselves are moved while the joint is at rest.
+    Each signal states the joint state in which the pair overlaps most deeply. A joint with
+    prerequisites (`after`) is moved only while the prerequisites are open, also in combinations. A
+    prerequisite itself is moved while the joint is closed.
     """
     sweep = sweep_joints(probe, options, allowances)
     signals = [
@@ -49,7 +50,10 @@ def overlap_signals(
 
 
 def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
-    """Return a signal for every two parts that overlap too deep at rest, whatever joins them."""
+    """Return a signal for every two parts that overlap too deeply with all joints at zero.
+
+    Parts that are fixed to each other are included.
+    """
     limit = options.max_depth_m
     probe.place({})
     pairs = itertools.combinations(range(len(probe.names)), 2)
@@ -63,9 +67,9 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
 def _needless_prerequisites(
     sweep: JointSweep, swept: JointRange, options: ProgramOptions
 ) -> Iterator[Signal]:
-    """Yield an error for each prerequisite of a joint that is not in its way when closed.
+    """Yield an error for each prerequisite that does not obstruct the joint when it is closed.
 
-    A prerequisite excludes states from the sweep, so it must be needed.
+    A prerequisite excludes states from the sweep, so needless prerequisites are not allowed.
     """
     joint = swept.joint
     for name in joint.after:

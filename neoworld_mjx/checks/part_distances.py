@@ -1,8 +1,8 @@
-"""Exact distances between the parts of one object, in any state of its joints.
+"""Exact distances between the parts of an object in any joint state.
 
-MuJoCo's contact list omits pairs of parent and child; `mj_geomDistance` measures every pair. The
-model has no bodies and no dynamics: every convex piece is a geom of the world body, and its pose is
-set from the object's kinematics.
+MuJoCo's contact list omits pairs of parent and child, but `mj_geomDistance` measures every pair.
+The model has no dynamics: every convex piece is a geom of the world body, and its pose is set from
+the object's kinematics.
 """
 
 import time
@@ -20,12 +20,12 @@ from ..spec.pose import rotate
 
 
 class OutOfTime(Exception):
-    """Raised when measuring an object exceeds its processor time."""
+    """Raised if measuring an object exceeds the limit on processor time."""
 
 
 @dataclass(frozen=True)
 class Near:
-    """Indices of two convex pieces, and the signed distance between them [m]; negative is depth."""
+    """Indices of two convex pieces, and their signed distance [m], negative if they overlap."""
 
     first: int
     second: int
@@ -33,11 +33,11 @@ class Near:
 
 
 class Probe:
-    """An object's convex pieces, posed by joint values and measured against each other.
+    """Convex pieces of an object, for measuring distances between them in a joint state.
 
     Args:
         spec: the object.
-        seconds: processor time [s] after which measuring raises `OutOfTime`.
+        seconds: processor time [s] of the current thread after which `OutOfTime` is raised.
     """
 
     def __init__(self, spec: ObjectSpec, seconds: float = float("inf")) -> None:
@@ -73,12 +73,12 @@ class Probe:
         self.place({})
 
     def check_time(self) -> None:
-        """Raise `OutOfTime` if the processor time is used up."""
+        """Raise `OutOfTime` if the limit on processor time is exceeded."""
         if time.thread_time() > self._until:
             raise OutOfTime
 
     def place(self, joint_state: Mapping[str, float]) -> None:
-        """Pose every piece for a joint state [rad or m]; missing joints are at 0."""
+        """Set the poses of all pieces from joint positions [rad or m]; missing joints are at 0."""
         self.check_time()
         moved = link_poses(self.spec, dict(joint_state))
         quats = np.array([moved[name].quat for name in self.names])
@@ -94,16 +94,16 @@ class Probe:
         self.low, self.high = centre - half, centre + half
 
     def extent(self, part: int) -> tuple[NDArray, NDArray]:
-        """Return the bounding box (low [3], high [3]) [m] of a part in its present pose."""
+        """Return the lowest and highest corner of a part's bounding box in the present pose [m]."""
         owned = self.owner == part
         return self.low[owned].min(axis=0), self.high[owned].max(axis=0)
 
     def nearest(self, first: NDArray, second: NDArray, reach: float) -> Near | None:
-        """Find the pair of pieces of two sets with the smallest signed distance.
+        """Return the pair of pieces with the smallest signed distance, one from each of two sets.
 
         Args:
-            first: indices of pieces [n].
-            second: indices of pieces [m].
+            first: indices of the pieces of the first set, shape [n].
+            second: indices of the pieces of the second set, shape [m].
             reach: largest distance [m], above 0.
 
         Returns:
@@ -122,9 +122,16 @@ class Probe:
         return closest
 
     def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
-        """Return the signed distance of two parts [m] and the unit vector [3] from first to second.
+        """Return the signed distance between two parts, and the direction in which they separate.
 
-        Beyond `reach` [m], and if two pieces only touch, the vector points up.
+        Args:
+            first: index of the first part.
+            second: index of the second part.
+            reach: largest distance that is measured [m].
+
+        Returns:
+            The distance [m], at most `reach`, and the unit vector from the first part to the
+            second, shape [3]. If the distance exceeds `reach` or is 0, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
         near = self.nearest(self.of_part(first), self.of_part(second), reach)
@@ -138,21 +145,21 @@ class Probe:
         length = float(np.linalg.norm(offset))
         if length < 1e-9:
             return distance, up
-        # In a penetration the two ends have passed each other.
+        # If the pieces penetrate each other, the segment between the two points is reversed.
         return distance, offset / length * (1.0 if distance >= 0 else -1.0)
 
     def of_part(self, part: int) -> NDArray:
-        """Return the indices of a part's pieces."""
+        """Return the indices of the pieces of a part."""
         return np.flatnonzero(self.owner == part)
 
     def depths(
         self, pairs: Iterable[tuple[int, int]], reach: float = 1e-6
     ) -> dict[tuple[int, int], Near]:
-        """Return the deepest pair of pieces of every two parts that touch or overlap.
+        """Return the nearest pair of pieces for every pair of parts that touch or overlap.
 
         Args:
-            pairs: indices of two parts each.
-            reach: distance [m] that counts as touching.
+            pairs: pairs of part indices.
+            reach: largest distance [m] at which two parts count as touching.
         """
         self.check_time()
         part_pairs = np.array(list(pairs), dtype=int).reshape(-1, 2)
@@ -170,13 +177,13 @@ class Probe:
 
 
 def line_box_distance(point: NDArray, axis: NDArray, low: NDArray, high: NDArray) -> float:
-    """Return the margin [m] by which a box must grow on all sides to meet a line.
+    """Return the margin [m] by which a box must grow on all sides to intersect a line.
 
     Args:
-        point: point of the line [3] m.
-        axis: its direction [3].
-        low: lowest corner [3] m.
-        high: highest corner [3] m.
+        point: a point of the line [m], shape [3].
+        axis: direction of the line, shape [3].
+        low: lowest corner of the box [m], shape [3].
+        high: highest corner of the box [m], shape [3].
     """
     smallest, largest = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
     for _ in range(40):

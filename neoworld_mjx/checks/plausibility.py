@@ -1,4 +1,4 @@
-"""Plausibility checks: sizes, masses and walls are those of real objects."""
+"""Plausibility checks: are sizes, masses and wall thicknesses those of a real object?"""
 
 from collections.abc import Iterator
 
@@ -26,17 +26,23 @@ from .signals import Severity, Signal, error_signal
 SMALLEST_M, LARGEST_M = 0.002, 20.0
 HEAVIEST_KG = 2000.0
 SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
-"""Mass over the volume of the convex hull: only solid metal exceeds the first, few tabletop objects
-exceed the second."""
+"""Limits on a part's mass over the volume of the part's convex hull.
+
+Only solid metal exceeds the first limit, and few tabletop objects exceed the second limit.
+"""
 WEIGHED_KG, LIFTED_KG = 1.0, 8.0
-"""A dense part below the first is a fitting; above the second it is hard to lift."""
+"""Masses above which the two limits on density apply.
+
+A dense part that is lighter than the first mass is a fitting. A part that is heavier than the
+second mass is hard to lift.
+"""
 LIGHTEST_KG_M3 = 1.0
 THINNEST_M = 0.0004
-"""Thickness below which pieces pass through each other within a time step."""
+"""Thickness below which pieces can pass through each other within a time step."""
 
 
 def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
-    """Yield implausible sizes, masses and walls of an object."""
+    """Yield signals for implausible sizes, masses and wall thicknesses of an object."""
     low, high = bounds(spec)
     yield from _size(high - low)
     total = 0.0
@@ -72,7 +78,7 @@ def _size(size: np.ndarray) -> Iterator[Signal]:
 
 
 def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
-    """Check a part's mass [kg] over the volume of its convex hull [kg/m^3]."""
+    """Check a part's density [kg/m^3], which is the mass over the volume of the convex hull."""
     message = f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans"
     severity: Severity = "warning"
     if mass > WEIGHED_KG and density > SOLID_KG_M3:
@@ -94,7 +100,7 @@ def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
 
 
 def _thickness(part: PartSpec) -> Iterator[Signal]:
-    """Check the smallest thickness [m] among a part's shapes and convex pieces."""
+    """Check the smallest thickness [m] of a part's shapes and convex pieces."""
     walls = [(_wall(geom.shape), geom.name) for geom in part.geoms if geom.role != "visual"]
     for geom, piece, _ in pieces(part):
         if piece.kind != "mesh":  # For meshes, `_wall` returns the thickness that the shape states.
@@ -114,7 +120,7 @@ def _thickness(part: PartSpec) -> Iterator[Signal]:
 
 
 def _wall(shape: Shape) -> float:
-    """Return the stated thickness [m] of a shape made of meshes, infinite if it states none."""
+    """Return the thickness [m] that a shape states, or infinity if it states none."""
     if isinstance(shape, Lathe):
         return shape.thickness or np.inf
     if isinstance(shape, Prism | Extrusion):
@@ -125,7 +131,7 @@ def _wall(shape: Shape) -> float:
 
 
 def _hull_volume(part: PartSpec) -> float:
-    """Return the volume [m^3] of a part's convex hull."""
+    """Return the volume of a part's convex hull [m^3]."""
     corners = []
     for _, piece, pose in pieces(part):
         if piece.kind == "box":

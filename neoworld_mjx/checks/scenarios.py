@@ -1,7 +1,7 @@
-"""Scenarios of an object: falls, pushes, releases, drives and a slope.
+"""Scenarios of an object: falls, pushes, joint releases, joint drives and a slope.
 
-A scenario states the initial state of the object and the forces on it over time; `Simulation.run`
-runs all scenarios of an object in one batch. The paper's two standard scenarios (Section 3.2, Step
+A scenario consists of an initial state of the object and of forces over time. `Simulation.run` runs
+all scenarios of an object in one batch. The two standard scenarios of the paper (Section 3.2, Step
 3) are the fall named "fall" and the pushes.
 """
 
@@ -15,14 +15,19 @@ from ..config import VerifyOptions
 from .verdict import ScenarioKind
 
 World = Literal["free", "gripping", "held", "weightless"]
-"""Free on the floor; free with contacts that do not creep; base held, without floor; base held,
-without floor and gravity."""
+"""Environment of a scenario.
+
+- "free": the object is free on the floor.
+- "gripping": the object is free on a floor on which contacts do not creep.
+- "held": the object's base is fixed, and there is no floor.
+- "weightless": the object's base is fixed, and there is neither floor nor gravity.
+"""
 SINGLE = ("revolute", "continuous", "prismatic")
-"""Types of joints with one value; a ball joint is posed and pushed, but not driven."""
+"""Types of joints with one degree of freedom. Ball joints are neither released nor driven."""
 STILL_S = 0.1
-"""Time a joint rests before it is driven."""
+"""Time before a joint is driven [s]."""
 TILT_FROM_S, STEEPEST_DEG = 0.3, 70.0
-"""Time at which the slope begins to rise, and its final angle."""
+"""Time at which the slope begins to rise [s], and the final angle of the slope [deg]."""
 DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
@@ -37,52 +42,58 @@ class Scenario:
     name: str
     world: World
     height: float = 0.0
-    """Initial height of its lowest point above the floor [m]."""
+    """Initial height of the object's lowest point above the floor [m]."""
     tilt: tuple[float, float] = (0.0, 0.0)
-    """Initial rotation about x and about y relative to its resting pose [rad]."""
+    """Initial rotations about x and y relative to the orientation at rest [rad]."""
     joints: dict[str, float] = field(default_factory=dict)
     """Initial joint positions [rad or m]."""
     propped: frozenset[str] = frozenset()
-    """Joints held at their initial positions, such as the door of a cabinet whose rack moves."""
+    """Joints that are fixed at their initial positions, such as the door in front of a rack."""
     speeds: dict[str, float] = field(default_factory=dict)
     """Initial joint velocities [rad/s or m/s]."""
     part: str | None = None
-    """Part that is pushed."""
+    """Part that is pushed; None in scenarios without a push."""
     impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Impulse over the pushed mass [m/s]."""
+    """Impulse of the push over the mass of the part and all parts that it carries [m/s]."""
     twist: float = 0.0
-    """Angular velocity about the vertical that the push gives the pushed mass alone [rad/s]."""
+    """Angular velocity about the vertical that the push would give the part alone [rad/s].
+
+    The part includes all parts that it carries.
+    """
     joint: str | None = None
     """Joint that is released or driven."""
     driven: bool = False
+    """True if a force drives the joint up its range and down again."""
     slope: bool = False
+    """True if the ground tilts."""
 
 
 @dataclass(frozen=True)
 class SingleJoint:
-    """A joint with one value that follows no other joint."""
+    """A joint with one degree of freedom that follows no other joint."""
 
     name: str
     child: str
     low: float
+    """Lower limit [rad or m]; -pi for a continuous joint."""
     high: float
-    """Limits `low` and `high` [rad or m]; one turn for a continuous joint."""
+    """Upper limit [rad or m]; pi for a continuous joint."""
     sprung: bool = False
-    """True if it has stiffness."""
+    """True if the joint has a stiffness."""
     opened: dict[str, float] = field(default_factory=dict)
-    """Open positions of the joints that must open before it moves [rad or m]."""
+    """Open positions [rad or m] of the joints that must be open before the joint moves."""
 
 
 def list_scenarios(
     parts: list[str], joints: list[SingleJoint], options: VerifyOptions, *, fixed_base: bool
 ) -> list[Scenario]:
-    """List all scenarios of an object.
+    """Return all scenarios of an object.
 
     Args:
-        parts: one part of each group that moves together, the root first.
-        joints: joints that follow no other.
+        parts: one part of each group of parts that are fixed to each other, the root first.
+        joints: joints with one degree of freedom that follow no other joint.
         options: heights and impulses.
-        fixed_base: True if the base is fixed; then only the scenarios of the joints are listed.
+        fixed_base: if True, the base is fixed, and only the scenarios of the joints are returned.
     """
     slope = Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
     scenarios = [] if fixed_base else [*_falls(options), *_pushes(parts, options), slope]
@@ -92,7 +103,7 @@ def list_scenarios(
 
 
 def _falls(options: VerifyOptions) -> list[Scenario]:
-    """Return free falls: from a small height, from a greater one, and tilted about x and y."""
+    """Return free falls from a small and from a larger height, and tilted about x and about y."""
     lean = float(np.radians(options.drop_tilt_deg))
     low, high = options.drop_height_m, options.high_drop_m
     return [
@@ -104,7 +115,7 @@ def _falls(options: VerifyOptions) -> list[Scenario]:
 
 
 def _pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
-    """Return force perturbations: pushes in six directions and a twist on each part."""
+    """Return force perturbations: pushes of each part in six directions, and a twist."""
     speed = options.impulse_ns_per_kg
     scenarios = []
     for part in parts:
@@ -117,9 +128,13 @@ def _pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
 
 
 def _releases(joint: SingleJoint) -> list[Scenario]:
-    """Return releases of a joint: at both limits and the middle, weightless, and coasting."""
+    """Return releases of a joint.
+
+    The joint is released with gravity at both limits and in the middle of its range, without
+    gravity in the middle, and without gravity at an initial speed (coasting).
+    """
     middle = (joint.low + joint.high) / 2
-    # Without losses the coasting joint reaches the end of its range in one second.
+    # Without losses, a coasting joint reaches the end of its range after one second.
     speed = (joint.high - joint.low) / 2
     runs: list[tuple[str, World, float, dict[str, float]]] = [
         (f"release:{joint.name}:low", "held", joint.low, {}),
@@ -138,7 +153,7 @@ def _releases(joint: SingleJoint) -> list[Scenario]:
 
 
 def _drives(joint: SingleJoint) -> list[Scenario]:
-    """Return drives of a joint up its range and down again, without and with gravity."""
+    """Return drives of a joint to its upper limit and back, without and with gravity."""
     worlds: dict[str, World] = {"drive": "weightless", "drive_loaded": "held"}
     return [
         Scenario(
@@ -150,6 +165,11 @@ def _drives(joint: SingleJoint) -> list[Scenario]:
 
 
 def slope_at(time: NDArray, duration: float) -> NDArray:
-    """Return the angle of the ground [t] rad at times [t] s of a run of length `duration` [s]."""
+    """Return the angle of the ground at times of a run [rad].
+
+    Args:
+        time: the times [s], shape [t].
+        duration: length of the run [s].
+    """
     share = np.clip((time - TILT_FROM_S) / (duration - TILT_FROM_S), 0.0, 1.0)
     return np.radians(STEEPEST_DEG) * share

@@ -1,6 +1,6 @@
 """Signals: findings about a program, each with a code, a location, a value and a hint.
 
-A program that fails returns signals and raises no exception.
+Running a program that fails returns signals instead of raising an exception.
 """
 
 import math
@@ -18,7 +18,7 @@ class Signal(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     severity: Severity
-    """An error makes the object unusable, a warning does not."""
+    """Severity of the finding. An error makes the object unusable; a warning does not."""
     code: str
     """Short, stable name of the kind of finding, such as "overlap_at_rest"."""
     message: str
@@ -28,15 +28,15 @@ class Signal(BaseModel):
     """Line of the program, counted from 1."""
     column: int | None = None
     value: float | None = None
-    """Measured value, in SI units."""
+    """Measured value in SI units."""
     threshold: float | None = None
-    """Limit that the value is compared with."""
+    """Limit with which the value is compared."""
     hint: str = ""
-    """How to remedy it."""
+    """How to correct the program."""
 
     @property
     def identity(self) -> tuple[str, str | None, str | None, int | None, str]:
-        """Key that two signals of the same finding share, regardless of their values."""
+        """Key that is equal for two signals of the same finding, regardless of their values."""
         anchored = self.part is not None or self.joint is not None
         line = None if anchored else self.line
         return self.code, self.part, self.joint, line, "" if anchored else self.message
@@ -48,7 +48,7 @@ class Signal(BaseModel):
         return f"{self.severity} {self.code}: {place}{self.message}{self._measured()}{hint}"
 
     def listing(self, file: str, text: str = "") -> str:
-        """Format the finding for a terminal: file:line:column, the source line, the hint.
+        """Format the finding for a terminal: place (file:line:column), source line and hint.
 
         Args:
             file: name of the program's file.
@@ -70,12 +70,12 @@ class Signal(BaseModel):
 
 
 def error_signal(code: str, message: str, **details: Any) -> Signal:
-    """Return a signal of severity error; `details` are further fields of `Signal`."""
+    """Return a signal with severity "error"; `details` are other fields of `Signal`."""
     return Signal(severity="error", code=code, message=message, **details)
 
 
 def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
-    """Return the worst signal of each code and place: errors first, otherwise in order."""
+    """Return the worst signal of each identity, errors first, and otherwise in the given order."""
     worst: dict[tuple[object, ...], Signal] = {}
 
     def rank(signal: Signal) -> tuple[bool, float]:

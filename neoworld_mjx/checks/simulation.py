@@ -1,8 +1,8 @@
-"""Simulation of an object: all of its scenarios are rolled out as one batch.
+"""Simulation of an object, in which all scenarios are rolled out as one batch.
 
-The models of a batch differ only in the values of their fields, so the same object can be free,
-held or weightless: a large armature holds its base. The floor has no friction; MuJoCo takes the
-larger friction of two geoms, here the object's.
+The models of a batch may differ only in the values of their fields. The base of a free object is
+therefore fixed by a large armature, instead of being compiled without a free joint. The floor has
+no friction: MuJoCo applies the larger friction of two geoms, which is then the object's.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from .scenarios import SINGLE, STILL_S, Scenario, SingleJoint, World, slope_at
 
 FLOOR = "test_floor"
 HOLDING_MASS = 1e6
-"""Effective mass of a held base or joint, relative to its own."""
+"""Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
 CONTROL_BYTES = 64 << 20
-"""Memory limit for the forces of a batch; the remaining scenarios go to the next batch."""
+"""Limit on the memory for the forces of a batch; further scenarios are run in the next batch."""
 G = 9.81
 FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -37,28 +37,28 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 @dataclass
 class Trajectory:
-    """States of an object over one scenario."""
+    """States of an object during one scenario."""
 
     scenario: Scenario
     time: NDArray
-    """[t] s; ends early if the simulation diverged."""
+    """Times [s], shape [t]. They end early if the simulation diverged."""
     qpos: NDArray
-    """[t, nq]"""
+    """Positions, shape [t, nq]."""
     qvel: NDArray
-    """[t, nv]"""
+    """Velocities, shape [t, nv]."""
     energy: NDArray
-    """[t] J"""
+    """Total energy, potential plus kinetic [J], shape [t]."""
     diverged: bool
 
 
 class Simulation:
-    """An object compiled for simulation, free, held and weightless.
+    """An object that is compiled for simulation in each world of the scenarios.
 
     Args:
         spec: the object.
         options: time step and duration.
-        tilt: its resting orientation; scenarios add their tilt to it.
-        joint_state: positions [rad or m] of joints that a scenario does not set.
+        tilt: orientation in which the object rests; scenarios can add a tilt.
+        joint_state: positions [rad or m] of the joints that a scenario does not set.
     """
 
     def __init__(
@@ -77,8 +77,8 @@ class Simulation:
             mjspec.add_sensor(name=kind.name, type=kind)
         free = mjspec.compile()
         free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        # Soft dry friction creeps, so a stuck joint would appear to move. But where damping stops a
-        # joint within one step, stiff friction would drive it.
+        # With soft dry friction, a stuck joint creeps and would appear to move, so friction is
+        # stiff. If damping stops a joint within one step, stiff friction would drive the joint.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
         free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
         self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
@@ -98,18 +98,18 @@ class Simulation:
         self.groups = [part.name for part, _ in spec.ordered if group[part.name] == part.name]
 
     def _worlds(self, free: mujoco.MjModel) -> dict[World, mujoco.MjModel]:
-        """Return the model of each world, given that of the free object."""
+        """Return the model of each world, given the model of the free object."""
         held = copy.copy(free)
         held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
         heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * HOLDING_MASS
         held.dof_armature[:6] = heavy
         mujoco.mj_setConst(held, mujoco.MjData(held))
-        # At MuJoCo's default tolerance, a part of a few grams on such a heavy base would jitter.
+        # With MuJoCo's default tolerance, a part of a few grams on the heavy base would jitter.
         held.opt.tolerance = 1e-15
         weightless = copy.copy(held)
         weightless.opt.gravity[:] = 0.0
-        # By default, contacts creep under a steady force; on the slope they must stick until they
-        # slide.
+        # By default, contacts creep under a constant force. On the slope, they must stick until
+        # the object slides.
         gripping = copy.copy(free)
         gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         gripping.opt.impratio = 100.0
@@ -121,7 +121,7 @@ class Simulation:
         return self.models["free"]
 
     def model_of(self, scenario: Scenario) -> mujoco.MjModel:
-        """Return the model of a scenario: that of its world, with propped joints held."""
+        """Return the model of a scenario's world, in which the propped joints are fixed."""
         if not scenario.propped:
             return self.models[scenario.world]
         key = (scenario.world, scenario.propped)
@@ -164,11 +164,11 @@ class Simulation:
             position, dof = self.address(joint.name)
             value = joint_value(self.spec, joint, state)
             if joint.type != "continuous" and joint.mimic is None:
-                # From beyond its limit, a joint would start with a jerk.
+                # A joint that starts beyond its limit would jerk.
                 value = float(np.clip(value, joint.lower, joint.upper))
             data.qpos[position] = value
             if scenario.speeds:
-                # The value of a mimic joint has an offset, its speed has none.
+                # The position of a mimic joint has an offset, but the speed has none.
                 offset = joint_value(self.spec, joint, {})
                 data.qvel[dof] = joint_value(self.spec, joint, scenario.speeds) - offset
         packed = np.zeros(mujoco.mj_stateSize(model, _STATE))
@@ -176,7 +176,7 @@ class Simulation:
         return packed
 
     def forces(self, scenario: Scenario, start: NDArray) -> NDArray:
-        """Return the forces of a scenario [t, nv + 6 nbody]: on joints, then on bodies."""
+        """Return the forces of a scenario on joints and bodies, shape [t, nv + 6 nbody]."""
         model, data, o = self.model_of(scenario), self.data, self.options
         steps = round(o.duration_s / o.timestep_s)
         time = np.arange(steps) * o.timestep_s
@@ -206,7 +206,10 @@ class Simulation:
         return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
 
     def _inertia_about_vertical(self, body: int) -> float:
-        """Return the inertia [kg m^2] of a body's subtree about the vertical."""
+        """Return the inertia of a body's subtree about the vertical through its center of mass.
+
+        The unit is kg m^2.
+        """
         model, data, total = self.model, self.data, 0.0
         centre = data.subtree_com[body]
         below = {body}
@@ -222,8 +225,8 @@ class Simulation:
     def drive_force(self, scenario: Scenario) -> float:
         """Return the force [N] or torque [N m] with which a hand drives a joint.
 
-        It suffices to cross the range in `joint_push_s` against losses and weight, up to the force
-        of a hand at the far end of the child.
+        The force suffices to move the joint through its range in `joint_push_s` against losses and
+        weight, but does not exceed the force of a hand at the far end of the child.
         """
         model, o = self.model_of(scenario), self.options
         joint = self.joint_of(scenario)
@@ -241,7 +244,7 @@ class Simulation:
         span = joint.high - joint.low
         need = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
         need += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
-        # Springs and contacts need more.
+        # Springs and contacts require a larger force.
         need = max(2 * need, 1e-9)
         child = model.body(body_name(self.spec, joint.child)).id
         weight = G * float(model.body_subtreemass[child])
@@ -250,7 +253,7 @@ class Simulation:
     def moment_arm(self, single: SingleJoint) -> float:
         """Return the distance [m] from a joint's axis to the far end of the parts that it moves.
 
-        It is 1 for a sliding joint.
+        For a sliding joint, return 1.
         """
         joint = self.spec.joint(single.name)
         if joint.type == "prismatic":
@@ -267,7 +270,7 @@ class Simulation:
         return max(float(np.linalg.norm(arm, axis=1).max()), 0.01)
 
     def run(self, scenarios: Sequence[Scenario], threads: int = 0) -> list[Trajectory]:
-        """Roll out all scenarios, in one batch unless their forces need too much memory."""
+        """Roll out all scenarios, in one batch unless the forces need too much memory."""
         threads = threads or os.cpu_count() or 1
         steps = round(self.options.duration_s / self.options.timestep_s)
         size = max(1, CONTROL_BYTES // (8 * steps * (self.model.nv + 6 * self.model.nbody)))
@@ -289,7 +292,7 @@ class Simulation:
     def _trajectory(self, scenario: Scenario, state: NDArray, energies: NDArray) -> Trajectory:
         time, qpos, qvel = np.split(state, [1, 1 + self.model.nq], axis=1)
         good = np.all(np.isfinite(np.hstack([state, energies])), axis=1)
-        # MuJoCo fills the rest of a diverged run with its last state, where time stands still.
+        # MuJoCo fills the rest of a diverged run with the last state, so the time is constant.
         good[1:] &= np.diff(time[:, 0]) > 0
         n = int(np.logical_and.accumulate(good).sum())
         qvel = qvel[:n, : self.model.nv]
@@ -306,7 +309,7 @@ def _single_joint(spec: ObjectSpec, joint: JointSpec) -> SingleJoint:
 
 
 def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray:
-    """Return the joint-space inertia [nv, nv] in the state of `data`."""
+    """Return the joint-space inertia matrix in the state of `data`, shape [nv, nv]."""
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return full
@@ -314,7 +317,7 @@ def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray:
 
 @contextlib.contextmanager
 def without_warnings() -> Iterator[None]:
-    """Silence MuJoCo's warnings: a check reports divergence."""
+    """Suppress MuJoCo's warnings in the block, because a check reports divergence."""
     previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:

@@ -12,17 +12,27 @@ from ..spec.pose import Pose
 from .verdict import Check, Fault, Limit, judged
 
 MASS_RATIO = 10.0
-"""Largest ratio of an authored mass to that by density; the inverse may be ten times as large."""
+"""Largest ratio of an authored mass to the mass from volume and density.
+
+The smallest ratio is 1 / MASS_RATIO^2.
+"""
 DENSEST, LIGHTEST = 22000.0, 0.5
-"""Range of mass over collider volume [kg/m^3]: osmium, and less than any foam."""
+"""Largest and smallest mass over collider volume [kg/m^3].
+
+The largest is close to the density of osmium, and the smallest is below the density of any foam.
+"""
 HEAVIEST_KG = 2000.0
 GYRATION = 30.0
-"""Largest ratio of the inertia by volume to an authored one; the inverse may be a third of it."""
+"""Largest ratio of the inertia from volume and density to an authored inertia.
+
+The smallest ratio is 3 / GYRATION.
+"""
 COVER_SAMPLES = 240
+"""Number of points that are sampled on a part's visible surface."""
 MISSING_SHARE = 0.2
-"""Largest share of a part's visible surface without a collider."""
+"""Largest fraction of a part's visible surface without a collider."""
 PROUD_SHARE = 0.04
-"""Largest distance by which colliders exceed the visible shape, over the part's diagonal."""
+"""Largest distance by which colliders exceed the visible shape, over the visible diagonal."""
 
 
 def check_statics(spec: ObjectSpec) -> Iterator[Check]:
@@ -42,13 +52,17 @@ def check_statics(spec: ObjectSpec) -> Iterator[Check]:
 def is_placeholder(part: PartSpec) -> bool:
     """Return True if a part stands for a link without geometry.
 
-    It collides with nothing, and its mass and inertia are those of a body of unknown extent.
+    A placeholder collides with nothing, and represents the mass and inertia of a body whose extent
+    is unknown.
     """
     return all(geom.material.startswith(HELPER) for geom in part.geoms)
 
 
 def _inertia(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
-    """Check that authored moments are physical and fit the part, and that its centre is inside."""
+    """Check that an authored inertia is physical and fits the part.
+
+    The center of mass must lie inside the part's bounding box, within a tolerance.
+    """
     if part.inertia is None or part.mass is None:
         return
     moments = np.sort(np.linalg.eigvalsh(part.inertia.tensor()))
@@ -72,7 +86,10 @@ def _inertia(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
 
 
 def _mass(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
-    """Check an authored mass against volume and density, or against the volume alone."""
+    """Check an authored mass against volume and density.
+
+    If the density is unknown, check that the mass over the volume is possible for any material.
+    """
     if part.mass is None or is_placeholder(part):
         return
     volume = derived = 0.0
@@ -92,7 +109,7 @@ def _mass(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
 
 
 def _colliders(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
-    """Check that a part's colliders cover its visible shape and barely exceed it."""
+    """Check that a part's colliders cover the visible shape, and do not exceed it by much."""
     roles = {geom.role for geom in part.geoms}
     if roles == {"both"} or roles == {"collision"}:
         return
@@ -110,7 +127,11 @@ def _colliders(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
 
 
 def visible_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
-    """Sample points [n, 3] m evenly on a part's visible surface, in the object's frame."""
+    """Sample points uniformly on a part's visible surface, and add the extreme vertices.
+
+    Returns:
+        Points in the object's frame [m], shape [count + 6, 3].
+    """
     corners = []
     for geom in part.geoms:
         if geom.role != "collision":
@@ -123,15 +144,22 @@ def visible_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
     chosen = random.choice(len(area), count, p=area / area.sum())
     u, v = np.sort(random.random((2, count)), axis=0)[..., None]
     inner = u * a[chosen] + (v - u) * b[chosen] + (1 - v) * c[chosen]
-    # The extreme vertices give the samples the full extent.
+    # With the extreme vertices, the points span the full extent.
     flat = triangles.reshape(-1, 3)
     return np.concatenate([inner, flat[flat.argmin(axis=0)], flat[flat.argmax(axis=0)]])
 
 
 def distance_outside(points: NDArray, solids: Sequence[tuple[Piece, Pose]]) -> NDArray:
-    """Return a lower bound [n] m of the distance of points [n, 3] to the nearest convex piece.
+    """Return a lower bound of the distance from each point to the nearest convex piece.
 
-    For a piece with faces, the bound is the distance to the plane of the furthest face.
+    For a piece with faces, the bound is the largest signed distance to the plane of a face.
+
+    Args:
+        points: points [m], shape [n, 3].
+        solids: convex pieces with their poses.
+
+    Returns:
+        Distances [m], shape [n]; negative inside a piece.
     """
     nearest = np.full(len(points), np.inf)
     for piece, pose in solids:
@@ -155,7 +183,7 @@ def distance_outside(points: NDArray, solids: Sequence[tuple[Piece, Pose]]) -> N
 
 
 def without_bad_inertia(spec: ObjectSpec, checks: Sequence[Check]) -> ObjectSpec:
-    """Return the object with impossible inertias recomputed, so that it can be simulated."""
+    """Return the object without impossible authored inertias, so that it can be simulated."""
     bad = {check.part for check in checks if check.fault is Fault.INERTIA_IMPOSSIBLE}
     parts = tuple(
         part.model_copy(update={"inertia": None}) if part.name in bad else part

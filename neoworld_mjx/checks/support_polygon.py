@@ -1,4 +1,4 @@
-"""Support polygon of a resting object: its width, and the margin of the centre of mass."""
+"""Support polygon of an object at rest: its width, and the margin of the center of mass."""
 
 import itertools
 
@@ -16,16 +16,18 @@ from .simulation import Simulation
 
 
 def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, float]:
-    """Return the width and margin of the convex hull of an object's contacts with a level floor.
+    """Return the width and the margin of an object's support polygon on a level floor.
+
+    The support polygon is the convex hull of the contacts with the floor.
 
     Args:
         simulation: the object.
-        slack: height [m] above its lowest point up to which a piece counts as touching, at least a
-            millimetre.
+        slack: height above the object's lowest point up to which a piece counts as touching the
+            floor [m]. Values below 1 mm count as 1 mm.
 
     Returns:
-        The smallest width of the polygon [m], and the distance [m] of the centre of mass from its
-        border, positive inside.
+        The smallest width of the polygon [m], and the distance of the center of mass from the
+        border of the polygon [m], which is positive inside the polygon.
     """
     spec, tilt = simulation.spec, pose((0, 0, 0), simulation.tilt)
     links = link_poses(spec, simulation.state)
@@ -63,7 +65,17 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
 
 
 def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float) -> NDArray:
-    """Return the horizontal positions [n, 2] m of a piece's corners below a height [m]."""
+    """Return the horizontal positions of a piece's lowest points below a height.
+
+    Args:
+        piece: the convex piece.
+        pos: position of the piece [m], shape [3].
+        rotation: rotation matrix of the piece, shape [3, 3].
+        reach: the height [m].
+
+    Returns:
+        Positions of corners, or of points where a round piece touches the floor [m], shape [n, 2].
+    """
     s = np.array(piece.size)
     if piece.kind == "mesh":
         local = np.array(piece.vertices)
@@ -77,7 +89,8 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
                 [np.column_stack([ring * s[0], np.full(24, z)]) for z in (-s[1], s[1])]
             )
         else:
-            # A sphere or ellipsoid touches at its lowest point, a capsule at those of its two ends.
+            # A sphere or an ellipsoid touches the floor at its lowest point, and a capsule at the
+            # lowest points of its two ends.
             half = s[1] if piece.kind == "capsule" else 0.0
             ends = np.array([[0, 0, -half], [0, 0, half]])
             radius = s if piece.kind == "ellipsoid" else np.full(3, s[0])

@@ -1,4 +1,4 @@
-"""The result of an object's tests: checks with numbers, the faults they report, and the verdict."""
+"""Results of the object tests: checks with values, the faults that they report, and the verdict."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,10 +23,10 @@ ScenarioKind = Literal[
 
 
 class Fault(StrEnum):
-    """Faults that the object tests report, likely causes before symptoms."""
+    """Faults that the object tests report, ordered from likely causes to symptoms."""
 
     hint: str
-    """How to remedy it."""
+    """How to remedy the fault."""
 
     def __new__(cls, value: str, hint: str) -> "Fault":
         """Create a fault from its name and hint."""
@@ -53,7 +53,7 @@ class Fault(StrEnum):
     LIMIT_INTO_PART = "limit_into_part", "reduce the limits to the collision-free range"
     RANGE_CONFLICT = "range_conflict", "leave clearance for several joints that are open at once"
     LIMITS_NARROW = "limits_narrow", "widen the limits to the real object's range"
-    OFF_BALANCE = "off_balance", "move the centre of mass over the base, or widen the base"
+    OFF_BALANCE = "off_balance", "move the center of mass over the base, or widen the base"
     FRICTION_IMPLAUSIBLE = (
         "friction_implausible",
         "give the surface the friction of its material, 0.1 to 1.2",
@@ -71,18 +71,20 @@ class Fault(StrEnum):
         "look for overlapping colliders or joints that work against each other",
     )
     SINKS_IN = "sinks_in", "check mass and colliders"
-    TOPPLES = "topples", "lower the centre of mass or widen the base"
+    TOPPLES = "topples", "lower the center of mass or widen the base"
     DRIFTS = "drifts", "widen or flatten the base"
     RESTLESS = "restless", "add damping; look for colliders that push against each other"
 
 
 BORDERLINE = 0.8
-"""Share of the distance from the best value to the threshold beyond which a passing value is
-borderline: a different time step or processor, or a small added load, changes it by about 20 %."""
+"""Fraction of the distance from the best value to the threshold, above which a value is borderline.
+
+A different time step or processor, or a small additional load, changes values by about 20 %.
+"""
 
 
 class Check(Spec):
-    """Result of one check, with the number that decides it."""
+    """Result of one check, with the value that decides it."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -94,9 +96,9 @@ class Check(Spec):
         validation_alias=AliasChoices("borderline", "doubtful"),
         serialization_alias="doubtful",
     )
-    """True if it passes close to its threshold."""
+    """True if the check passes with a value close to the threshold."""
     fault: Fault | None = None
-    """The fault of a failed check."""
+    """The fault that a failed check reports."""
     value: float | None = None
     threshold: float | None = None
     unit: str = ""
@@ -107,23 +109,23 @@ class Check(Spec):
     at: float | None = None
     """Position of the joint at the worst value [rad or m]."""
     evidence: str = ""
-    """Description of the run or pose that shows the value."""
+    """Description of the run or pose in which the value was measured."""
     hint: str = ""
 
     @property
     def failed(self) -> bool:
-        """True if it failed or could not be evaluated."""
+        """True if the check failed or could not be evaluated."""
         return self.outcome in ("FAIL", "TOOL_FAILURE")
 
     @property
     def least(self) -> bool:
-        """True if the threshold is the smallest valid value, otherwise it is the largest."""
+        """True if the threshold is the smallest valid value; False if it is the largest."""
         if self.value is None or self.threshold is None:
             return False
         return (self.value > self.threshold) == (self.outcome == "PASS")
 
     def phrase(self) -> str:
-        """Return value and bound with unit and direction: "drift 12.0 mm, at most 10.0 mm"."""
+        """Return the name, the value and the threshold, as in "drift 12.0 mm, at most 10.0 mm"."""
         name = self.name.replace("_", " ")
         if self.threshold is None:
             return name
@@ -133,7 +135,10 @@ class Check(Spec):
 
     @property
     def margin(self) -> float:
-        """Relative excess of a failed check over its threshold, 0 to 9."""
+        """Relative excess of a failed check's value over the threshold, clipped to 9.
+
+        The margin is 0 if the check did not fail, and 9 if it could not be evaluated.
+        """
         if self.outcome == "TOOL_FAILURE":
             return 9.0
         if self.outcome != "FAIL":
@@ -148,7 +153,7 @@ class Verdict(Spec):
 
     object: str
     passed: bool
-    """True if every check ran and none failed."""
+    """True if no check failed and every check could be evaluated; skipped checks do not count."""
     mass_kg: float
     battery: str = ""
     """Version of the object tests."""
@@ -156,42 +161,47 @@ class Verdict(Spec):
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """Faults that the checks report, causes first."""
+        """Faults that the checks report, likely causes first."""
         reported = {check.fault for check in self.checks}
         return tuple(fault for fault in Fault if fault in reported)
 
     @property
     def borderline(self) -> tuple[Check, ...]:
-        """Checks that pass close to their thresholds."""
+        """Checks that pass with values close to their thresholds."""
         return tuple(check for check in self.checks if check.borderline)
 
     @property
     def questionable(self) -> bool:
-        """True if a check failed or passed close to its threshold."""
+        """True if a check failed or is borderline."""
         return not self.passed or bool(self.borderline)
 
     @property
     def cause(self) -> Fault | None:
-        """The fault that likely explains the others."""
+        """The fault that likely explains the other faults, or None without faults."""
         return next(iter(self.faults), None)
 
     @property
     def score(self) -> float:
-        """Fault score: 0 for a valid object; a failed check adds 1 plus a tenth of its margin."""
+        """Fault score: the sum over failed checks of 1 plus a tenth of the margin."""
         return sum(1.0 + 0.1 * check.margin for check in self.checks if check.failed)
 
     def to_json(self) -> str:
-        """Return JSON, the same bytes for the same verdict."""
+        """Return JSON text; equal verdicts give equal bytes."""
         return self.model_dump_json(indent=1) + "\n"
 
 
 SCENE_FAULTS = frozenset({Fault.OFF_BALANCE, Fault.TOPPLES, Fault.DRIFTS, Fault.RESTLESS})
-"""Faults of falls that a valid object may have on a level floor without its scene: it is round, or
-its surroundings hold it."""
+"""Faults of falls that a valid object may have if it is tested on a level floor without its scene.
+
+For example, the object is round, or is supported by its surroundings in the scene.
+"""
 
 
 def waived(verdict: Verdict) -> Verdict:
-    """Skip failed falls whose fault is one of `SCENE_FAULTS`, for an object judged to be valid."""
+    """Return the verdict with failed falls skipped whose fault is one of `SCENE_FAULTS`.
+
+    This is for objects that the critic judges to be valid.
+    """
     checks = tuple(
         check.model_copy(update={"outcome": "SKIP", "fault": None, "hint": WAIVED})
         if check.scenario == "free_fall" and check.outcome == "FAIL" and check.fault in SCENE_FAULTS
@@ -204,7 +214,7 @@ def waived(verdict: Verdict) -> Verdict:
 
 
 WAIVED = "the critic finds that the real object would do the same"
-"""Hint of a waived check, which keeps its value and threshold."""
+"""Hint of a waived check. The check's value and threshold remain unchanged."""
 
 
 def quantity(value: float, unit: str) -> str:
@@ -227,35 +237,35 @@ def quantity(value: float, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Limit:
-    """Threshold of a check, and the fault that a violation is reported as."""
+    """Threshold of a check, and the fault that is reported if the threshold is violated."""
 
     threshold: float
     unit: str
     fault: Fault
     least: bool = False
-    """True if the threshold is the smallest valid value, otherwise it is the largest."""
+    """True if the threshold is the smallest valid value; False if it is the largest."""
     best: float | None = None
-    """Ideal value; by default 0, or twice the threshold if `least` is set."""
+    """Best value; if None, it is 0, or twice the threshold if `least` is True."""
     hint: str = ""
-    """Remedy of a violation, if not that of the fault."""
+    """How to remedy a violation; if empty, the hint of the fault applies."""
 
     def is_borderline(self, value: float) -> bool:
-        """Return True if a passing value lies close to the threshold, seen from the best value."""
+        """Return True if a passing value is close to the threshold; see `BORDERLINE`."""
         best = self.best if self.best is not None else 2 * self.threshold * self.least
         distance = self.threshold - best
         return bool(distance) and (value - best) / distance >= BORDERLINE
 
 
 def judged(scenario: ScenarioKind, name: str, value: float, limit: Limit, **context: Any) -> Check:
-    """Compare a value with its limit; a value that is not finite fails.
+    """Compare a value with a limit, and return the check; a value that is not finite fails.
 
     Args:
         scenario: scenario of the check.
         name: name of the check.
         value: the measured value.
-        limit: the threshold and its fault.
-        context: further fields of `Check`; only failed and borderline checks keep `time`, `at` and
-            `evidence`.
+        limit: the threshold and the fault.
+        context: other fields of `Check`. Of these, `time`, `at` and `evidence` are stored only in
+            failed and borderline checks.
     """
     finite = bool(np.isfinite(value))
     passed = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
@@ -276,5 +286,5 @@ def judged(scenario: ScenarioKind, name: str, value: float, limit: Limit, **cont
 
 
 def skipped(scenario: ScenarioKind, name: str, reason: str, joint: str | None = None) -> Check:
-    """Return a check that was not run, with the reason."""
+    """Return a check with the outcome SKIP, and with the reason as its hint."""
     return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=reason)

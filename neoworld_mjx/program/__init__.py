@@ -1,7 +1,7 @@
-"""Step 2: object programs, the SDK that they call, the sandbox that runs them, and their checks.
+"""Step 2: object programs, the SDK that programs call, the sandbox that runs them, and the checks.
 
-The names are imported on first use, so that a program that imports `neoworld_mjx.program.sdk` under
-plain Python does not load the sandbox.
+`build` and `BuildResult` are imported on first use. A program that imports
+`neoworld_mjx.program.sdk` in plain Python therefore does not load the sandbox.
 """
 
 from typing import TYPE_CHECKING

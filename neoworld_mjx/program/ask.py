@@ -1,4 +1,4 @@
-"""Requests to the programmer: write an object's program, repair it, revise it; their schema."""
+"""Requests to the programmer to write, repair or revise an object's program, and their schema."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -18,8 +18,8 @@ from .subject import (
     view_in_words,
 )
 
-# Titles, docstrings and descriptions of response schemas are part of the requests, and tapes match
-# only these exact requests.
+# Titles, docstrings and descriptions of response schemas are part of the requests. Recorded
+# responses (tapes) match only requests that are exactly equal.
 
 
 class ProgramResponse(BaseModel):
@@ -84,12 +84,12 @@ This is the {file} program, which was run, checked and accepted:
 
 
 class StageInput(NamedTuple):
-    """Stage of a request, and the accepted texts of earlier stages."""
+    """Stage of a request, and the accepted programs of earlier stages."""
 
     file: str = "program"
-    """Name of the stage: program, or geometry, articulation, export."""
+    """Name of the stage: "program", or "geometry", "articulation" or "export"."""
     before: Mapping[str, str] = {}
-    """Accepted texts by the names of their stages."""
+    """Text of the accepted program of each earlier stage, by stage name."""
     language: Language = "sdk"
 
 
@@ -105,10 +105,10 @@ def repair_request(
     signals: Sequence[Signal],
     earlier: Sequence[Signal] | None = None,
 ) -> Request[ProgramResponse]:
-    """Return the request to repair a program that has `signals`.
+    """Return the request to repair a program whose checks reported `signals`.
 
-    With `earlier`, the signals of the previous program, the request marks signals as new or
-    remaining, and lists the codes of the repaired ones.
+    `earlier` contains the signals of the previous program. If it is not empty, the request marks
+    each signal as new or remaining, and lists the codes of signals that no longer occur.
     """
     known = {signal.identity for signal in earlier or ()}
     lines = []
@@ -131,14 +131,14 @@ def revise_request(
     critiques: Sequence[Critique],
     built: Picture | None = None,
 ) -> Request[ProgramResponse]:
-    """Return the request to revise a program according to the critics' faults.
+    """Return the request to revise a program so that it corrects the faults that critics found.
 
     Args:
         subject: the object.
         stage: stage of the program.
         program: the program.
-        critiques: the critics' faults.
-        built: picture of the object that it builds, as the critics saw it.
+        critiques: critiques whose faults the request lists.
+        built: picture of the built object, as shown to the critics; None omits it.
     """
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
@@ -158,7 +158,7 @@ def revise_request(
 def reprogram_request(
     subject: Subject, stage: StageInput, program: str, findings: Sequence[str]
 ) -> Request[ProgramResponse]:
-    """Return the request to write a program again whose object does not move like the real one."""
+    """Return the request to rewrite a program whose object does not move like the real object."""
     heading = (
         "It runs and looks like the photo. Simulated by itself on a level floor, it does not "
         "behave as the real object would:"
@@ -172,7 +172,7 @@ def reprogram_request(
 
 
 def instructions(file: str, language: Language = "sdk") -> str:
-    """Return the system text of a stage: the guide to the language and the stage's task."""
+    """Return the system prompt of a stage: the guide to the language, and the stage's task."""
     prefix = "blender_" if language == "blender" else ""
     guide = package_text(__package__, f"{prefix}guide")
     return guide if file == "program" else f"{guide}\n{package_text(__package__, prefix + file)}"
@@ -185,7 +185,10 @@ def _request(
     prompt: str,
     more_pictures: Sequence[Picture] = (),
 ) -> Request[ProgramResponse]:
-    """Return a request named after its kind, program, debug or revise, and its stage."""
+    """Return a request that is named after its kind, its stage and its object.
+
+    Kinds are "program", "debug", "revise" and "reprogram".
+    """
     name = kind if stage.file == "program" else f"{kind}-{stage.file}"
     name = stage.file if kind == "program" else name
     system = instructions(stage.file, stage.language)

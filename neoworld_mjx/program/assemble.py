@@ -1,4 +1,4 @@
-"""Assembly of a program's object into an ObjectSpec: structure checks, joint losses, origin."""
+"""Conversion of a program's object into an ObjectSpec: structure checks, joint losses, origin."""
 
 from typing import Any
 
@@ -18,11 +18,11 @@ def assemble(
 
     Args:
         objects: every `Object` that the program created.
-        loose: True if the parts have no joints yet; each is then fixed to the first.
+        loose: if True, the parts have no joints yet, and every part is fixed to the first part.
 
     Returns:
-        The ObjectSpec, with its origin at the center of the bounding box's bottom face, or None
-        and the errors that prevent it.
+        The ObjectSpec and an empty list, or, if the object is invalid, None and the errors. The
+        origin of the ObjectSpec is the center of the bounding box's bottom face.
     """
     if len(objects) != 1:
         names = ", ".join(repr(obj.name) for obj in objects[:5])
@@ -67,7 +67,10 @@ def assemble(
 
 
 def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
-    """Round positions to 1e-9 m and quaternions to 1e-12; processors differ in further digits."""
+    """Round positions, quaternions, axes and losses to digits that are equal on all processors.
+
+    Positions are rounded to 1e-9 m, quaternions and axes to 1e-12, losses to 6 significant digits.
+    """
 
     def rounded(model: Any, update: dict[str, Any], **digits: int) -> Any:
         for field, count in digits.items():
@@ -90,7 +93,10 @@ def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
 
 
 def _structure(obj: Object) -> list[Signal]:
-    """Return the errors of the part tree: no parts, empty or unattached parts, cycles of joints."""
+    """Return the errors of the part tree.
+
+    These are an object without parts, parts without colliders, unattached parts, and joint cycles.
+    """
     if not obj._parts:
         hint = "make one with .part(name) and .add shapes to it"
         return [error_signal("no_parts", f"object {obj.name!r} has no parts", hint=hint)]
@@ -121,7 +127,7 @@ def _structure(obj: Object) -> list[Signal]:
 
 
 def _with_losses(joint: S.JointSpec, authored: dict[str, object], child: S.Inertial) -> S.JointSpec:
-    """Set the damping and dry friction that the program leaves unset, from the child's mass."""
+    """Set damping and dry friction to their defaults where the program leaves them unset."""
     if joint.type == "fixed":
         return joint
     values = dict(zip(("damping", "friction"), default_losses(joint, child), strict=True))

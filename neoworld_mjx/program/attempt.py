@@ -1,4 +1,4 @@
-"""Attempts at an object's program with their checks and critiques, and the result of Step 2."""
+"""Attempts at an object's program, with checks and critiques, and the result of Step 2."""
 
 import json
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ UNJUDGED = 5.0
 def joined(texts: Mapping[str, str]) -> str:
     """Join the texts of the stages, in order, into one program.
 
-    Each text may use names that earlier ones define. A single text is returned unchanged.
+    Each text may use names that earlier texts define. A single text is returned unchanged.
     """
     if len(texts) == 1:
         return next(iter(texts.values()))
@@ -27,30 +27,37 @@ def joined(texts: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class ProgramAttempt:
-    """A program's text with the results of its checks and its critiques."""
+    """A program's text, with the results of its checks and its critiques."""
 
     stage: str
-    """Origin: "program", "debug" or "revise", or "support" for one written without a model."""
+    """Kind of request that returned the program: "program", "debug", "revise" or "reprogram".
+
+    It is "support" if the program was written without a model.
+    """
     text: str
     built: BuildResult
     notes: str = ""
     critiques: Mapping[str, Critique] = field(default_factory=dict)
-    """Critiques by critic: geometry, articulation, export."""
+    """Critiques by critic: "geometry", "articulation", "export"."""
     size: Size | None = None
-    """Edges of the box [m] that the object should fill; None for the parsed box."""
+    """Edges [m] of the box that the object should fill; if None, it should fill the parsed box."""
     before: Mapping[str, str] = field(default_factory=dict)
     """Accepted texts of the earlier stages, by stage."""
     file: str = "program"
-    """Name of its stage: program, or geometry, articulation, export."""
+    """Name of the stage: "program", or "geometry", "articulation" or "export"."""
 
     @property
     def texts(self) -> dict[str, str]:
-        """Texts of the stages up to and including this one, by stage."""
+        """Texts of all stages up to and including this stage, by stage."""
         return {**self.before, self.file: self.text}
 
     @property
     def score(self) -> float:
-        """Critics' score, 0 to 10, minus one point per error and the edges' relative errors."""
+        """Score of the program, at least 0; it is 0 if the program builds no object.
+
+        This is the mean score of the critics (`UNJUDGED` without critiques), minus one point for
+        each error, minus the relative error of the edge that deviates most.
+        """
         if self.built.spec is None:
             return 0.0
         score = mean_score(self.critiques) if self.critiques else UNJUDGED
@@ -64,7 +71,7 @@ class ProgramAttempt:
 
     @property
     def rank(self) -> tuple[bool, bool, bool, float]:
-        """Sort key of the attempts of a stage; larger is better."""
+        """Sort key for comparing attempts of a stage; the largest key is the best attempt."""
         lost = any(signal.code == "lost" for signal in self.built.signals)
         return self.built.spec is not None, not lost, self.built.ok, self.score
 
@@ -88,16 +95,16 @@ class SynthesisResult:
 
     spec: ObjectSpec | None
     texts: Mapping[str, str]
-    """Texts by stage: program alone, or geometry, articulation and export."""
+    """Texts by stage: either "program", or "geometry", "articulation" and "export"."""
     signals: tuple[Signal, ...]
     score: float
     rounds: tuple[ProgramAttempt, ...]
     fallbacks: tuple[tuple[str, str], ...] = ()
-    """Failed stages and remaining errors, with their reasons."""
+    """Pairs of what failed (a stage, a request, or remaining errors) and the reason."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
     size: Size | None = None
-    """Corrected edges of the parsed box [m]; None without a correction."""
+    """Corrected edges [m] of the parsed box; None if they were not corrected."""
 
     @property
     def text(self) -> str:
@@ -106,7 +113,7 @@ class SynthesisResult:
 
     @property
     def reason(self) -> str:
-        """One-line reason that there is no object; empty if there is one."""
+        """Why the program builds no object, in one line; empty if it builds one."""
         if self.spec is not None:
             return ""
         signals = self.rounds[-1].built.signals if self.rounds else ()

@@ -12,18 +12,24 @@ from pathlib import Path
 
 _POLL_S = 0.05
 _AGAIN_S = 1.0
-"""Processor time [s] after which a call that is still running is interrupted again: Python ignores
-exceptions raised in callbacks of its garbage collector."""
+"""Processor time [s] after which a call that is still running is interrupted again.
+
+The first interruption can be lost, because Python ignores exceptions that are raised in callbacks
+of the garbage collector.
+"""
 
 
 class CallInterrupted(BaseException):
-    """The program's time ran out during a call of the SDK; `except Exception` does not catch it."""
+    """Raised if the program's time runs out during an SDK call.
+
+    It derives from BaseException, so that `except Exception` does not catch it.
+    """
 
 
 class CallClock:
-    """Limit on the processor time of one thread's SDK calls.
+    """Limit on the processor time that SDK calls of one thread take.
 
-    Only processor time of that thread counts, so that a busy machine makes no program fail.
+    The time of other threads and processes does not count, so a busy machine makes no program fail.
     """
 
     def __init__(self) -> None:
@@ -34,20 +40,20 @@ class CallClock:
         self._interrupted = False
         self._closed = threading.Event()
         self._worker: tuple[int, float, float] | None = None
-        """Process, its processor time at the start of watching, and the limit; times in s."""
+        """Process id, processor time [s] when watching began, and time limit [s]."""
         self.worker_s: float | None = None
-        """Processor time [s] of the worker, as last read; None if the system does not report it."""
+        """Processor time [s] of the worker at the last poll; None if the system reports none."""
         self.worker_killed = False
 
     def watch_worker(self, pid: int | None, limit_s: float = float("inf")) -> None:
-        """Count the processor time of a worker process from now on, and kill it at the limit."""
+        """Count the processor time of a worker from now on, and kill the worker at the limit."""
         used = None if pid is None else process_time(pid)
         if pid is not None and used is not None:
             self._worker, self.worker_s = (pid, used, limit_s), 0.0
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Watch calls until the block ends."""
+        """Watch SDK calls and the worker until the block ends."""
         watcher = threading.Thread(target=self._watch, name="call clock", daemon=True)
         watcher.start()
         try:
@@ -58,7 +64,7 @@ class CallClock:
 
     @contextmanager
     def limited(self, seconds: float) -> Iterator[None]:
-        """Raise CallInterrupted in the block once it exceeds this much processor time [s]."""
+        """Raise CallInterrupted in the block when the block exceeds this processor time [s]."""
         if threading.get_ident() != self._thread or seconds == float("inf"):
             yield
             return
@@ -70,7 +76,7 @@ class CallClock:
             with self._lock:
                 self._end = None
                 if self._interrupted:
-                    self._raise(None)  # Cancel: the block has already ended.
+                    self._raise(None)  # Cancel the exception, because the block has ended.
 
     def _watch(self) -> None:
         clock = time.pthread_getcpuclockid(self._thread)
@@ -94,7 +100,7 @@ class CallClock:
                     os.kill(pid, signal.SIGKILL)
 
     def _raise(self, kind: type[BaseException] | None) -> None:
-        """Raise an exception in the watched thread before its next line of Python."""
+        """Raise an exception in the watched thread; if None, cancel a pending exception."""
         self._interrupted = kind is not None
         raised = None if kind is None else ctypes.py_object(kind)
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), raised)
@@ -103,7 +109,7 @@ class CallClock:
 def process_time(pid: int) -> float | None:
     """Return the processor time of a process [s]; None if the system does not report it."""
     try:
-        # The name in parentheses may hold spaces; user and system time are fields 14 and 15.
+        # The name in parentheses may contain spaces. User and system time are fields 14 and 15.
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):

@@ -11,15 +11,20 @@ from ..spec import ObjectSpec, TreeNode
 from ..spec.fit_to_box import fit_to_box
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
-"""Limits of an edge's relative deviation from the parsed one, after the best uniform scaling."""
+"""Limits of an edge's relative deviation from the parsed edge, after the best uniform scaling."""
 SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
-"""Limits of the uniform scale's relative deviation from 1; composition scales the object, including
-its wall thickness."""
+"""Limits of the relative deviation of the uniform scale from 1.
+
+Composition scales the whole object, so a wrong size also makes the wall thickness wrong.
+"""
 _OF_SIZE = ("proportions", "wrong_size")
 
 
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
-    """Yield the differences between an object and its parsed node."""
+    """Yield a signal for each difference between an object and its parsed node.
+
+    Proportions, size and the numbers of moving parts are compared.
+    """
     # The parsed box includes parts that are open in the photo, so they are opened here, too.
     to_box = fit_to_box(spec, node)
     size, parsed_size, factor = to_box.high - to_box.low, np.array(node.box3d.size), to_box.factor
@@ -62,9 +67,10 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
 
 
 def fit_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
-    """Yield the differences between parts without joints and their parsed node.
+    """Yield a signal for each difference between parts without joints and the parsed node.
 
-    A box that was measured with open parts is not compared: without joints, these cannot open.
+    If parts are open in the photo, the box is not compared, because parts cannot open without
+    joints.
     """
     opened = any(part.opening for part in node.articulation)
     skipped = ("missing_joint", *(_OF_SIZE if opened else ()))
@@ -92,9 +98,9 @@ def _opened(node: TreeNode) -> str:
 
 
 def lost_parts(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield an error for lost parts or joints of a revised program that `removed` does not mention.
+    """Yield an error if a revised program lacks parts or joints that `removed` does not mention.
 
-    Renamed parts and joints are not lost.
+    Numbers are compared as well as names, so a renamed part or joint is not an error.
     """
     groups = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
     for kind in ("revolute", "continuous", "prismatic"):
@@ -117,7 +123,7 @@ def lost_parts(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) ->
 
 
 def lost_asserts(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield an error if a revised program has fewer asserts and `removed` does not mention it."""
+    """Yield an error if a revised program has fewer asserts and `removed` mentions no assert."""
     old, new = _assert_count(before), _assert_count(after)
     if new < old and not any("assert" in entry for entry in removed):
         yield error_signal(

@@ -1,4 +1,4 @@
-"""Requests to the critics of Step 2 for geometry, articulation and export, and their verdicts."""
+"""Requests to the critics of Step 2 (geometry, articulation, export), and their verdicts."""
 
 from collections.abc import Mapping, Sequence, Set
 from typing import Annotated, Any, Literal
@@ -14,8 +14,8 @@ Decision = Literal["accept", "revise"]
 
 _WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2, "masses": 0.1, "dynamics": 0.1}
 
-# Titles, docstrings and descriptions of response schemas are part of the requests, and tapes match
-# only these exact requests.
+# Titles, docstrings and descriptions of response schemas are part of the requests. Recorded
+# responses (tapes) match only requests that are exactly equal.
 
 
 class ProgramFault(BaseModel):
@@ -99,10 +99,10 @@ def critic_request(
     """Return the request to compare a programmed object with its parsed node.
 
     Args:
-        critic: geometry, articulation or export.
+        critic: "geometry", "articulation" or "export".
         node: the parsed object.
         spec: the programmed object.
-        pictures: the crop, and those that the critic's instructions name.
+        pictures: the crop, and the other pictures that the critic's instructions name.
     """
     low, high = bounds(spec)
     links = [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]
@@ -127,7 +127,7 @@ def critic_request(
 
 
 def _posed_in(labels: Set[str]) -> str:
-    """Return the template of an object's tilt: which of these pictures show it."""
+    """Return the template of the sentence that says which of these pictures show the tilt."""
     upright = [f'"{label}"' for label in ("exported", "opened") if label in labels]
     text = "In the crop {way}" + (', and in "made" as well' if "made" in labels else "")
     if upright:
@@ -136,7 +136,7 @@ def _posed_in(labels: Set[str]) -> str:
 
 
 def mean_score(critiques: Mapping[str, Critique]) -> float:
-    """Return the weighted mean of the critics' scores, 0 to 10."""
+    """Return the weighted mean of the critics' scores, from 0 to 10."""
     scores = {
         name: getattr(critique, name)
         for critique in critiques.values()
@@ -153,7 +153,7 @@ def accepts(critique: Critique) -> bool:
 
 
 def corrected_box(critique: Critique) -> list[float] | None:
-    """Return the edges [m] of the critic's corrected box, None without a correction."""
+    """Return the edges [m] of the box that the critic corrected; None without a correction."""
     return critique.box if isinstance(critique, GeometryCritique) else None
 
 

@@ -1,4 +1,4 @@
-"""Candidates for the change of one dimension of a program, rated by the photograph's pixels."""
+"""Candidate changes of one dimension of a program, rated by the pixels of the photograph."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -15,23 +15,32 @@ from ..spec import ObjectSpec, bounds
 from .named_constants import NamedConstant, named_constants, with_value
 
 PROBE = 0.01
-"""Relative change of a constant that shows what it changes."""
+"""Relative change of a constant for the finite differences of `sensitivities`."""
 LEAST_SENSITIVITY = 0.05
-"""Least change of an object's proportions, over that of a constant, that a contour can tell."""
+"""A constant changes proportions if it changes the ratio of two edges by more than this.
+
+The value is the derivative of the logarithm of the ratio by the logarithm of the constant.
+"""
 EQUAL = 0.01
-"""Difference of the logarithms of two edges up to which they are equal."""
+"""Largest difference between the logarithms of two edges that count as equal."""
 SIGNIFICANT, LEAST_CHANGE = 1.0, 0.03
-"""Stretch along an axis from which a shape may be wrong: in standard deviations, and relative; the
-latter is also the least change of a constant that is tried."""
+"""A stretch along an axis is significant if it exceeds both limits.
+
+The first limit is in standard deviations, the second is relative. The second limit is also the
+smallest change of a constant that is tried.
+"""
 LEAST_STEP = 0.01
-"""The same of a constant that was changed before, relative."""
+"""Smallest relative change that is tried of a constant that was changed before."""
 LARGEST = math.log(1.25)
-"""Largest change of the logarithm of a constant."""
+"""Largest total change of the logarithm of a constant."""
 TRIED = (0.5, 1.0, 1.5, 2.0)
-"""Changes that the pixels rate, over the estimate, whose prior and nuisances make it small."""
+"""Multiples of the estimated change that are rated by the pixels.
+
+They include larger changes, because the prior and the nuisance parameters shrink the estimate.
+"""
 
 Build = Callable[[str], ObjectSpec | str]
-"""Builds an object from a text; a string says why there is none."""
+"""Builds the object of a program's text; if it cannot be built, returns the reason."""
 
 
 @dataclass(frozen=True)
@@ -41,28 +50,31 @@ class Candidate:
     constant: NamedConstant
     value: float
     gain: float
-    """Log likelihood ratio of the outlines after and before [nats, of independent pixels]."""
+    """Log likelihood ratio of the outline after the change to the outline before it [nats].
+
+    The ratio treats pixels as independent.
+    """
 
 
 @dataclass(frozen=True)
 class Contours:
-    """An aligned scene as drawn over the photograph."""
+    """An aligned scene, rendered over the photograph."""
 
     fitted: FittedUnknowns
     drawn: DrawnObjects
     bins: Int[np.ndarray, "row column"]
-    """Bins of the photograph's colors."""
+    """Index of the color bin of each pixel of the photograph."""
     outlines: Mapping[str, float | None]
-    """Error of each object's outline [px]; see `outline_errors`."""
+    """Error of each object's outline [px], by name; see `outline_errors`."""
 
     def stretched(
         self, k: int, stretches: Float[np.ndarray, " 3"]
     ) -> Bool[np.ndarray, "row column"]:
-        """Return the pixels that show an object with other edges, at its most probable place.
+        """Return the mask of the pixels that show a stretched object at its most probable pose.
 
         Args:
             k: index of the object.
-            stretches: logarithms along its axes.
+            stretches: logarithms of the stretch factors along the object's axes.
         """
         unknowns, shape = self.fitted.unknowns, self.fitted.shapes[k]
         x = self.fitted.x + shape.response @ (stretches - shape.discarded)
@@ -86,20 +98,20 @@ def best_candidate(
     refused: Collection[str] = (),
     changed: str = "",
 ) -> Candidate | None:
-    """Return the change of a constant whose outline explains the photograph best.
+    """Return the change of one constant whose outline explains the photograph best.
 
     Args:
         contours: the aligned scene.
         k: index of the object.
-        text: its program.
+        text: the object's program.
         build: builds the object.
         original: values of the constants before all changes.
-        refused: names of constants that stay.
-        changed: name of a constant that was changed before, and is the only one to be changed
-            further; empty for any.
+        refused: names of constants that must not change.
+        changed: name of the only constant that may change, which was changed before. If empty,
+            any constant may change.
 
     Returns:
-        None if no change is significant.
+        The candidate, or None if no change is large enough.
     """
     shape = contours.fitted.shapes[k]
     if not changed and not significant(shape):
@@ -127,7 +139,7 @@ def _bounded(constant: NamedConstant, log_change: float, original: float) -> flo
 
 
 def significant(shape: ShapeEvidence) -> bool:
-    """Return whether a contour says that an object is too long or too short along some axis."""
+    """Return True if the contour shows that an object is too long or too short along an axis."""
     changes = (shape.change(np.eye(3)[axis] - 1 / 3) for axis in range(3))
     return any(
         abs(change.log_change) > max(LEAST_CHANGE, SIGNIFICANT * change.deviation)
@@ -138,11 +150,13 @@ def significant(shape: ShapeEvidence) -> bool:
 def sensitivities(text: str, build: Build) -> list[tuple[NamedConstant, Float[np.ndarray, " 3"]]]:
     """Return the constants of a program that change its object's proportions.
 
-    Constants that would make equal edges unequal are left out: a round or square object stays so.
+    Constants that would make equal edges unequal are omitted, so that a round or square object
+    remains round or square.
 
     Returns:
-        Each constant with the derivatives of the logarithms of the object's edges along x, y and z
-        by its own logarithm, less their mean, which composition undoes.
+        Each constant with three derivatives: those of the logarithms of the object's edges along x,
+        y and z with respect to the logarithm of the constant. The mean of the three is subtracted,
+        because composition undoes a uniform scaling.
     """
     before = build(text)
     if isinstance(before, str):

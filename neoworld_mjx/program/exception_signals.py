@@ -1,4 +1,4 @@
-"""Conversion of exceptions in programs into error signals."""
+"""Conversion of exceptions that programs raise into error signals."""
 
 from ..checks.signals import Signal, error_signal
 from .session import LimitExceeded, Session
@@ -30,7 +30,7 @@ _CODES: dict[type[BaseException], tuple[str, str]] = {
 def exception_signal(
     error: BaseException, line: int | None = None, column: int | None = None
 ) -> Signal:
-    """Return the signal of an exception that a program raised."""
+    """Return the error signal of an exception that a program raised."""
     code, hint = next(
         (entry for kind, entry in _CODES.items() if isinstance(error, kind)), ("runtime", "")
     )
@@ -39,6 +39,6 @@ def exception_signal(
 
 
 def limit_signal(exceeded: LimitExceeded, session: Session) -> Signal:
-    """Return the signal of an exceeded limit."""
+    """Return the error signal of an exceeded limit."""
     hint = "use fewer or simpler shapes"
     return error_signal(exceeded.code, str(exceeded), line=session.line, hint=hint)

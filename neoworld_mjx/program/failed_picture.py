@@ -1,4 +1,4 @@
-"""Picture of an object that fails its checks, with overlaps in red."""
+"""Picture of an object that fails its checks, with overlaps of parts in red."""
 
 import itertools
 
@@ -27,9 +27,10 @@ _MIN_VOLUME_M3 = 1e-12
 def failed_picture(
     spec: ObjectSpec, options: ProgramOptions, allowances: tuple[Allowance, ...] = ()
 ) -> bytes:
-    """Return a PNG of an object, transparent with red overlaps if parts overlap too deeply.
+    """Return a PNG picture of an object that fails its checks.
 
-    Joints are in the state of the deepest overlap, or closed if nothing overlaps.
+    If parts overlap too deeply, the object is transparent, the overlaps are red, and the joints are
+    at the positions that `deepest_overlap` returns. Otherwise all joints are at zero.
     """
     pairs, state = deepest_overlap(spec, options, allowances)
     marks = overlap_meshes(spec, pairs, state)
@@ -39,9 +40,10 @@ def failed_picture(
 def deepest_overlap(
     spec: ObjectSpec, options: ProgramOptions, allowances: tuple[Allowance, ...] = ()
 ) -> tuple[list[Pair], State]:
-    """Return the pairs of parts that overlap too deeply in one joint state, and this state.
+    """Return pairs of parts that overlap too deeply, and the joint state in which they overlap.
 
-    These are all pairs that overlap at rest, else the deepest one over the range of any joint.
+    If parts overlap with all joints at zero, return all pairs that do. Otherwise, return the pair
+    with the deepest overlap over all joint ranges.
     """
     try:
         sweep = sweep_joints(Probe(spec, options.check_timeout_s), options, allowances)
@@ -60,7 +62,7 @@ def deepest_overlap(
 
 
 def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Mesh]:
-    """Return the intersections of pairs of parts, as posed, in the object's frame."""
+    """Return the intersections of pairs of parts in a joint state, in the object's frame [m]."""
     import manifold3d
 
     poses = link_poses(spec, state)
@@ -84,7 +86,7 @@ def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Me
 
 
 def _hulls(part: PartSpec, pose: Pose) -> list[NDArray]:
-    """Return the corners [n, 3] m of each of a part's convex pieces in the object's frame."""
+    """Return the corners of each convex piece of a part in the object's frame [m], shape [n, 3]."""
     return [pose.then(local).apply(_corners(piece)) for _, piece, local in pieces(part)]
 
 

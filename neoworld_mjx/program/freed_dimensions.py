@@ -1,9 +1,10 @@
-"""Dimensions of programs: named constants, freed one by one where a contour contradicts a shape.
+"""Corrections of dimensions in programs where the contour of an object contradicts its shape.
 
-The alignment estimates three stretches of every object and discards them. Where they say that a
-shape is wrong, the one constant of its program whose change explains the pixels best is changed
-(`dimension_candidates`), and the scene is composed and aligned again with the new object. The
-pixels in which the two outlines differ decide whether the change is kept.
+The dimensions are named constants, and one constant of an object is changed at a time. The
+alignment estimates three stretch factors of every object and discards them. If they show that a
+shape is wrong, `dimension_candidates` selects the constant of the object's program whose change
+explains the pixels best. The scene is then composed and aligned again with the changed object. The
+pixels in which the outlines before and after differ decide whether the change is kept.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,10 +32,14 @@ from .named_constants import named_constants, with_value
 WIDTH_PX = 640
 """Width of the image in which outlines are compared [px]."""
 LEAST_GAIN = 20.0
-"""Log likelihood ratio of the outlines after and before from which a change is kept [nats, of
-independent pixels]. Neighboring pixels are not independent."""
+"""Smallest log likelihood ratio of the outline after a change to the outline before it [nats].
+
+The first change of a constant is dropped if the ratio is smaller; a further change of the same
+constant only needs a positive ratio. The ratio treats pixels as independent, but neighboring pixels
+are not, so the limit is far above 0.
+"""
 STEPS = 3
-"""Largest number of times that the scene is composed and aligned again."""
+"""Largest number of rounds; in each round, changes are proposed and the scene is aligned again."""
 UNCHANGED = "its outline agrees with its proportions"
 UNFAVORED = "the pixels favor no change of a dimension"
 NO_CONSTANT = "no named constant of its program changes its proportions alone"
@@ -42,18 +47,21 @@ NO_CONSTANT = "no named constant of its program changes its proportions alone"
 
 @dataclass(frozen=True)
 class EditablePrograms:
-    """Programs of a scene's objects, and what follows from an edited one."""
+    """Programs of a scene's objects, and functions that build, check and compose edited ones."""
 
     texts: Mapping[str, str]
-    """Program of each object that may be edited, by name."""
+    """Program of each object that may be edited, by object name."""
     build: Callable[[str, str], ObjectSpec | str]
-    """Builds the object of a name from a text; a string says why there is none."""
+    """Builds an object from its name and a program; if it cannot be built, returns the reason."""
     check: Callable[[str, str], str]
-    """Returns why the object of a name and a text is not valid; empty if it is."""
+    """Returns why the object with a name and a program is invalid; empty if it is valid."""
     compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec]
-    """Composes the scene with other objects by name; keeps the geometric mean of their edges."""
+    """Composes the scene with some objects replaced, by name.
+
+    The geometric mean of the edges of each replaced object is preserved.
+    """
     unchangeable: Mapping[str, str] = field(default_factory=dict)
-    """Why other objects have no text, by name."""
+    """Why an object is not in `texts`, by object name."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +71,11 @@ class FreedScene:
     composed: SceneSpec
     """The composed scene with the changed objects."""
     alignment: Alignment
-    """Its alignment, with `Alignment.dimensions`."""
+    """Alignment of `composed`, with `Alignment.dimensions`."""
     texts: Mapping[str, str] = field(default_factory=dict)
-    """New program of each changed object."""
+    """New program of each changed object, by name."""
     specs: Mapping[str, ObjectSpec] = field(default_factory=dict)
-    """Objects that they build."""
+    """Objects that the new programs build, by name."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +84,7 @@ class _Proposal:
     text: str
     spec: ObjectSpec
     further: bool
-    """True for a further change of a constant that was changed before."""
+    """True if the constant was changed before."""
 
     @property
     def name(self) -> str:
@@ -89,7 +97,7 @@ class _Proposal:
 
 @dataclass(frozen=True)
 class _Object:
-    """State of one object: its program, its outline, and what was tried."""
+    """State of one object: its program, its outline, and the changes that were tried."""
 
     text: str
     original: dict[str, float]
@@ -97,18 +105,18 @@ class _Object:
     shown: Bool[np.ndarray, "row column"]
     outline_px: float | None
     first_px: float | None
-    """Error of its outline before the first change."""
+    """Error of the outline before the first change [px]."""
     spec: ObjectSpec | None = None
-    """Object of the changed program; None if it is unchanged."""
+    """Object that the changed program builds; None if the program is unchanged."""
     changed: str = ""
-    """Constant whose change may go further."""
+    """Name of the constant that was just changed and may be changed further; empty if none."""
     edited: tuple[str, ...] = ()
     """Names of the changed constants."""
     refused: Mapping[str, str] = field(default_factory=dict)
-    """Constants that were tried in vain, with the reason."""
+    """Reason why a change was refused, by name of the constant."""
     reason: str = UNCHANGED
     current: bool = True
-    """False if the last alignment has a shape that was refused."""
+    """False if the last alignment was made with a shape that was refused."""
 
     def without(self, name: str, why: str) -> "_Object":
         return replace(self, refused={**self.refused, name: why}, changed="", reason=why)
@@ -125,13 +133,14 @@ def free_dimensions(
 
     Args:
         composed: the composed scene.
-        alignment: its alignment.
+        alignment: the alignment of `composed`.
         photo: the photograph (sRGB).
-        programs: the programs of its objects.
-        align: aligns another composed scene.
+        programs: the programs of the scene's objects.
+        align: aligns a composed scene.
 
     Returns:
-        The scene with the changed objects, aligned again; the given one if no change is kept.
+        The scene with the changed objects, composed and aligned again. If no change is kept, the
+        given scene and alignment.
     """
     if alignment.fitted is None:
         return FreedScene(composed, alignment)
@@ -157,7 +166,7 @@ def free_dimensions(
         if all(objects[name].text == p.text for name, p in proposals.items()):
             best = FreedScene(scene, trial, {}, _specs(objects))
     if best.specs != _specs(objects):
-        # The last alignment has changes that were refused.
+        # The last alignment was made with changes that were refused.
         scene = programs.compose(_specs(objects))
         best = FreedScene(scene, align(scene), {}, _specs(objects))
     return _result(best, objects, others, photo)
@@ -166,12 +175,12 @@ def free_dimensions(
 def _states(
     contours: Contours, alignment: Alignment, programs: EditablePrograms
 ) -> tuple[dict[str, _Object], dict[str, str]]:
-    """Return the objects whose programs may be changed, and why others may not."""
+    """Return the objects whose programs may be changed, and for each other object the reason."""
     objects, others, texts = {}, {}, programs.texts
     for name in alignment.objects:
         k = alignment.scene.index(name)
         if k not in contours.fitted.shapes:
-            others[name] = "the pixels do not place it"
+            others[name] = "the pixels do not determine its pose"
         elif name not in texts:
             others[name] = programs.unchangeable.get(name, "it has no program")
         elif not (values := {c.name: c.value for c in named_constants(texts[name])}):
@@ -197,7 +206,11 @@ def _specs(objects: Mapping[str, _Object]) -> dict[str, ObjectSpec]:
 def _proposed(
     name: str, own: _Object, contours: Contours, programs: EditablePrograms
 ) -> tuple[_Object, _Proposal | None]:
-    """Return the object with the reason if nothing is proposed, and the proposal."""
+    """Propose a change of an object.
+
+    Returns:
+        The object, with the reason if no change is proposed, and the proposal or None.
+    """
     k = contours.fitted.unknowns.scene.index(name)
     if k not in contours.fitted.shapes or not own.current:
         return own, None
@@ -239,7 +252,7 @@ def _judged(
     trial: Contours,
     programs: EditablePrograms,
 ) -> dict[str, _Object]:
-    """Return the objects with the proposals that the pixels favor where they are aligned."""
+    """Accept the proposals that the pixels of the new alignment favor, and return all objects."""
     judged, scene = {}, trial.fitted.unknowns.scene
     for name, own in objects.items():
         shown = trial.drawn.owner == scene.index(name)

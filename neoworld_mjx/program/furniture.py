@@ -14,16 +14,16 @@ _HINGES = {
     "bottom": ("bottom.back", (0, 1, 0), 1.5),
     "top": ("top.back", (0, -1, 0), 1.5),
 }
-"""Anchor, axis and default opening angle [rad] of a door's hinge, by its edge.
+"""Anchor, axis and default opening angle [rad] of a door's hinge, by the hinged edge.
 
-At a larger angle the door would penetrate the frame next to its hinge.
+At a larger angle, the door would penetrate the frame next to the hinge.
 """
 DOOR_GAP_M = 0.0005
-"""Gap between a door and the front that it covers."""
+"""Gap between a door and the front that the door covers [m]."""
 TRAY_GAP_M = 0.0005
-"""Gap under a drawer's tray."""
+"""Gap under a drawer's tray [m]."""
 TRAVEL = 0.75
-"""Default travel of a drawer, as a fraction of its depth."""
+"""Default travel of a drawer, as a fraction of the tray's depth."""
 
 
 @no_type_check
@@ -45,20 +45,21 @@ class Furniture(ObjectJoints):
         after: After = None,
         material: str | None = None,
     ) -> Part:
-        """Hang a flat door or flap in front of the plane x.
+        """Hang a flat door or flap in front of the plane at x, and return its part.
 
         Args:
-            name: name of the part; its joint is called <name>_hinge.
+            name: name of the part. The joint is named <name>_hinge.
             parent: part that the door hangs on.
-            x: plane of the front; the door hangs on its +x side.
-            y: (low, high) of the area that it covers.
-            z: (low, high) of the area that it covers.
-            hinge: edge that it turns about: "left" (+y), "right" (-y), "top" or "bottom".
-            thickness: thickness along x.
-            gap: clearance at all four edges.
-            opens: angle when fully open [rad]; by default 1.57 at the sides, 1.5 above and below.
-            after: what must be open first, as for `revolute`.
-            material: the parent's by default.
+            x: position of the front's plane [m]; the door hangs on the +x side of the plane.
+            y: (low, high) of the covered area [m].
+            z: (low, high) of the covered area [m].
+            hinge: hinged edge: "left" (+y), "right" (-y), "top" or "bottom".
+            thickness: thickness along x [m].
+            gap: clearance at all four edges [m].
+            opens: angle of the fully open door [rad]; by default 1.57 for the left and right edge,
+                and 1.5 for the top and bottom edge.
+            after: parts or joints that must be open first, as for `revolute`.
+            material: name of a material; by default the parent's material.
         """
         self._check_part(parent, "door: parent")
         context = f"door {validate.name(name, 'door name')!r}"
@@ -109,22 +110,25 @@ class Furniture(ObjectJoints):
         after: After = None,
         material: str | None = None,
     ) -> Part:
-        """Put a drawer into an opening: a tray behind the plane x and a front panel before it.
+        """Put a drawer into an opening, and return its part.
+
+        The tray lies behind the plane at x, and the front panel lies in front of the plane.
 
         Args:
-            name: name of the part; its joint is called <name>_slide.
+            name: name of the part. The joint is named <name>_slide.
             parent: part that the drawer slides in.
-            x: plane of the opening.
-            y: (low, high) of the opening inside its frame.
-            z: (low, high) of the opening; the tray runs on its floor.
-            depth: depth of the tray, back from x.
-            wall: thickness of the tray's walls.
-            front: thickness of the front panel.
-            overlay: overlap of the front panel over the frame on all sides; 0 leaves a gap instead.
-            gap: clearance at the sides and above the tray.
-            travel: distance that the drawer opens; three quarters of its depth by default.
-            after: what must be open first, as for `revolute`.
-            material: the parent's by default.
+            x: position of the plane of the opening [m].
+            y: (low, high) of the opening inside its frame [m].
+            z: (low, high) of the opening [m]; the tray slides just above the lower bound.
+            depth: depth of the tray, backwards from x [m].
+            wall: thickness of the tray's walls [m].
+            front: thickness of the front panel [m].
+            overlay: width of the strip of the frame that the front panel covers on all sides [m].
+                If 0, the front panel has the width and height of the tray.
+            gap: clearance at the sides and above the tray [m].
+            travel: distance that the drawer opens [m]; by default three quarters of `depth`.
+            after: parts or joints that must be open first, as for `revolute`.
+            material: name of a material; by default the parent's material.
         """
         self._check_part(parent, "drawer: parent")
         context = f"drawer {validate.name(name, 'drawer name')!r}"
@@ -143,7 +147,7 @@ class Furniture(ObjectJoints):
         middle, floor = left + width / 2, low + TRAY_GAP_M
         shape = hollow_box(tray, validate.length(wall, f"{context}: wall"), open="+z")
         part.add(shape, at=(edge, middle, floor), by="front.bottom", name=f"{name[:40]}_tray")
-        # With an overlay the front covers the frame, without one it ends flush with it.
+        # Without an overlay, the front panel has the width and height of the tray.
         inset = side if lap <= 0 else -lap
         face = (
             thickness,
@@ -177,7 +181,7 @@ class Furniture(ObjectJoints):
         material: str | None = None,
         name: str | None = None,
     ) -> Geom:
-        """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], with its top at z."""
+        """Add a level board to a part; the board spans `x` and `y`, and `z` is its top [m]."""
         self._check_part(parent, "shelf: parent")
         (back, depth), (right, width) = _span(x, "shelf: x"), _span(y, "shelf: y")
         top = validate.number(z, "shelf: z", validate.MAX_COORDINATE_M)
@@ -187,7 +191,7 @@ class Furniture(ObjectJoints):
 
 
 def _span(value: Any, argument: str) -> tuple[float, float]:
-    """Validate (low, high) [m], and return low and the distance between them."""
+    """Validate (low, high) [m], and return low and high - low."""
     low, high = validate.pair(value, argument)
     if high <= low:
         raise ValueError(f"{argument} must be (low, high), got {validate.formatted(value)}")

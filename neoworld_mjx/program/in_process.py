@@ -13,9 +13,10 @@ from .session import LimitExceeded, Session, entered
 def run_in_process(
     text: str, session: Session, options: ProgramOptions
 ) -> tuple[str, list[Signal]]:
-    """Run a program in this process and return its printed text and its errors.
+    """Run a program in this process, and return its printed text and its errors.
 
-    The SDK's limits in `session` apply; those on time, memory and recursion do not.
+    The limits of `session` on parts and shapes apply. The limits on time, memory, recursion and SDK
+    calls do not apply.
     """
     session.filename = "<program.py>"
     output = io.StringIO()

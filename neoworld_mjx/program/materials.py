@@ -1,16 +1,17 @@
 """Named materials, and the finish of materials that a program defines.
 
-Named materials have a density, a friction and a plain color, which the photo overrides.
+Each named material has a density, a friction coefficient and a plain, typical color. The photo
+overrides the color.
 
-Densities are of the bulk solid, rounded, from the CRC Handbook of Chemistry and Physics (metals,
-glass, stone, polymers), the USDA Wood Handbook FPL-GTR-282 table 5-3 (wood at 12 % moisture) and
-the FAO/INFOODS Density Database 2.0 (food). Frictions are dry sliding coefficients against a wooden
-or lacquered top, from the Engineering ToolBox tables of friction coefficients, rounded to 0.05;
-the surface finish changes them by up to a third. Colors are typical ones.
+Densities are those of the bulk solid, rounded. Sources are the CRC Handbook of Chemistry and
+Physics (metals, glass, stone, polymers), the USDA Wood Handbook FPL-GTR-282, table 5-3 (wood at
+12 % moisture), and the FAO/INFOODS Density Database 2.0 (food). Friction coefficients are those of
+dry sliding on a wooden or lacquered top, from the tables of the Engineering ToolBox, rounded to
+0.05. The surface finish changes them by up to a third.
 
-"insulated" is the whole wall of an appliance: two sheets of steel of 0.5 mm with 39 mm of
-rigid polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; manufacturers of such
-panels (Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
+"insulated" describes the whole wall of an appliance: 39 mm of rigid polyurethane foam between two
+steel sheets of 0.5 mm each, so the density is (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3. Manufacturers
+of such panels (Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
 """
 
 from typing import Any
@@ -22,7 +23,7 @@ from ..spec.surface_pattern import PATTERN_KINDS
 from . import validate
 
 _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
-    # name: density [kg/m^3], friction, colour
+    # name: density [kg/m^3], friction, color
     "wood": (650, 0.45, (0.60, 0.42, 0.26)),
     "pine": (450, 0.45, (0.80, 0.64, 0.42)),
     "oak": (720, 0.45, (0.62, 0.45, 0.28)),
@@ -81,7 +82,7 @@ _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
 }
 
 _CLEAR = {"glass": 0.3, "acrylic": 0.35, "pet": 0.35, "water": 0.45}
-"""Opacity of transparent materials; all others are opaque."""
+"""Opacity of each transparent material, from 0 to 1; all other materials are opaque."""
 
 MATERIALS: dict[str, Material] = {
     name: Material(
@@ -89,13 +90,13 @@ MATERIALS: dict[str, Material] = {
     )
     for name, (density, friction, rgb) in _TABLE.items()
 }
-"""The named materials that a program may use without defining them."""
+"""Named materials that a program may use without defining them."""
 
 
 def stated_finish(
     kind: Any, rgb2: Any, step: Any, along: Any, metallic: Any, roughness: Any, context: str
 ) -> dict[str, Any]:
-    """Return the validated finish fields of a material; each argument may be None."""
+    """Validate the finish arguments of a material that are not None, and return the fields."""
     fields: dict[str, Any] = {
         key: validate.number(share, f"{context}: {key}")
         for key, share in (("metallic", metallic), ("roughness", roughness))
@@ -119,10 +120,10 @@ def stated_finish(
 
 
 def inherited_finish(base: Material, name: str) -> dict[str, Any]:
-    """Return the finish that a material inherits from `base`.
+    """Return the finish fields that the material `name` inherits from `base`.
 
-    It inherits none if its own name implies a finish, or if the name of `base` does not: "seat"
-    inherits from "oak", "steel_seat" does not.
+    A finish is inherited only if the name of `base` implies a finish and `name` does not. For
+    example, "seat" inherits the finish of "oak", but "steel_seat" does not.
     """
     if named_finish(name) or not named_finish(base.name):
         return {}

@@ -1,9 +1,9 @@
 """Execution of a program in a worker process of the Monty sandbox.
 
-The text is type-checked against the SDK's stubs first. A worker has no files, no network and no
-imports except the SDK, `math` and similar modules; time, memory, recursion, output and calls are
-limited. The SDK's objects stay in this process: a worker holds handles of them, and the SDK
-validates every value that a program passes.
+The program is first type-checked against the stubs of the SDK. A worker has no access to files or
+the network, and can import only the SDK, `math` and similar modules. Time, memory, recursion,
+output and calls are limited. The SDK's objects remain in this process, and a worker has only
+handles of them. The SDK validates every value that a program passes.
 """
 
 import atexit
@@ -36,17 +36,22 @@ from .type_signals import type_signals
 
 
 def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
-    """Return the names of a class's public members that `select` accepts."""
+    """Return the names of the public members of a class that `select` accepts."""
     members = inspect.getmembers_static(kind, select)
     return tuple(name for name, _ in members if not name.startswith("_"))
 
 
 _START_S, _GRACE_S = 10.0, 0.5
 _STARVED = 0.25
-"""Fraction of the time limit: a worker that timed out with less processor time runs once more."""
+"""A worker that timed out is run again if it used less processor time than this.
+
+The value is a fraction of the time limit.
+"""
 _PATIENCE = 30.0
-"""Wall time limit of the second run, as a multiple of the time limit; that one then bounds the
-processor time."""
+"""Limit of the second run's wall time, as a multiple of the time limit.
+
+In the second run, the time limit applies to the processor time.
+"""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
 _PROPERTIES = {
@@ -59,7 +64,7 @@ _FIELDS = {
 
 
 class _Handle(monty.ClassInstance):
-    """Handle of an SDK object that exposes only its public fields, properties and methods."""
+    """Handle of an SDK object, which exposes only public fields, properties and methods."""
 
     session: Session
 
@@ -76,7 +81,7 @@ class _Handle(monty.ClassInstance):
 
 
 def _exposed(value: Any, session: Session) -> Any:
-    """Return a handle of an SDK object, and any other value unchanged."""
+    """Return a handle if the value is an SDK object; return any other value unchanged."""
     kind = type(value)
     if kind not in _METHODS:
         return value
@@ -91,7 +96,7 @@ def _exposed(value: Any, session: Session) -> Any:
 
 
 def _module(session: Session) -> dict[str, monty.ExternalModule]:
-    """Return the SDK as the only module that a program may import, bound to its session."""
+    """Return the SDK as a module for the worker; the functions are bound to the session."""
 
     def bound(function: Any) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -104,7 +109,7 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     sdk = import_module(MODULE)
     for name in sdk.__all__:
         value = getattr(sdk, name)
-        # Programs name these classes in annotations; only `Object` may be called.
+        # Programs may use these classes in annotations, but may call only `Object`.
         class_only = inspect.isclass(value) and value is not Object
         exposed[name] = monty.ClassType(value) if class_only else bound(value)
     module = monty.ExternalModule(exposed, stubs=stubs())
@@ -115,23 +120,24 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
 
 
 class Starved(Exception):
-    """A program timed out because the machine was too busy to run it."""
+    """Raised if a program timed out because the machine was too busy to run it."""
 
 
 def run_sandboxed(
     text: str, session: Session, options: ProgramOptions, *, patient: bool = False
 ) -> tuple[str, list[Signal]]:
-    """Run a program in a worker and return its printed text and its errors.
+    """Run a program in a worker, and return its printed text and its errors.
 
     Args:
         text: the program.
-        session: collects the program's objects and counts the resources that it uses.
+        session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
-        patient: True to apply the time limit to the worker's processor time.
+        patient: if True, the time limit applies to the worker's processor time instead of the wall
+            time.
 
     Raises:
-        Starved: the worker reached the limit of wall time with little processor time; never if
-            `patient`.
+        Starved: the worker used little processor time before it reached the limit of wall time.
+            Not raised if `patient` is True.
     """
     printed = monty.CollectString(max_bytes=options.max_output_bytes)
     limits: monty.ResourceLimits = {
@@ -170,7 +176,7 @@ def run_sandboxed(
             unchecked = options.model_copy(update={"type_check": False})
             return run_sandboxed(text, session, unchecked, patient=patient)
     except LimitExceeded:
-        pass  # Reported below, whether or not the program caught it.
+        pass  # Reported below, even if the program caught the exception.
     except monty.MontyError as error:
         signal = _monty_signal(error, options)
         if clock.worker_killed:
@@ -190,7 +196,7 @@ def run_sandboxed(
 
 @lru_cache(maxsize=4)
 def _pool(workers: int, pid: int) -> monty.Monty:
-    """Return a pool of running workers; `pid` gives each forked process a pool of its own."""
+    """Return a pool of running workers; each process, identified by `pid`, has a separate pool."""
     pool = monty.Monty(
         min_processes=1,
         max_processes=workers,

@@ -1,7 +1,8 @@
-"""Named constants of a program, and edits of one number in its text.
+"""Named constants of a program, and edits of one number in the program's text.
 
-A program names its dimensions at top level, as the programmers' guide asks: `X, Y, Z = 0.60, 0.90,
-0.45`, or `depth = 0.55  # 0.4 to 0.7 m` in a template. An edit replaces the literal alone.
+A program assigns its dimensions to names at top level, as the guide for programmers asks. Examples
+are `X, Y, Z = 0.60, 0.90, 0.45`, and `depth = 0.55  # 0.4 to 0.7 m` in a template. An edit replaces
+only the literal.
 """
 
 import ast
@@ -11,36 +12,39 @@ from collections import Counter
 from typing import NamedTuple
 
 RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")
-"""Comment behind a parameter of a template: its range and unit."""
+"""Comment after a parameter of a template, which states the parameter's range and unit."""
 
 
 class NamedConstant(NamedTuple):
-    """A positive float that a program assigns, once, to a name at top level."""
+    """A positive float that a program assigns, exactly once, to a name at top level."""
 
     name: str
     value: float
     line: int
     """Line of the literal, counted from 0."""
     start: int
-    """Columns of the literal [bytes of UTF-8]."""
+    """Column of the literal's first byte in UTF-8, counted from 0."""
     end: int
+    """Column after the literal's last byte."""
     low: float = 0.0
-    """Range that the comment behind a template's parameter states."""
+    """Lower bound that the comment after a template's parameter states."""
     high: float = math.inf
+    """Upper bound that the comment states."""
 
     def within(self, value: float) -> float:
-        """Return a value, clipped to the stated range."""
+        """Return the value, clipped to the range from `low` to `high`."""
         return min(max(value, self.low), self.high)
 
 
 def named_constants(text: str) -> tuple[NamedConstant, ...]:
-    """Return the named constants of a program, in their order; none of a text that is no Python.
+    """Return the named constants of a program, in the order of the text.
 
-    Whole numbers are counts rather than lengths, and names that are assigned more than once, or in
-    a loop or a function, are no constants: both are left out.
+    Integers are omitted, because they are counts rather than lengths. Names that are assigned more
+    than once, or in a loop or a function, are omitted, because they are not constant. If the text
+    is not valid Python, return no constants.
     """
     if "\r" in text.replace("\r\n", "\n"):
-        return ()  # Python ends a line there, and the columns would be of another one.
+        return ()  # Python ends a line at a bare "\r", so its line numbers would not fit `lines`.
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -69,7 +73,7 @@ def named_constants(text: str) -> tuple[NamedConstant, ...]:
 
 
 def _pairs(node: ast.stmt) -> list[tuple[str, ast.Constant]]:
-    """Return the names of an assignment with the literals that they get."""
+    """Return pairs of a name and the literal that an assignment statement assigns to it."""
     if isinstance(node, ast.AnnAssign):
         targets: list[ast.expr] = [node.target]
         values = [node.value]
@@ -89,12 +93,13 @@ def _pairs(node: ast.stmt) -> list[tuple[str, ast.Constant]]:
 
 
 def with_value(text: str, constant: NamedConstant, value: float) -> str:
-    """Return the text with another number in place of a constant's literal; all else stays.
+    """Return the text with the literal of a constant replaced by another number.
 
-    The number has four significant digits.
+    The number is rounded to four significant digits. The rest of the text is unchanged.
 
     Raises:
-        ValueError: the text does not hold the constant there, or the number is not positive.
+        ValueError: the line does not contain the constant's literal, or the number is not positive
+            and finite.
     """
     if not 0 < value < math.inf:
         raise ValueError(f"{constant.name} must be positive and finite, got {value!r}")

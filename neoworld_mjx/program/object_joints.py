@@ -1,4 +1,4 @@
-"""Joints of a program's object, at anchors and along directions that may be given by name."""
+"""Joints of a program's object; anchors and directions may be given by name."""
 
 import math
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ from .sdk_types import Point2, Vec3
 from .session import here
 
 MAX_RANGE = 1e4
-"""Largest limit of a joint that is accepted; the compile checks reject far smaller ones."""
+"""Largest joint limit that is accepted here [m or rad]; the compile checks allow far less."""
 After = Part | Joint | Sequence[Part | Joint] | None
 """Parts or joints that must be open before a joint moves."""
 
 
 @no_type_check
 class ObjectJoints:
-    """Methods of `Object` that connect its parts by joints."""
+    """Methods of `Object` that connect parts by joints."""
 
     _joints: list[Joint]
     if TYPE_CHECKING:  # Members of `Object`.
@@ -31,7 +31,7 @@ class ObjectJoints:
         ) -> Part: ...
 
     def fixed(self, name: str, parent: Part, child: Part) -> Joint:
-        """Fasten a part to another."""
+        """Fasten `child` rigidly to `parent`."""
         return self._join("fixed", name, parent, child, {})
 
     def revolute(
@@ -56,14 +56,18 @@ class ObjectJoints:
     ) -> Joint:
         """Hinge `child` to `parent` at a point, about an axis, between two angles [rad].
 
-        Positive angles open, by the right-hand rule about `axis`. The shapes are drawn at angle 0.
-        `at` may be an anchor of the child; "left.hinge", the left edge of a flat child, also sets
-        the axis so that positive angles move the child away from its parent.
-        Damping [N m s/rad] and friction [N m] default to values from the child's inertia and
-        weight. With `mimic` the joint follows another one: multiplier * q + offset.
-        `after` names the parts or joints that must be open first: for a dishwasher's rack the door.
-        `opens` is the direction in which the child's center starts to move, such as "front"; the
-        compile checks compare it with the axis.
+        Positive angles follow the right-hand rule about `axis`, and should open the joint. The
+        shapes of the program show the object at angle 0.
+
+        `at` may be an anchor of the child. "left.hinge" is the left edge of a flat child. If `axis`
+        is None, this anchor also sets the axis so that positive angles move the child away from the
+        parent.
+
+        By default, damping [N m s/rad] and friction [N m] are derived from the child's inertia and
+        weight. With `mimic`, the joint's angle is multiplier * q + offset, where q is the position
+        of the other joint. `after` lists the parts or joints that must be open first, such as the
+        door for the rack of a dishwasher. `opens` is the direction in which the child's center
+        starts to move, such as "front"; the compile checks compare the direction with the axis.
         """
         return self._join("revolute", name, parent, child, call_arguments(locals()))
 
@@ -84,7 +88,7 @@ class ObjectJoints:
         offset: float = 0.0,
         after: After = None,
     ) -> Joint:
-        """Let `child` turn without limits about an axis through a point: a wheel, a knob."""
+        """Let `child`, such as a wheel or a knob, turn without limits about an axis."""
         return self._join("continuous", name, parent, child, call_arguments(locals()))
 
     def ball(
@@ -100,7 +104,10 @@ class ObjectJoints:
         stiffness: float = 0.0,
         after: After = None,
     ) -> Joint:
-        """Let `child` turn about a point in all directions, by up to `swing` [rad] from rest."""
+        """Let `child` turn about a point in all directions.
+
+        `swing` is the largest angle from the initial orientation [rad]; if None, there is no limit.
+        """
         return self._join("ball", name, parent, child, call_arguments(locals()))
 
     def prismatic(
@@ -123,7 +130,7 @@ class ObjectJoints:
         after: After = None,
         opens: Vec3 | str | None = None,
     ) -> Joint:
-        """Let `child` slide along an axis between two distances [m]; positive pulls it out."""
+        """Let `child` slide along an axis between two positions [m]; positive positions open."""
         return self._join("prismatic", name, parent, child, call_arguments(locals()))
 
     def _join(
@@ -157,11 +164,11 @@ class ObjectJoints:
         return joint
 
     def _joint_of(self, part: Part) -> Joint | None:
-        """Return the joint that moves a part."""
+        """Return the joint whose child is the part, or None."""
         return next((j for j in self._joints if j._fields["child"] == part.name), None)
 
     def _openers(self, value: Any, argument: str) -> tuple[str, ...]:
-        """Return the names of joints, given as joints or as the parts that they move."""
+        """Return the names of joints that are given as joints or as the parts that they move."""
         names = []
         openers = value if isinstance(value, list | tuple) else [value]
         for opener in validate.sequence(openers, argument, 1, 8):
@@ -193,14 +200,14 @@ class ObjectJoints:
 
 
 def call_arguments(local: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a method call except its object, name and parts."""
+    """Return the arguments of a method call, without `self`, `name`, `parent` and `child`."""
     return {k: v for k, v in local.items() if k not in ("self", "name", "parent", "child")}
 
 
 def _joint_fields(
     context: str, kind: str, parent: Part, child: Part, arguments: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the fields of a `JointSpec` that the arguments of a call determine."""
+    """Return the fields of a `JointSpec` that the arguments of a joint method determine."""
     fields: dict[str, Any] = {}
     at: Any = arguments.get("at")
     axis = arguments.get("axis")

@@ -22,7 +22,7 @@ class Geom:
         self.name = spec.name
 
     def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the shape's bounding box, as placed: "top", "left.front"."""
+        """Return a named point of the placed shape's bounding box, such as "left.front" [m]."""
         x, y, z = anchor_of(self._bounds, where, f"anchor of {self.name}").tolist()
         return x, y, z
 
@@ -58,13 +58,13 @@ class Part:
             shape: a result of `box`, `cylinder`, `lathe` and the like.
             at: position of the shape's origin in the object's frame [m].
             rpy: fixed-axis roll, pitch, yaw [rad], applied about the shape's origin first.
-            by: an anchor of the rotated shape's bounding box that is placed at `at` instead of
-                its origin, such as "bottom" or "back.top".
-            material: name of a material; the part's own by default.
-            rgb: color in 0 to 1 that overrides the material's.
-            role: "both", or "visual" (visible only, no mass), or "collision".
-            name: unique in the part; numbered by default. The part's name is prepended if
-                another part has a shape of this name.
+            by: anchor of the rotated shape's bounding box, such as "bottom" or "back.top". The
+                anchor is placed at `at` instead of the shape's origin.
+            material: name of a material; by default the part's material.
+            rgb: red, green and blue from 0 to 1, which replace the material's color.
+            role: "both", "visual" (without mass and collisions) or "collision" (invisible).
+            name: name that is unique in the part; by default a numbered name. If another part has a
+                shape with this name, the part's name is prepended.
         """
         context = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
@@ -94,10 +94,10 @@ class Part:
         return geom
 
     def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the bounding box of the part's shapes so far.
+        """Return a named point of the bounding box of the shapes that the part has so far [m].
 
-        "left.hinge" is the point that a flat part, hinged at its left edge, turns about: on that
-        edge, on the face towards the object's other parts.
+        "left.hinge" is the point about which a flat part turns if it is hinged at the left edge.
+        The point lies on this edge, on the face towards the object's other parts.
         """
         argument = f"anchor of part {self.name!r}"
         if is_hinge(where):
@@ -108,7 +108,7 @@ class Part:
         return x, y, z
 
     def set_mass(self, mass: float) -> None:
-        """Set the part's mass [kg] in place of the one from volume and density."""
+        """Set the part's mass [kg], which replaces the mass from volume and density."""
         if validate.number(mass, f"part {self.name!r}: mass") <= 0:
             raise ValueError(f"part {self.name!r}: mass must be positive, got {mass!r}")
         self._mass = float(mass)
@@ -120,7 +120,7 @@ class Part:
         return extent
 
     def _geom_name(self, wanted: str | None, context: str) -> str:
-        """Return the wanted name, or one like it, that no other shape of the object has."""
+        """Return the wanted name, or a similar name if another shape of the object has it."""
         used = self._owner._geom_names
         if wanted is not None:
             if validate.name(wanted, f"{context}: name") in self._named:
@@ -142,7 +142,7 @@ class Part:
 
 
 def extent_of(parts: Sequence[Part]) -> Bounds | None:
-    """Return the bounding box of all shapes of parts so far, None if there are none."""
+    """Return the bounding box of all shapes that the parts have so far, or None without shapes."""
     boxes = [geom._bounds for part in parts for geom in part._geoms]
     return enclosing(boxes) if boxes else None
 
@@ -166,12 +166,12 @@ class Joint:
         effort: float | None = None,
         velocity: float | None = None,
     ) -> None:
-        """Set losses and limits of the joint; omitted values stay unchanged.
+        """Set losses, stiffness and drive limits of the joint; omitted values remain unchanged.
 
         Args:
-            damping: damping [N m s/rad], or [N s/m] of a slide.
+            damping: damping [N m s/rad, or N s/m for a prismatic joint].
             friction: dry friction [N m or N].
-            stiffness: spring stiffness towards 0 [N m/rad or N/m].
+            stiffness: stiffness of a spring that pulls the joint to 0 [N m/rad or N/m].
             effort: largest torque or force of a drive [N m or N].
             velocity: largest speed [rad/s or m/s].
         """

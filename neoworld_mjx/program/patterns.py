@@ -15,7 +15,7 @@ MAX_COUNT = 1000
 def grid(
     counts: tuple[int, int], steps: Point2, centre: Vec3 = (0.0, 0.0, 0.0)
 ) -> list[tuple[float, float, float]]:
-    """Return points on a grid in x and y around a centre, row by row along x."""
+    """Return the points of a grid in x and y around a center; x varies fastest."""
     columns, rows = (
         validate.integer(v, "grid counts", 1, MAX_COUNT)
         for v in validate.sequence(counts, "grid counts", 2, 2)
@@ -35,7 +35,7 @@ def grid(
 def ring(
     count: int, radius: float, centre: Vec3 = (0.0, 0.0, 0.0), start: float = 0.0
 ) -> list[tuple[float, float, float]]:
-    """Return points on a circle around +z; the k-th lies at the angle start + 2 pi k / count."""
+    """Return points on a horizontal circle; point k lies at the angle start + 2 pi k / count."""
     total = validate.integer(count, "ring count", 1, MAX_COUNT)
     r = validate.length(radius, "ring radius")
     x, y, z = validate.vector(centre, "ring centre")
@@ -48,13 +48,15 @@ def ring(
 def mirror(
     points: Vec3 | Sequence[Vec3], across: Literal["x", "y", "z"] = "y", at: float = 0.0
 ) -> list[tuple[float, float, float]]:
-    """Return points and their mirror images across a plane.
+    """Return each point, followed by its mirror image across a plane.
+
+    A point on the plane has no image.
 
     Args:
-        points: one point (x, y, z), or a list of them.
-        across: normal of the plane: "x" (front and back change), "y" (left and
-            right) or "z" (top and bottom).
-        at: position of the plane on that axis. A point on the plane has no image.
+        points: one point (x, y, z) or a list of points.
+        across: normal of the plane: "x" (exchanges front and back), "y" (exchanges left and right)
+            or "z" (exchanges top and bottom).
+        at: position of the plane along the normal [m].
     """
     if across not in ("x", "y", "z"):
         raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.formatted(across)}")

@@ -1,4 +1,4 @@
-"""Shapes of programs, their poses and bounding boxes, and named points of bounding boxes."""
+"""Shapes of programs, poses and bounding boxes of shapes, and named points of bounding boxes."""
 
 from collections.abc import Sequence
 from typing import Any, no_type_check
@@ -13,7 +13,7 @@ from . import validate
 from .sdk_types import Vec3
 
 Bounds = tuple[NDArray, NDArray]
-"""Lowest and highest corner [3] m."""
+"""Lowest and highest corner of a bounding box [m], each of shape [3]."""
 
 _SIDES = {
     "front": (0, 1),
@@ -43,7 +43,7 @@ class Shape:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Edge lengths [m] of the bounding box in the shape's own frame."""
+        """Edge lengths [m] of the axis-aligned bounding box, after rotations by `moved`."""
         low, high = bounds_of(self, pose())
         x, y, z = (high - low).tolist()
         return x, y, z
@@ -54,26 +54,27 @@ class Shape:
         return self._spec.volume()
 
     def distance(self, point: Vec3) -> float:
-        """Return the distance [m] of a point from the surface, negative inside."""
+        """Return the signed distance from the shape's surface to a point [m], negative inside."""
         local = self._pose.inverse().apply(validate.vector(point, "distance: point"))
         return float(self._spec.signed_distance(local)[0])
 
     def moved(
         self, at: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0), *, by: str = ""
     ) -> "Shape":
-        """Return the shape rotated by `rpy` and placed at `at`, as `Part.add` places it."""
+        """Return a copy of the shape, rotated by `rpy` and placed at `at` as by `Part.add`."""
         return Shape(self._spec, placed(self, at, rpy, by, "moved"))
 
 
 @no_type_check
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, context: str) -> Pose:
-    """Return the pose of a shape's spec that puts the shape's origin, or its anchor `by`, at `at`.
+    """Return the pose of a shape's spec for which the shape's origin or anchor lies at a point.
 
     Args:
         shape: the shape.
-        at: point in the object's frame [3] m.
-        rpy: fixed-axis roll, pitch and yaw [3] rad.
-        by: anchor of the rotated shape's bounding box; empty for its origin.
+        at: the point in the object's frame [m], shape [3].
+        rpy: fixed-axis roll, pitch and yaw [rad], shape [3].
+        by: anchor of the rotated shape's bounding box; if empty, the shape's origin lies at the
+            point.
         context: name of the call, for messages.
     """
     position = np.array(validate.vector(at, f"{context}: at"))
@@ -88,26 +89,27 @@ def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, con
 
 
 def bounds_of(shape: Shape, at: Pose) -> Bounds:
-    """Return the bounding box (low [3], high [3]) [m] of a shape at a pose."""
+    """Return the bounding box of a shape at a pose."""
     return bounds_at(shape._spec, at.then(shape._pose))
 
 
 def bounds_at(spec: S.Shape, at: Pose) -> Bounds:
-    """Return the bounding box (low [3], high [3]) [m] of a shape's spec at a pose."""
+    """Return the bounding box of a shape's spec at a pose."""
     return enclosing(
         [box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in spec.pieces()]
     )
 
 
 def enclosing(boxes: Sequence[Bounds]) -> Bounds:
-    """Return the bounding box of bounding boxes."""
+    """Return the smallest bounding box that contains all given bounding boxes."""
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
 def anchor_of(bounds: Bounds, where: Any, argument: str) -> NDArray:
-    """Return a named point of a bounding box [3] m: "top", "left.front", "-x.bottom", "centre".
+    """Return a named point of a bounding box [m], shape [3].
 
-    Along a direction that is not named, the point lies in the center.
+    Examples of names are "top", "left.front", "-x.bottom" and "centre". Along each axis that the
+    name does not mention, the point lies in the middle.
     """
     if not isinstance(where, str):
         raise TypeError(
@@ -121,7 +123,7 @@ def anchor_of(bounds: Bounds, where: Any, argument: str) -> NDArray:
 
 
 def _named(words: list[str], argument: str) -> dict[int, int]:
-    """Return the sign of every axis that an anchor's words name."""
+    """Return the sign of each axis that the words of an anchor mention, by axis index."""
     signs: dict[int, int] = {}
     for word in words:
         if word == "centre":
@@ -148,19 +150,20 @@ def is_hinge(where: Any) -> bool:
 def hinge_of(
     bounds: Bounds, others: Bounds | None, where: str, argument: str
 ) -> tuple[NDArray, NDArray]:
-    """Return the hinge line of a flat part, such as a door or a lid, at one of its edges.
+    """Return the hinge line at an edge of a flat part, such as a door or a lid.
 
-    The line runs along the named edge, on the face towards the parts that it is attached to.
+    The line runs along the named edge, on the face towards the other parts.
 
     Args:
-        bounds: bounding box of the part, thin along one direction.
-        others: bounding box of the parts that it is attached to and opens away from; None opens
-            it to the front, the left or upwards.
+        bounds: bounding box of the flat part, whose shortest edge is the thickness.
+        others: bounding box of the parts that the flat part is attached to and opens away from. If
+            None, the flat part opens to the front, to the left or upwards.
         where: anchor such as "left.hinge".
-        argument: name of the anchor's argument, for messages.
+        argument: name of the argument that contains the anchor, for messages.
 
     Returns:
-        Center of the edge [3] m, and the axis [3] about which positive angles open.
+        The center of the edge [m], shape [3], and the axis about which positive angles open the
+        part, shape [3].
     """
     words = [word for word in validate.text(where, argument).split(".") if word != "hinge"]
     edges = _named(words, argument)
@@ -180,13 +183,13 @@ def hinge_of(
     point = middle.copy()
     point[edge] = high[edge] if side > 0 else low[edge]
     point[thin] = low[thin] if outward > 0 else high[thin]
-    # Positive angles move the edge opposite to the named one outwards.
+    # Positive angles move the edge opposite to the named edge outwards.
     axis = np.cross(-side * np.eye(3)[edge], outward * np.eye(3)[thin])
     return point, axis + 0.0
 
 
 def direction(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return an axis [3] given as three numbers, or as a word such as "front", "up" or "-y"."""
+    """Return a direction, given as three numbers or as a word such as "front", "up" or "-y"."""
     if not isinstance(value, str):
         return validate.vector(value, argument)
     if value not in _DIRECTIONS:

@@ -1,8 +1,9 @@
-"""Execution of a program's text, and the checks of its object; faults of programs become signals.
+"""Execution of programs, and checks of the objects that they build.
 
-Programs call the SDK. `monty`, the default, runs them in a sandbox; `cpython` runs them in this
-process without isolation, for your own programs only. The same text gives the same object, to the
-byte. With `program.language: blender` a program that imports bpy runs in Blender (`blender/`).
+Errors of a program are returned as signals. Programs call the SDK. The sandbox `monty`, the
+default, runs a program in an isolated worker process. `cpython` runs a program in this process
+without isolation; use it only for programs that you trust. Equal texts build byte-identical
+objects. With `program.language: blender`, a program that imports bpy runs in Blender (`blender/`).
 """
 
 import errno
@@ -38,19 +39,22 @@ class BuildResult:
     signals: tuple[Signal, ...] = ()
     printed: str = ""
     lines: dict[str, int] = field(default_factory=dict)
-    """Line of the program that creates each part and joint, by "part:door" or "joint:hinge"."""
+    """Line that creates each part or joint, by "part:NAME" or "joint:NAME"."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
     seconds: float = 0.0
+    """Wall time of running the program and checking the object [s]."""
 
     @property
     def ok(self) -> bool:
-        """True if there is an object without errors."""
+        """True if the program builds an object and no signal is an error."""
         return self.spec is not None and not has_errors(self.signals)
 
 
 def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
-    """Run a program and check its object; `ok` of the result is True if it passes every check.
+    """Run a program, and check the object that it builds.
+
+    The result's `ok` is True if the object passes every check.
 
     Raises:
         ProgramError: the program needs Blender, which is not installed or cannot be confined.
@@ -62,7 +66,7 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     start = time.monotonic()
     try:
         signals = check(result.spec, options, result.lines, result.allowances)
-    except Exception as error:  # A check that raises becomes a signal.
+    except Exception as error:  # Report a check that raises as a signal.
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
         signals = (error_signal("internal", message),)
     seconds = result.seconds + time.monotonic() - start
@@ -70,12 +74,12 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
 
 
 def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False) -> BuildResult:
-    """Run a program and assemble its object, without checks of the object.
+    """Run a program and convert its object into an ObjectSpec, without the compile checks.
 
     Args:
         text: the program.
         options: the sandbox and its limits.
-        loose: True if the parts have no joints yet; each is then fixed to the first.
+        loose: if True, the parts have no joints yet, and every part is fixed to the first part.
 
     Raises:
         ProgramError: the program needs Blender, which is not installed or cannot be confined.
@@ -123,14 +127,14 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
 def _run_in_worker(
     text: str, session: Session, options: ProgramOptions
 ) -> tuple[Session, str, list[Signal]]:
-    """Run a program in the Monty sandbox, a second time if the first ran out of time."""
+    """Run a program in the Monty sandbox; if the first run exceeds the time limit, run it again."""
     patient = False
     try:
         printed, errors = run_sandboxed(text, session, options)
     except Starved:
         printed, errors, patient = "", [], True
     timed_out = session.exceeded is not None and session.exceeded.code == "timeout"
-    # Virtual machines count pauses as a thread's time, so a single timeout is not conclusive.
+    # Virtual machines count pauses as time of a thread, so a single timeout is not conclusive.
     if patient or timed_out:
         session = _session(options)
         printed, errors = run_sandboxed(text, session, options, patient=patient)
@@ -148,13 +152,13 @@ def _session(options: ProgramOptions) -> Session:
 
 @cache
 def _load_shapes() -> None:
-    """Import the packages that shapes need, so that no program's time limit includes it."""
+    """Import the packages that shapes need, so that no program's time includes the import."""
     for name in ("scipy.spatial", "manifold3d"):
         import_module(name)
 
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
-    """Return the error of a text that no sandbox can run."""
+    """Return an error if the text cannot be run, and an empty list otherwise."""
     size, limit = len(text.encode("utf-8", "replace")), options.max_text_bytes
     if size > limit:
         message = "the program's text is too long"

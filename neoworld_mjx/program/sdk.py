@@ -1,10 +1,12 @@
 """The SDK of object programs: parts made of shapes, joints between parts, materials, sites.
 
-A program creates one `Object`, gives it parts, adds shapes to them and joins them. All coordinates
-are in the frame of the object at rest, in metres and radians: +x front, +y left, +z up. The program
-chooses the origin; the build moves it to the center of the bounding box's bottom face. Invalid
-arguments raise ValueError or TypeError at the call; `neoworld_mjx.program.build` reports signals of
-the whole object. Programs are type-checked against `sdk.pyi`, which
+A program creates one `Object`, adds parts to it, adds shapes to the parts, and connects the parts
+by joints. All coordinates are in the frame of the object with all joints at zero: +x is the front,
++y is left and +z is up. Units are meters and radians. The program chooses the origin, and the build
+moves it to the center of the bounding box's bottom face.
+
+A call with invalid arguments raises ValueError or TypeError. `neoworld_mjx.program.build` checks
+the whole object and returns signals. Programs are type-checked against `sdk.pyi`, which
 `python -m neoworld_mjx.program.stubs --write` generates from the signatures.
 """
 

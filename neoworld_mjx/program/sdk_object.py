@@ -1,4 +1,4 @@
-"""The object that a program creates, with its materials, parts, sites and allowed overlaps."""
+"""The object that a program creates, with materials, parts, sites and allowed overlaps."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, no_type_check
@@ -18,11 +18,11 @@ MAX_ALLOWED_M, MIN_REASON = 0.005, 10
 
 @no_type_check
 class Object(Furniture):
-    """The object that a program creates; a program creates exactly one.
+    """The object of a program, which must create exactly one.
 
     Args:
         name: an identifier, such as "cup".
-        label: kind of object, in words.
+        label: the kind of object, in words.
     """
 
     name: str
@@ -55,22 +55,27 @@ class Object(Furniture):
         metallic: float | None = None,
         roughness: float | None = None,
     ) -> str:
-        """Define a material and return its name; properties default to those of `like`.
+        """Define a material, and return its name.
+
+        Omitted properties are copied from the material `like`. If `like` is None, they are copied
+        from the named material `name`, if it exists.
 
         Args:
             name: name of the material.
-            like: a named material, or one defined before.
+            like: name of a named material or of a material that the program defined before.
             density: density [kg/m^3].
-            friction: sliding friction coefficient.
-            rgb: colour, each from 0 to 1.
-            alpha: opacity, from 0 to 1.
+            friction: coefficient of sliding friction.
+            rgb: red, green and blue, each from 0 to 1.
+            alpha: opacity from 0 to 1.
             pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave" or
                 "brushed".
-            rgb2: colour of the pattern's joints, veins, speckles or gaps.
-            step: width of a board, edge of a tile, height of a brick, spacing of veins, ... [m].
-            along: axis of a face along which boards run, its first or its second.
-            metallic: from 0 to 1; by default that of the material in the name ("steel").
-            roughness: from 0 (a mirror) to 1; by default that of the material in the name.
+            rgb2: color of the pattern's joints, veins, speckles or gaps.
+            step: scale of the pattern [m]: the width of a board, the edge of a tile, the height of
+                a brick, the spacing of veins, and so on.
+            along: axis of a face along which boards run: the first ("x") or the second ("y").
+            metallic: from 0 to 1; by default the value of the substance in the name, such as
+                "steel".
+            roughness: from 0 (a mirror) to 1; by default the value of the substance in the name.
         """
         context = f"material {validate.name(name, 'material name')!r}"
         if name in self._materials:
@@ -97,12 +102,12 @@ class Object(Furniture):
         return name
 
     def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part:
-        """Add a rigid part.
+        """Add a rigid part, and return it.
 
         Args:
-            name: unique in the object.
-            material: default material of its shapes.
-            mass: mass [kg]; by default from volume and density.
+            name: name that is unique among the object's parts.
+            material: default material of the part's shapes.
+            mass: mass [kg]; by default the mass follows from volume and density.
         """
         label = validate.name(name, "part name")
         validate.unused(label, "part", [part.name for part in self._parts])
@@ -127,7 +132,10 @@ class Object(Furniture):
         self._sites.append(S.Site(name=label, part=part.name, pos=position))
 
     def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None:
-        """Allow two parts to overlap by up to `depth` [m], at most 5 mm, for a stated reason."""
+        """Allow two parts to overlap by up to `depth` [m], for a stated reason.
+
+        `depth` may be at most 0.005 m.
+        """
         self._check_part(first, "allow_overlap: first")
         self._check_part(second, "allow_overlap: second")
         depth = validate.length(depth, "allow_overlap: depth")
@@ -150,7 +158,7 @@ class Object(Furniture):
         return material
 
     def _shade(self, name: str | None, rgb: Sequence[float] | None, context: str) -> str:
-        """Return the name of a material, recolored if `rgb` is given; define it on first use."""
+        """Define a material on first use, recolored if `rgb` is not None, and return its name."""
         if name is None:
             raise ValueError(f"{context}: needs material=, as the part has none of its own")
         base = self._known_material(name, context)

@@ -1,7 +1,7 @@
-"""Session of one run of a program: its objects, limits, counts and current line.
+"""Session of one run of a program: the objects, limits, resource counts and current line.
 
-The SDK reads its session from a context variable, so programs share nothing. Outside a session,
-when a program's file is run by plain Python, the SDK has no time limit.
+The SDK reads the current session from a context variable, so programs share no state. Outside a
+session, for example if plain Python runs a program's file, the SDK has no time limit.
 """
 
 import sys
@@ -19,7 +19,10 @@ MAX_WARNINGS = 20
 
 
 class LimitExceeded(Exception):
-    """A program exceeded a limit; the sandbox ends it even if it catches this exception."""
+    """Raised if a program exceeds a limit.
+
+    The sandbox ends the program even if the program catches this exception.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -28,48 +31,48 @@ class LimitExceeded(Exception):
 
 @dataclass
 class Session:
-    """Objects, limits and counts of one run."""
+    """Objects, limits and resource counts of one run of a program."""
 
     max_seconds: float = float("inf")
-    """Limit of the processor time [s] of SDK calls."""
+    """Limit on the processor time of all SDK calls together [s]."""
     max_parts: int = 300
     max_geoms: int = 3000
     max_pieces: int = 4000
-    """Limit of the convex pieces of all shapes together."""
+    """Limit on the number of convex pieces of all shapes together."""
     filename: str | None = None
-    """Name under which CPython runs the program's text; None in the sandbox."""
+    """File name with which CPython compiles the program's text; None in the sandbox."""
     line: int | None = None
     """Current line of the program in the sandbox, counted from 1."""
     objects: list[Any] = field(default_factory=list)
     seconds: float = 0.0
     warnings: list[Signal] = field(default_factory=list)
-    """Warnings of calls; at most `MAX_WARNINGS`."""
+    """Warnings of SDK calls, at most `MAX_WARNINGS`."""
     exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
     clock: CallClock | None = None
-    """Interrupts calls that take too long; None without a time limit."""
+    """Clock that interrupts calls that take too long; if None, no call is interrupted."""
 
     def use(self, resource: str, amount: int, limit: int) -> None:
-        """Count a resource that the program uses.
+        """Add an amount to the count of a resource.
 
         Raises:
-            LimitExceeded: the count exceeds its limit.
+            LimitExceeded: the count exceeds the limit.
         """
         self.counts[resource] = self.counts.get(resource, 0) + amount
         if self.counts[resource] > limit:
             self.stop("too_big", f"the object needs over {limit} {resource}")
 
     def stop(self, code: str, message: str) -> None:
-        """Raise LimitExceeded, now and at every later call."""
+        """Raise LimitExceeded, and make every later SDK call raise it, too."""
         self.exceeded = self.exceeded or LimitExceeded(code, message)
         raise self.exceeded
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """Run one call of the SDK in this session and count its processor time.
+        """Make this session current during one SDK call, and count the call's processor time.
 
         Raises:
-            LimitExceeded: a limit was exceeded, now or before.
+            LimitExceeded: this call or an earlier call exceeded a limit.
         """
         if self.exceeded is not None:
             raise self.exceeded
@@ -107,7 +110,7 @@ def running() -> Session | None:
 
 @contextmanager
 def entered(session: Session) -> Iterator[None]:
-    """Make a session the current one."""
+    """Make a session the current session in the block."""
     token = _current.set(session)
     try:
         yield
@@ -116,7 +119,7 @@ def entered(session: Session) -> Iterator[None]:
 
 
 def warn(code: str, message: str, hint: str) -> None:
-    """Add a warning of the current call to the session, if there is one."""
+    """Add a warning about the current call to the current session, if there is one."""
     session = _current.get()
     if session is not None and len(session.warnings) < MAX_WARNINGS:
         warning = Signal(severity="warning", code=code, message=message, line=here(), hint=hint)
@@ -124,7 +127,7 @@ def warn(code: str, message: str, hint: str) -> None:
 
 
 def here() -> int | None:
-    """Return the program's current line, None if it is unknown."""
+    """Return the program's current line, counted from 1, or None if it is unknown."""
     session = _current.get()
     if session is None:
         return None

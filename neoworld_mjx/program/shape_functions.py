@@ -1,7 +1,7 @@
 """Functions that create the shapes of a program.
 
-Sizes are full lengths in metres. A sandboxed program passes values of any type, so `validate`
-checks each argument; `no_type_check` keeps other run-time type checkers from raising first.
+Sizes are full lengths in meters. A sandboxed program may pass values of any type, so `validate`
+checks every argument. `no_type_check` prevents other run-time type checkers from raising first.
 """
 
 import math
@@ -22,37 +22,37 @@ Point3 = tuple[float, float, float]
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
 _CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
-"""Weights of four successive points, for each power of the position between the inner two."""
+"""Weights of four successive points (columns) for each power of the curve parameter (rows)."""
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 @no_type_check
 def box(size: Vec3) -> Shape:
-    """Make a box with full edge lengths (x, y, z), centred at its origin."""
+    """Make a box with full edge lengths (x, y, z), centered at the origin."""
     return _shape(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
 @no_type_check
 def sphere(radius: float) -> Shape:
-    """Make a ball, centred."""
+    """Make a ball, centered at the origin."""
     return _shape(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
 @no_type_check
 def capsule(radius: float, length: float) -> Shape:
-    """Make a capsule along z, centred; `length` excludes the round ends."""
+    """Make a capsule along z, centered at the origin; `length` excludes the round ends."""
     return _shape(S.Capsule, 1, **_lengths("capsule", radius=radius, length=length))
 
 
 @no_type_check
 def cylinder(radius: float, height: float) -> Shape:
-    """Make a solid cylinder along z, centred."""
+    """Make a solid cylinder along z, centered at the origin."""
     return _shape(S.Cylinder, 1, **_lengths("cylinder", radius=radius, height=height))
 
 
 @no_type_check
 def ellipsoid(radii: Vec3) -> Shape:
-    """Make an ellipsoid with semi-axes (x, y, z), centred."""
+    """Make an ellipsoid with semi-axes (x, y, z), centered at the origin."""
     return _shape(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
@@ -65,7 +65,7 @@ def prism(outline: Sequence[Point2], height: float) -> Shape:
 
 @no_type_check
 def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape:
-    """Make a hollow box with walls of one thickness, centred, with the named faces left open."""
+    """Make a hollow box, centered at the origin; the faces in `open` have no wall."""
     faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
         if face not in _FACES:
@@ -90,9 +90,9 @@ def lathe(
 ) -> Shape:
     """Revolve a profile of (radius, z) points about the shape's z axis.
 
-    With `thickness` the profile is the outer face of a shell, from the foot to the rim, and the
-    wall lies inside and above it: a cup, a bowl, a plate. Without it the profile bounds a solid.
-    `oval` stretches the shape along y.
+    With `thickness`, the profile is the outer face of a shell, such as a cup, a bowl or a plate,
+    from the foot to the rim. The wall lies inside and above the profile. Without `thickness`, the
+    profile bounds a solid. `oval` is a factor by which the shape is stretched along y.
     """
     outline = validate.points(profile, "lathe profile", 2, MAX_POINTS)
     count = validate.integer(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
@@ -110,7 +110,7 @@ def lathe(
 
 @no_type_check
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
-    """Make a solid frustum along z, centred; a radius of 0 makes a cone."""
+    """Make a solid frustum along z, centered at the origin; a radius of 0 makes a cone."""
     radii = [
         0.0 if value == 0 else validate.length(value, f"frustum {name}")
         for value, name in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
@@ -122,7 +122,7 @@ def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
 
 @no_type_check
 def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
-    """Make a pipe along z, centred, open at both ends; `radius` is the outer one."""
+    """Make an open pipe along z with outer radius `radius`, centered at the origin."""
     outer, half = validate.length(radius, "tube radius"), validate.length(height, "tube height") / 2
     thickness = validate.length(wall, "tube wall")
     if thickness >= outer:
@@ -134,7 +134,7 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
 
 @no_type_check
 def rounded_box(size: Vec3, radius: float) -> Shape:
-    """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
+    """Make a box with full edge lengths, centered at the origin, with edges rounded by `radius`."""
     edges = validate.lengths(size, "rounded_box size")
     return _shape(S.RoundedBox, 1, size=edges, **_lengths("rounded_box", radius=radius))
 
@@ -150,11 +150,12 @@ def sweep(
     smooth: int = 1,
     sectors: int = 8,
 ) -> Shape:
-    """Sweep a round or elliptic section along points (x, y, z): a handle, hook, stem, wire.
+    """Sweep a round or elliptic cross section along a path of points (x, y, z).
 
-    Give `radius` for a round section, or `width` (across the plane of the path) and `thickness` (in
-    that plane), full diameters; one number, or one for each point of a tapered shape. `smooth` is
-    the number of segments between two points, on a curve through all of them.
+    Examples are a handle, a hook, a stem and a wire. For a round section, give `radius`. For an
+    elliptic section, give the full diameters `width`, across the plane of the path, and
+    `thickness`, in this plane. Each is one number, or one number for each point of a tapered shape.
+    `smooth` is the number of segments between two points; they lie on a curve through all points.
     """
     track = tuple(
         validate.vector(point, f"sweep path[{i}]")
@@ -183,9 +184,10 @@ def sweep(
 
 @no_type_check
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
-    """Make a ring around z, or the part of it that spans `arc` [rad] about its +x side, centred.
+    """Make a ring around z, centered at the origin, or the part of it that spans `arc` [rad].
 
-    `radius` is measured to the center of the bar, `tube` is the radius of the bar.
+    The middle of the arc lies at +x. `radius` is the distance from the z axis to the center of the
+    bar, and `tube` is the radius of the bar.
     """
     big, small = validate.length(radius, "torus radius"), validate.length(tube, "torus tube")
     span = validate.number(arc, "torus arc", 7.0)
@@ -210,7 +212,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
 def extrusion(
     outline: Sequence[Point2], height: float, holes: Sequence[Sequence[Point2]] = ()
 ) -> Shape:
-    """Extrude an outline of (x, y) points, with holes, along z from -height/2 to height/2."""
+    """Extrude an outline of (x, y) points with holes along z, from -height/2 to height/2."""
     border = validate.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
     loops = tuple(
         validate.points(hole, f"extrusion holes[{i}]", 3, MAX_POINTS)
@@ -223,9 +225,10 @@ def extrusion(
 
 @no_type_check
 def bail(width: float, height: float, radius: float) -> Shape:
-    """Make a loop handle: a round bar that rises along z at y = -width/2 and returns at +width/2.
+    """Make a loop handle: a round bar that rises along z, bends over and returns to z = 0.
 
-    `height` reaches to the center of the bar at its top; the origin lies between its two feet.
+    The feet are at y = -width/2 and y = width/2, and the origin lies midway between them. `height`
+    is the height of the bar's center line at the top. `radius` is the radius of the bar.
     """
     wide, high = validate.length(width, "bail width"), validate.length(height, "bail height")
     bar = validate.length(radius, "bail radius")
@@ -249,9 +252,10 @@ def panel(
     holes: Sequence[Sequence[float]] = (),
     sectors: int = 16,
 ) -> Shape:
-    """Make a flat board of `size` (x, y), with `thickness` along z, centred, with through holes.
+    """Make a flat board with through holes, centered at the origin.
 
-    A hole is (x, y, radius), or (x, y, width, depth) of a rectangle, about its center.
+    `size` is (x, y), and `thickness` is along z. A hole is (x, y, radius), or (x, y, width, depth)
+    for a rectangle, where (x, y) is the hole's center.
     """
     x, y = (validate.length(v, "panel size") for v in validate.sequence(size, "panel size", 2, 2))
     facets = validate.integer(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
@@ -276,22 +280,23 @@ def panel(
 
 @no_type_check
 def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Merge shapes into one solid, in the frame that `moved` places them in."""
+    """Merge shapes, placed relative to each other by `Shape.moved`, into one solid."""
     return _combined("union", (first, *others), sectors)
 
 
 @no_type_check
 def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Subtract other shapes from the first one: holes, pockets, cut corners.
+    """Subtract the other shapes from the first shape, for example to make holes or pockets.
 
-    Cavities are empty for collision, too. `sectors` is the number of facets of round operands.
+    Colliders have the same cavities as the visible shape. `sectors` is the number of facets of
+    round operands.
     """
     return _combined("difference", (first, *others), sectors)
 
 
 @no_type_check
 def intersection(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Intersect shapes."""
+    """Return the solid that all shapes have in common."""
     return _combined("intersection", (first, *others), sectors)
 
 
@@ -320,7 +325,7 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
 
 
 def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3, ...]:
-    """Divide every segment of a path along a Catmull-Rom curve through its points."""
+    """Divide every segment of a path along a Catmull-Rom curve through the path's points."""
     if steps == 1:
         return track
     count = len(track)
@@ -341,7 +346,7 @@ def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3
 
 
 def _interpolated(values: tuple[float, ...], steps: int, closed: bool) -> tuple[float, ...]:
-    """Interpolate one value for each point to the divided path."""
+    """Interpolate values at the points of a path linearly to the points of the divided path."""
     if len(values) == 1 or steps == 1:
         return values
     pairs = list(zip(values, (*values[1:], values[0]), strict=True))
@@ -354,7 +359,7 @@ def _interpolated(values: tuple[float, ...], steps: int, closed: bool) -> tuple[
 
 
 def _each(value: Any, argument: str) -> tuple[float, ...]:
-    """Validate one length [m], or one for each point of a path."""
+    """Validate one length [m], or one length for each point of a path."""
     if isinstance(value, list | tuple):
         return tuple(
             validate.length(v, argument) for v in validate.sequence(value, argument, 1, MAX_POINTS)
@@ -363,12 +368,12 @@ def _each(value: Any, argument: str) -> tuple[float, ...]:
 
 
 def _lengths(shape: str, **values: Any) -> dict[str, float]:
-    """Validate lengths [m] by argument name."""
+    """Validate lengths [m], and return them by argument name."""
     return {key: validate.length(value, f"{shape} {key}") for key, value in values.items()}
 
 
 def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
-    """Build a shape from validated fields and count its expected number of convex pieces."""
+    """Build a shape from validated fields; count the given number of convex pieces."""
     name = model.model_fields["type"].default
     if pieces > MAX_SHAPE_PIECES:
         raise ValueError(

@@ -1,7 +1,8 @@
-"""Stages of program synthesis: the programs that the programmer writes in turn, and their builds.
+"""Stages of program synthesis: the programs that the programmer writes one after another.
 
-`one`: a whole program. `three`, the paper's: geometry; articulation, which continues the accepted
-geometry; export, which continues that. Their joined texts form one program.
+With `one`, the programmer writes a whole program. With `three`, as in the paper, the programmer
+first writes a geometry program, then an articulation program that continues the accepted geometry
+program, and then an export program that continues both. The joined texts form one program.
 """
 
 import tempfile
@@ -21,21 +22,24 @@ from .attempt import joined
 from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
-"""Smallest allowed ratio between a part's masses before and after the round trip through URDF."""
+"""Smallest allowed ratio of a part's masses before and after it is written to URDF and read back.
+
+The ratio is the smaller mass over the larger mass.
+"""
 
 
 class Stage(NamedTuple):
-    """A program that the programmer writes."""
+    """One stage of program synthesis: a program that the programmer writes."""
 
     file: str
-    """Name of the stage, and of its program's file without ".py"."""
+    """Name of the stage; its program is stored as <name>.py."""
     critics: tuple[str, ...]
     build: Callable[[str, ProgramOptions], BuildResult]
-    """Builds and checks the joined texts up to this stage."""
+    """Builds and checks the joined texts of the stages up to this one."""
 
 
 def build_geometry(text: str, options: ProgramOptions) -> BuildResult:
-    """Build parts without joints, and check shapes, overlaps at rest, sizes and masses."""
+    """Build parts without joints, and check shapes, overlaps, sizes and masses."""
     built = run(text, options, loose=True)
     if built.spec is None:
         return built
@@ -44,7 +48,7 @@ def build_geometry(text: str, options: ProgramOptions) -> BuildResult:
 
 
 def build_export(text: str, options: ProgramOptions) -> BuildResult:
-    """Build and check the whole object, and compare it with its URDF as read back."""
+    """Build and check the whole object, and compare it with the object read back from its URDF."""
     built = build(text, options)
     if built.spec is None:
         return built
@@ -62,20 +66,23 @@ STAGES: dict[Literal["one", "three"], tuple[Stage, ...]] = {
 }
 """Stages by the value of `program.stages`."""
 NOTHING_MOVES = "# The object is one part: nothing of it moves against anything.\n"
-"""Articulation program of an object with one part, written without a model."""
+"""Articulation program of an object with one part, which needs no model."""
 
 
 def needs_model(stage: Stage, spec: ObjectSpec, node: TreeNode) -> bool:
-    """Return True if a model must write the stage's program for the object built so far."""
+    """Return True if a model must write the stage's program.
+
+    An object with one part and no parsed articulation needs no articulation program from a model.
+    """
     return stage.file != "articulation" or len(spec.parts) > 1 or bool(node.articulation)
 
 
 def urdf_round_trip(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
-    """Write an object as URDF and read it back.
+    """Write an object as URDF, and read it back.
 
     Returns:
-        The object as read, None if it could not be; and an error for every difference in links,
-        joints, limits or masses.
+        The object that was read, or None if reading failed, and an error for every difference in
+        links, joints, limits or masses.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -108,13 +115,14 @@ def urdf_round_trip(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
 
 
 def in_stage_lines(signals: tuple[Signal, ...], before: Mapping[str, str]) -> tuple[Signal, ...]:
-    """Return signals with lines counted in the stage's own text instead of the joined text.
+    """Convert the line numbers of signals from the joined text to the text of the current stage.
 
-    A signal of a line in an accepted text loses its line and names that text instead.
+    A signal in an accepted text of an earlier stage loses its line number, and its message mentions
+    the earlier stages instead.
     """
     if not before:
         return signals
-    # One more line holds the name of the text that follows.
+    # `joined` adds one line with the name of the text that follows.
     skipped = joined({**before, "": ""}).count("\n")
     moved = []
     for signal in signals:

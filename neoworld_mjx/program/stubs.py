@@ -1,7 +1,7 @@
-"""Generator of `sdk.pyi`, the type stubs that programs are checked against.
+"""Generator of `sdk.pyi`, the type stubs against which programs are checked.
 
-`python -m neoworld_mjx.program.stubs` reports whether the file matches the SDK's signatures;
-`--write` writes it.
+`python -m neoworld_mjx.program.stubs` reports whether the file matches the SDK's signatures. With
+`--write`, it writes the file.
 """
 
 import ast
@@ -33,11 +33,11 @@ _CLASSES = (
     (part, "Part"),
     (part, "Joint"),
 )
-"""Classes in an order in which each follows those that its signatures name."""
+"""Classes in an order in which each class follows the classes that its signatures mention."""
 
 
 def stub_text() -> str:
-    """Return the text of the stubs: types, classes with their public members, functions."""
+    """Return the text of the stubs: type aliases, classes with public members, and functions."""
     blocks = [_HEADER, _aliases(sdk_types)]
     for module, name in _CLASSES:
         blocks.append(_class(_definitions(module)[name]))
@@ -59,7 +59,7 @@ def _definitions(module: ModuleType) -> dict[str, ast.stmt]:
 
 
 def _aliases(module: ModuleType) -> str:
-    """Copy the type aliases of a module: assignments to capitalized names."""
+    """Return the source of a module's type aliases, which are assignments to capitalized names."""
     lines = [
         ast.unparse(node)
         for node in ast.parse(inspect.getsource(module)).body
@@ -72,7 +72,7 @@ def _aliases(module: ModuleType) -> str:
 
 
 def _class(node: ast.stmt, parents: Sequence[ast.stmt] = ()) -> str:
-    """Write the public members of a class and of its parent classes."""
+    """Return the stub of a class with the public members of the class and its parent classes."""
     assert isinstance(node, ast.ClassDef)
     lines = [f"class {node.name}:\n"]
     inherited = [member for parent in parents for member in cast(ast.ClassDef, parent).body]
@@ -92,7 +92,11 @@ def _public(name: str) -> bool:
 
 
 def _function(node: ast.stmt, indent: str) -> str:
-    """Write a signature on one line, else indented on its own, else one argument a line."""
+    """Return the stub of a function.
+
+    If the signature is too long for one line, the arguments are on a second line. If they are too
+    long for that, each argument is on a separate line.
+    """
     assert isinstance(node, ast.FunctionDef) and node.returns is not None
     result = ast.unparse(node.returns).replace('"', "").replace("'", "")
     arguments = _arguments(node.args)
@@ -137,7 +141,7 @@ def _argument(argument: ast.arg, default: ast.expr | None) -> str:
 
 
 def main() -> int:
-    """Compare `sdk.pyi` with the SDK, or write it with `--write`; return the exit code."""
+    """Compare `sdk.pyi` with the SDK, or write it with `--write`, and return the exit status."""
     text = stub_text()
     if "--write" in sys.argv[1:]:
         PATH.write_text(text, encoding="utf-8")

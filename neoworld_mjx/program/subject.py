@@ -1,4 +1,4 @@
-"""An object to be programmed, and the phrases about its parts, view and tilt in requests."""
+"""An object to be programmed, and phrases for requests about its parts, its view and its tilt."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -13,9 +13,9 @@ from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 MIN_TILT_DEG = 1.0
 LIES_DEG, OVER_DEG = 60.0, 120.0
-"""Tilts beyond which a request describes an object as lying, and as turned over."""
+"""Tilts [deg] above which a request describes an object as lying, and as turned over."""
 STEP_DEG = 5
-"""Directions are rounded to multiples of this."""
+"""Directions are rounded to multiples of this angle [deg]."""
 Edge = Annotated[float, Field(gt=0, le=100)]
 Edges = Annotated[list[Edge], Field(min_length=3, max_length=3)]
 VIEW = (
@@ -33,22 +33,22 @@ class Subject(NamedTuple):
     node: TreeNode
     crop: Picture
     note: str = ""
-    """Description of the parts that the crop does not show; empty if there are none."""
+    """Description of the parts that the crop does not show; empty if it shows the whole object."""
     camera: Camera | None = None
-    """The photo's camera; None omits the direction of view."""
+    """The photo's camera; if None, requests do not state the direction of view."""
     window: tuple[float, float, float, float] | None = None
-    """Original pixels (x0, y0, x1, y1) that the crop shows; None if unknown."""
+    """Area of the photo that the crop shows (x0, y0, x1, y1) [px]; None if unknown."""
 
 
 def moving_parts(node: TreeNode) -> str:
-    """List the moving parts that the photo shows."""
+    """List the moving parts that the photo shows, with the types of their joints."""
     if not node.articulation:
         return "none noted"
     return ", ".join(f"{state.part} ({state.type})" for state in node.articulation)
 
 
 def opened_parts(node: TreeNode) -> str:
-    """Describe the parts that were open when the box was measured; "" if there are none."""
+    """Describe the parts that were open when the box was measured; empty if none was."""
     parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
     return OPENED.format(parts=", ".join(parts)) if parts else ""
 
@@ -74,28 +74,29 @@ def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:
     """Return the direction from an object to the camera, in the object's frame.
 
     Returns:
-        Azimuth about its z [deg], 0 at its front and 90 at its own left, and elevation [deg].
+        The azimuth about the object's z axis [deg], which is 0 at the object's front and 90 at the
+        object's left, and the elevation [deg].
     """
     x, y, z = to_camera(node, camera).tolist()
     return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
 def to_camera(node: TreeNode, camera: Camera) -> NDArray:
-    """Return the vector from an object's center to the camera [3] m, in the object's frame."""
+    """Return the vector from an object's center to the camera, in the object's frame [m]."""
     turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
     center = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
     return rotate(turn, camera.position() - center)
 
 
 def _tilt_deg(node: TreeNode) -> float:
-    """Return an object's tilt [deg]; 0 below MIN_TILT_DEG."""
+    """Return an object's tilt [deg]; a tilt below MIN_TILT_DEG is returned as 0."""
     z = float(rotate(node.base_tilt, (0.0, 0.0, 1.0))[2])
     degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
     return 0.0 if degrees < MIN_TILT_DEG else degrees
 
 
 def tilt_in_words(node: TreeNode, template: str) -> str:
-    """Describe the tilt of an object that leans, lies or is turned over; "" for an upright one."""
+    """Describe how an object leans, lies or is turned over; empty if it is upright."""
     degrees = _tilt_deg(node)
     if not degrees:
         return ""

@@ -1,7 +1,7 @@
-"""Programs of the environment's supports, written from their parsed boxes without a model.
+"""Programs of the environment's supports, written from the parsed boxes without a model.
 
-The paper uses static primitives: a slab for a floor, a counter or a wall. Here the slab has the
-support's outline, and freestanding tables have legs.
+The paper uses static primitives, such as a slab for a floor, a counter or a wall. Here, the slab
+has the support's outline, and freestanding tables have legs.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ LEGGED = ("table", "desk", "bench", "stool")
 MIN_LEGGED_HEIGHT_M = 0.25
 BOARD_M, LEG_M = 0.04, 0.06
 ROUND_WITHIN = 1e-3
-"""Relative difference between length and width below which a round outline becomes a cylinder."""
+"""Largest relative difference between length and width at which a round slab is a cylinder."""
 _MATERIALS = {
     "glass": "glass",
     "marble": "marble",
@@ -69,9 +69,10 @@ for i, (x, y) in enumerate({feet!r}):
 
 
 def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = None) -> str:
-    """Return the program of a support that fills its outline and its parsed box.
+    """Return the program of a support that fills the support's outline and parsed box.
 
-    `rgb` is its color in the photo, 0 to 1; by default that of its surface or its material.
+    `rgb` is the support's color in the photo, from 0 to 1. If None, the color is that of the parsed
+    surface, or else that of the material.
     """
     x, y, z = (round(v, 6) for v in node.box3d.size)
     like, look = _look(node, rgb)
@@ -92,7 +93,7 @@ def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = Non
 
 
 def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[float, float]]:
-    """Return positions [m] of legs under a table top of size (x, y), near its corners."""
+    """Return leg positions [m] near the corners of a table top whose size is (x, y) [m]."""
     corners = outline.corners() * [x, y]
     to_next = np.roll(corners, -1, axis=0) - corners
     to_next /= np.linalg.norm(to_next, axis=1, keepdims=True)
@@ -115,9 +116,10 @@ def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[flo
 
 
 def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
-    """Return the named material of a support and the arguments for its color and pattern.
+    """Return the named material of a support, and the source of its color and pattern arguments.
 
-    Joints and veins keep their contrast if the photo's color differs from the parsed one.
+    If the photo's color replaces the parsed color, the color of joints and veins is scaled so that
+    their contrast is preserved.
     """
     if node.surface is None:
         description = f"{node.label} {node.description}".lower()
@@ -148,7 +150,7 @@ def _triple(rgb: Sequence[float]) -> str:
 
 
 def _slab(node: TreeNode, x: float, y: float, height: str) -> tuple[str, str]:
-    """Return the name of the SDK function for a support's outline, and its call."""
+    """Return the name of the SDK function for a support's outline, and the source of the call."""
     if node.outline.shape == "rectangle":
         return "box", f"box(({x!r}, {y!r}, {height}))"
     if node.outline.shape == "round" and abs(x - y) < ROUND_WITHIN * x:

@@ -1,10 +1,10 @@
-"""Step 2: synthesis of an object's program from its crop, with debug and critic rounds.
+"""Step 2: synthesis of an object's program from the object's crop, with debug and critic rounds.
 
-The request states the object's measured box. Errors of the program or of its checks return to the
-model (debug rounds); critics compare pictures rendered from the photo's view with the crop, and
-their faults return to the programmer (critic rounds). The result is the best of all programs. With
-`program.stages: three` the stages geometry, articulation and export follow one another, each with
-its own debug and critic rounds.
+The first request states the object's measured box. In debug rounds, errors of the program and of
+the checks are sent back to the programmer. In critic rounds, critics compare the crop with pictures
+that are rendered from the photo's view, and the faults that they find are sent to the programmer.
+The result is the best of all programs. With `program.stages: three`, the stages geometry,
+articulation and export follow one another, each with separate debug and critic rounds.
 """
 
 import asyncio
@@ -51,17 +51,17 @@ class Cutout(Protocol):
 
     @property
     def picture(self) -> Picture:
-        """The picture, labelled "crop"."""
+        """The picture, labeled "crop"."""
         ...
 
     @property
     def note(self) -> str:
-        """Description of the parts that the picture does not show; empty if there are none."""
+        """Description of the parts that the picture does not show; empty if it shows all parts."""
         ...
 
     @property
     def window(self) -> tuple[float, float, float, float]:
-        """Original pixels (x0, y0, x1, y1) that the picture shows."""
+        """Area of the photo that the picture shows (x0, y0, x1, y1) [px]."""
         ...
 
 
@@ -74,21 +74,22 @@ async def synthesise(
     camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
 ) -> SynthesisResult:
-    """Synthesize the program of an object from its crop.
+    """Synthesize the program of an object from the object's crop.
 
-    The program of a slab of the environment is written from its box, without a model.
+    The program of a slab of the environment is written from the parsed box, without a model.
 
     Args:
         node: the parsed object.
-        crop: its picture.
-        models: programmer and critic.
-        options: rounds, critics, sandbox.
+        crop: the object's picture, cut out of the photo.
+        models: models for the programmer and the critics.
+        options: rounds, critics and sandbox.
         camera: the photo's camera, for pictures from the same direction.
-        colour: red, green, blue of a slab, 0 to 1; by default that of its declared surface, or else
-            the median of its crop.
+        colour: red, green and blue of a slab, from 0 to 1. If None, the color is that of the parsed
+            surface, or else the median color of the crop.
 
     Raises:
-        ModelError: the first request failed, a tape lacks a response, or the cost cap is reached.
+        ModelError: the first request of a stage failed, the recorded responses (tape) lack a
+            response, or the cost cap is reached.
     """
     subject = _subject(node, crop, camera)
     work = _Synthesis(subject, models, options)
@@ -122,22 +123,22 @@ async def reprogram(
     *,
     camera: Camera | None = None,
 ) -> SynthesisResult:
-    """Request a new program of an object that does not behave like the real one, and debug it.
+    """Request a new program for an object that does not behave like the real object, and debug it.
 
     Args:
         node: the parsed object, with the size that the program fills.
-        crop: its picture.
+        crop: the object's picture, cut out of the photo.
         text: the program so far.
-        findings: what is wrong with its motion, one line each.
-        models: programmer.
-        options: debug rounds, sandbox.
+        findings: faults of the object's motion, one line each.
+        models: model for the programmer.
+        options: debug rounds and sandbox.
         camera: the photo's camera.
 
     Returns:
-        The result; it has no object if the model failed, or if the new program lost parts.
+        The result. It contains no object if the model failed or if the new program lost parts.
 
     Raises:
-        MissingResponseError: a tape lacks a response.
+        MissingResponseError: the recorded responses (tape) lack a response.
         BudgetError: the cost cap is reached.
     """
     work = _Synthesis(_subject(node, crop, camera), models, options)
@@ -160,17 +161,17 @@ def _subject(node: TreeNode, crop: Cutout | bytes, camera: Camera | None) -> Sub
 
 
 def guide() -> str:
-    """Return the guide to the SDK that requests to programmers contain."""
+    """Return the guide to the SDK, which is part of every request to a programmer."""
     return package_text(__package__, "guide")
 
 
 def all_instructions(options: ProgramOptions) -> str:
-    """Return the system texts of all requests to programmers."""
+    """Return the system prompts of all requests to programmers, joined by newlines."""
     return "\n".join(instructions(s.file, options.language) for s in STAGES[options.stages])
 
 
 def median_colour(picture: Picture) -> tuple[float, float, float]:
-    """Return the median red, green, blue of a picture, 0 to 1."""
+    """Return the median red, green and blue of a picture, each from 0 to 1."""
     with Image.open(io.BytesIO(picture.data), formats=["PNG", "JPEG"]) as image:
         rgb = np.asarray(image.convert("RGB")).reshape(-1, 3)
     r, g, b = (np.median(rgb, axis=0) / 255).tolist()
@@ -187,7 +188,7 @@ def unfenced(program: str) -> str:
 
 @dataclass
 class _Synthesis:
-    """Synthesis of one object: inputs, attempts so far, and failed rounds."""
+    """State of the synthesis of one object: inputs, attempts so far, and failed rounds."""
 
     subject: Subject
     models: Model
@@ -195,13 +196,13 @@ class _Synthesis:
     attempts: list[ProgramAttempt] = field(default_factory=list)
     fallbacks: list[tuple[str, str]] = field(default_factory=list)
     size: Size | None = None
-    """Edges of the box [m] after a model's last correction; None for the parsed ones."""
+    """Edges [m] of the box after a model's last correction; None if no model corrected the box."""
     stage: Stage = STAGES["one"][0]
     accepted: ProgramAttempt | None = None
-    """Best attempt of the previous stage; None in the first."""
+    """Best attempt of the previous stage; None in the first stage."""
 
     async def stage_result(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
-        """Request a stage's program, debug and criticize it, and return its best attempt."""
+        """Request a stage's program, debug and criticize it, and return the best attempt."""
         self.stage, self.accepted = stage, accepted
         if accepted is not None:
             assert accepted.built.spec is not None
@@ -223,7 +224,7 @@ class _Synthesis:
     async def debugged(
         self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
-        """Build a program, send its errors back for bounded rounds, and return the best attempt."""
+        """Build a program, repair it in up to `debug_rounds` rounds, and return the best one."""
 
         async def repaired(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
             signals = attempts[-1].built.signals
@@ -244,7 +245,7 @@ class _Synthesis:
         return max(attempts, key=lambda attempt: attempt.rank)
 
     async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
-        """Request a revision according to the critics' faults, and debug it."""
+        """Request a revision that corrects the faults that critics found, and debug it."""
         last = attempts[-1]
         critiques = self._stage_critiques(last)
         for box in filter(None, map(corrected_box, critiques)):
@@ -257,7 +258,7 @@ class _Synthesis:
         return None if response is None else await self.debugged("revise", response, last)
 
     async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
-        """Request the verdicts of the enabled critics, and return the attempt with them."""
+        """Request the critiques of the enabled critics, and return the attempt with them."""
         requests = self._critic_requests(attempt)
         responses = await asyncio.gather(
             *(self.ask(f"judge ({name})", request) for name, request in requests.items())
@@ -274,7 +275,7 @@ class _Synthesis:
         return criticised
 
     def result(self, best: ProgramAttempt) -> SynthesisResult:
-        """Return the result with the best attempt; its remaining errors become a fallback."""
+        """Return the result with the best attempt; record its remaining errors as a fallback."""
         errors = [signal for signal in best.built.signals if signal.severity == "error"]
         if best.built.spec is not None and errors:
             reasons = "; ".join(signal.phrase() for signal in errors[:4])
@@ -293,16 +294,16 @@ class _Synthesis:
 
     @property
     def _stage_input(self) -> StageInput:
-        """Current stage and the accepted texts of the earlier stages."""
+        """The current stage, with the accepted texts of the earlier stages."""
         before = {} if self.accepted is None else self.accepted.texts
         return StageInput(self.stage.file, before, self.options.language)
 
     def _stage_critiques(self, attempt: ProgramAttempt) -> list[Critique]:
-        """Return the verdicts of the stage's critics."""
+        """Return the critiques by the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
     def _made(self, attempt: ProgramAttempt) -> Picture | None:
-        """Return the picture of an attempt's object, from the photo's view where it is known."""
+        """Return a picture of an attempt's object, in the photo's view if the view is known."""
         spec, (node, _, _, camera, window) = attempt.built.spec, self.subject
         if spec is None:
             return None
@@ -311,7 +312,11 @@ class _Synthesis:
         return draw_in_place(spec, node, camera, window)
 
     def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
-        """Return the request to each enabled critic that has something to judge."""
+        """Return the requests by critic, for enabled critics that can judge the object.
+
+        The articulation critic needs a joint that moves, and the export critic needs a readable
+        URDF file.
+        """
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
@@ -339,7 +344,7 @@ class _Synthesis:
     async def _checked(
         self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
-        """Build a program, and compare it with its subject and the previous attempt."""
+        """Build a program, and compare its object with the parsed object and the last attempt."""
         program = unfenced(response.program)
         if response.box is not None:
             self._resize(response.box, "the programmer")
@@ -366,13 +371,13 @@ class _Synthesis:
         return attempt
 
     def _resize(self, edges: Sequence[float], role: str) -> None:
-        """Apply a model's correction of the measured box if it is within MAX_RESIZE."""
+        """Apply a model's correction of the measured box, unless it exceeds MAX_RESIZE."""
         node = self.subject.node
         x, y, z = edges
         ratio = np.array(edges) / np.array(node.box3d.size)
         shown = " x ".join(f"{v:.3f}" for v in edges)
         if np.max(np.maximum(ratio, 1 / ratio)) > MAX_RESIZE:
-            reason = f"{role} requested {shown} m, over {MAX_RESIZE:g} times off"
+            reason = f"{role} requested {shown} m, which differs by a factor of over {MAX_RESIZE:g}"
             self.fallbacks.append((f"{node.name}: the measured box", reason))
             return
         self.size = (x, y, z)

@@ -1,4 +1,4 @@
-"""Conversion of type check errors into signals with hints."""
+"""Conversion of type errors into signals with hints."""
 
 import difflib
 import inspect
@@ -19,7 +19,10 @@ _CLASSES = {kind.__name__: kind for kind in (Object, Part, Geom, Joint, Shape)}
 _TUPLE = re.compile(r"Expected `tuple\[((?:float, )*float)\]")
 _NUMBER = r"(?:float|int|Literal\[[-\d, ]+\])\*?"
 _UNKNOWN_LENGTH = re.compile(rf"found `tuple\[{_NUMBER}(?: \| {_NUMBER})*, \.\.\.\]`")
-"""Numbers in a tuple of unknown length, as of tuple(... for ...), which the SDK counts itself."""
+"""Type of a tuple of numbers of unknown length, such as tuple(... for ...).
+
+The SDK counts the entries of such a tuple at run time.
+"""
 _OWN_MODULES = ("neoworld_mjx", "sdk")
 _ELSEWHERE = {
     **dict.fromkeys(("hinge", "rotate_joint"), "Object.revolute"),
@@ -28,16 +31,20 @@ _ELSEWHERE = {
     **dict.fromkeys(("weld", "attach"), "Object.fixed"),
     **dict.fromkeys(("translate", "rotate", "transform"), "Shape.moved"),
 }
-"""Members of the SDK by their names in other tools."""
+"""Names in other tools, and the members of the SDK that correspond to them."""
 _WORDS = {2: "two", 3: "three"}
 
 
 def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
-    """Convert the findings of the type check, as the sandbox reports them, into signals.
+    """Convert the findings of the type check that the sandbox reports into signals.
 
-    For a text that does not parse, only syntax errors are returned, because the check then also
-    reports every import of the SDK. Numbers in place of a tuple give two findings; only the one
-    that names the tuple is returned. Tuples of unknown length are no error.
+    Some findings are dropped:
+
+    - If the text does not parse, only syntax errors are returned, because the check then also
+      reports every import of the SDK.
+    - Numbers that are passed instead of a tuple cause two findings, and only the finding that
+      mentions the tuple is returned.
+    - Tuples of unknown length are not errors.
     """
     broken = [finding for finding in findings if finding["code"] == "invalid-syntax"]
     tuples = {_line(finding) for finding in findings if _TUPLE.search(finding["message"])}
@@ -93,7 +100,7 @@ def _hint(code: str, message: str) -> str:
 
 
 def _import_hint(named: Sequence[str]) -> str:
-    """Return a hint for an import that fails."""
+    """Return a hint for a failed import."""
     names = import_module(MODULE).__all__
     module, name = named[0], named[-1] if len(named) > 1 else ""
     if module == MODULE:
@@ -110,7 +117,7 @@ def _nearest_member(name: str, kind: str) -> str:
 
 
 def _owner(name: str) -> str:
-    """Return a hint that names the class of the SDK with a member of a similar name."""
+    """Return a hint that states which class of the SDK has a member with a similar name."""
     for kind in _CLASSES:
         near = difflib.get_close_matches(name, _members(kind), n=1, cutoff=0.8)
         if near:
@@ -132,7 +139,7 @@ def _members(kind: str) -> list[str]:
 
 @cache
 def _arguments(function: str) -> tuple[str, ...]:
-    """Return the arguments of a function of the SDK, or of a method, "Class.method"."""
+    """Return the argument names of an SDK function, or of a method given as "Class.method"."""
     owner, _, name = function.rpartition(".")
     member = getattr(_CLASSES.get(owner) if owner else import_module(MODULE), name, None)
     if not callable(member):

@@ -1,8 +1,9 @@
-"""Validation of the arguments that programs pass to the SDK; every message names the argument.
+"""Validation of the arguments that programs pass to the SDK.
 
-A sandboxed program passes values of unknown type: a number may be a string, a list may hold a
-million entries. Nothing reaches a spec without validation here. Each function returns the valid
-value, and raises TypeError or ValueError for any other.
+A sandboxed program may pass values of any type: a string instead of a number, or a list with a
+million entries. Every value is validated here before a spec is built from it. Each function returns
+a valid value, and raises TypeError or ValueError for an invalid value. Every message mentions the
+argument.
 """
 
 import math
@@ -20,15 +21,15 @@ from .session import warn
 MAX_COORDINATE_M = 100.0
 MIN_LENGTH_M = 1e-5
 MAX_ROTATION_RAD = 4 * math.pi
-"""Angle beyond which a whole number is taken for degrees."""
+"""Angle above which a whole number is rejected, because it is probably in degrees [rad]."""
 _S = TypeVar("_S", bound=BaseModel)
 
 
 def formatted(value: Any, depth: int = 2) -> str:
     """Format a value for a message; long strings, containers and integers are shortened.
 
-    Containers are written out to `depth` levels only: a program may nest a list in
-    itself so often that its full text would exceed any memory.
+    Containers are formatted only to `depth` levels, because the full text of a list that a program
+    nests repeatedly in itself could exceed the memory.
     """
     if isinstance(value, list | tuple) and (len(value) > 6 or not depth):
         return f"{type(value).__name__} of {len(value)} items"
@@ -45,7 +46,7 @@ def formatted(value: Any, depth: int = 2) -> str:
 
 
 def number(value: Any, argument: str, limit: float = 1e6) -> float:
-    """Return a finite number of magnitude up to `limit`."""
+    """Return a finite number whose magnitude is at most `limit`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{argument} must be a number, got {formatted(value)}")
     if isinstance(value, float) and not math.isfinite(value):
@@ -77,7 +78,7 @@ def sequence(value: Any, argument: str, minimum: int, maximum: int) -> Sequence[
 
 
 def pair(value: Any, argument: str, limit: float = MAX_COORDINATE_M) -> tuple[float, float]:
-    """Return two finite numbers of magnitude up to `limit`."""
+    """Return two finite numbers whose magnitudes are at most `limit`."""
     a, b = sequence(value, argument, 2, 2)
     return number(a, argument, limit), number(b, argument, limit)
 
@@ -85,7 +86,7 @@ def pair(value: Any, argument: str, limit: float = MAX_COORDINATE_M) -> tuple[fl
 def vector(
     value: Any, argument: str, limit: float = MAX_COORDINATE_M
 ) -> tuple[float, float, float]:
-    """Return three finite numbers of magnitude up to `limit`."""
+    """Return three finite numbers whose magnitudes are at most `limit`."""
     x, y, z = sequence(value, argument, 3, 3)
     return number(x, argument, limit), number(y, argument, limit), number(z, argument, limit)
 
@@ -97,7 +98,7 @@ def lengths(value: Any, argument: str) -> tuple[float, float, float]:
 
 
 def rotation(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return three angles [rad]; whole numbers that can only be degrees are rejected."""
+    """Return three angles [rad]; reject large whole numbers, which are probably in degrees."""
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
     if abs(largest) > MAX_ROTATION_RAD and largest == round(largest):
@@ -107,7 +108,7 @@ def rotation(value: Any, argument: str) -> tuple[float, float, float]:
 
 
 def warn_of_degrees(angle: float, argument: str) -> None:
-    """Warn about a whole number of radians beyond half a turn, which is probably in degrees."""
+    """Warn if an angle is a whole number above pi, which is probably in degrees."""
     if abs(angle) > math.pi and angle == round(angle):
         turned = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
         hint = f"if {angle:g} degrees are meant, write math.radians({angle:g})"
@@ -134,7 +135,7 @@ def integer(value: Any, argument: str, minimum: int, maximum: int) -> int:
 
 
 def name(value: Any, argument: str) -> str:
-    """Return an identifier of at most 48 letters, digits and underscores."""
+    """Return an identifier with at most 48 letters, digits and underscores."""
     if not isinstance(value, str):
         raise TypeError(f"{argument} must be a string, got {formatted(value)}")
     if not is_name(value):
@@ -152,7 +153,7 @@ def unused(value: str, kind: str, names: Sequence[str]) -> None:
 
 
 def text(value: Any, argument: str, maximum: int = 200) -> str:
-    """Return one printable line of at most `maximum` characters."""
+    """Return a string that is one printable line of at most `maximum` characters."""
     if not isinstance(value, str):
         raise TypeError(f"{argument} must be a string, got {formatted(value)}")
     if len(value) > maximum or not value.isprintable():
@@ -161,7 +162,7 @@ def text(value: Any, argument: str, maximum: int = 200) -> str:
 
 
 def colour(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return red, green and blue from 0 to 1."""
+    """Return red, green and blue, each from 0 to 1."""
     r, g, b = vector(value, argument)
     if not all(0 <= v <= 1 for v in (r, g, b)):
         raise ValueError(
@@ -174,7 +175,7 @@ def build_spec(model: type[_S], argument: str, **fields: Any) -> _S:
     """Build a spec from validated values.
 
     Raises:
-        ValueError: the spec's own validation fails; the message is one line.
+        ValueError: the validation of the spec fails. The message is one line.
     """
     try:
         return model(**fields)

@@ -1,4 +1,4 @@
-"""Pictures of a programmed object for critics, rendered from the direction of the photo."""
+"""Pictures of a programmed object for critics, rendered from the photo's direction of view."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -24,21 +24,22 @@ from .subject import to_camera
 
 WIDTH, HEIGHT = 448, 384
 OPENED = 0.8
-"""Opening of joints in the second picture, as a fraction of their range."""
+"""Position of joints in the picture "opened", as a fraction of the open limit."""
 FRAME = (255, 255, 255)
 MIN_VISIBLE = 0.1
-"""Fraction of the object's 2D box that must lie in the crop for a picture in the crop's frame."""
+"""Smallest fraction of the object's 2D box in the crop for a picture in the frame of the crop."""
 NEAR_M = 0.02
-"""Distance from the camera within which an object is rendered alone."""
+"""An object that has a vertex closer to the camera than this [m] is rendered alone."""
 
 Window = tuple[float, float, float, float]
 
 
 class DescribedPicture(Picture):
-    """A picture that tapes identify by a description of its content instead of its pixels.
+    """A picture that recorded responses identify by its description instead of its pixels.
 
-    Rounding in ray casting differs between processors, so a tape keyed by pixels would not replay
-    on another machine. The picture is rendered when its data is first needed.
+    Rounding in ray casting differs between processors. If recorded responses (tapes) were
+    identified by pixels, they could not be replayed on another machine. The picture is rendered
+    when its data is first accessed.
 
     Args:
         label: name of the picture in the prompt.
@@ -51,7 +52,7 @@ class DescribedPicture(Picture):
 
     def __init__(self, label: str, draw: Callable[[], bytes], shows: str) -> None:
         for name, value in (("label", label), ("_draw", draw), ("shows", shows)):
-            object.__setattr__(self, name, value)  # The base is frozen.
+            object.__setattr__(self, name, value)  # The base class is frozen.
 
     @cached_property
     def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -67,13 +68,13 @@ class DescribedPicture(Picture):
 def draw(
     spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False
 ) -> DescribedPicture:
-    """Return a picture framed on an object, from the direction of the photo's camera.
+    """Return a picture of an object alone, from the direction of the photo's camera.
 
     Args:
         spec: the object.
-        node: its pose in the scene.
-        camera: the photo's camera; None for a view of the front from the right and above.
-        opened: True to open the joints.
+        node: the parsed object, which states the pose in the scene.
+        camera: the photo's camera; if None, the view shows the front from the right and above.
+        opened: if True, open the joints.
     """
     state = opened_state(spec) if opened else {}
     return _picture(
@@ -84,12 +85,14 @@ def draw(
 def draw_exported(
     spec: ObjectSpec, read: ObjectSpec, node: TreeNode, camera: Camera | None
 ) -> list[Picture]:
-    """Return pictures "exported" and, if joints move, "opened" of an object read back from URDF.
+    """Return pictures of an object that was read back from URDF.
+
+    The pictures are "exported" and, if the object has joints that move, "opened".
 
     Args:
-        spec: the exported object. Tapes identify pictures by this object.
-        read: the object as read back.
-        node: its pose in the scene.
+        spec: the exported object, by which recorded responses identify the pictures.
+        read: the object that was read back.
+        node: the parsed object, which states the pose in the scene.
         camera: the photo's camera.
     """
     states = {"exported": {}, "opened": opened_state(spec)}
@@ -119,16 +122,17 @@ def _picture(
 def draw_in_place(
     spec: ObjectSpec, node: TreeNode, camera: Camera, window: Window
 ) -> DescribedPicture:
-    """Return a picture of an object in its parsed pose, in the frame of its crop.
+    """Return a picture of an object in its parsed pose, in the frame of the object's crop.
 
-    If the object extends beyond the crop, so does the picture, with a white line as the crop's
-    frame. An object whose 2D box lies in the crop by less than MIN_VISIBLE is rendered alone.
+    If the object extends beyond the crop, the picture is larger than the crop, and a white frame
+    marks the crop. If the fraction of the object's 2D box in the crop is below `MIN_VISIBLE`, or
+    the object is too close to the camera, the result is that of `draw`.
 
     Args:
-        spec: the object at any size; it is scaled to its parsed box.
-        node: its pose in the scene; parts are as open as parsed.
+        spec: the object, which is scaled to the parsed box.
+        node: the parsed object, which states the pose and how far parts are open.
         camera: the photo's camera.
-        window: original pixels (x0, y0, x1, y1) of the crop.
+        window: area of the photo that the crop shows (x0, y0, x1, y1) [px].
     """
     obj, points = _placed(spec, node)
     pixels, depth = camera.project(points)
@@ -164,7 +168,11 @@ def draw_in_place(
 
 
 def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
-    """Return an object scaled to its parsed box in its pose, and its world vertices [n, 3] m."""
+    """Return an object that is scaled to its parsed box and placed in its parsed pose.
+
+    Returns:
+        The object, and its visible vertices in the world frame [m], shape [n, 3].
+    """
     fit = fit_to_box(spec, node)
     scaled, state = fit.scaled()
     low, high = fit.low * fit.factor, fit.high * fit.factor
@@ -187,7 +195,7 @@ def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
 
 
 def _outline(canvas: NDArray, box: NDArray) -> None:
-    """Draw a frame of one pixel onto a picture, clipped to it."""
+    """Draw a frame with a width of one pixel into a picture, clipped to the picture."""
     height, width = canvas.shape[:2]
     x0, y0, x1, y1 = box.tolist()
     columns, rows = np.clip([x0, x1], 0, width), np.clip([y0, y1], 0, height)
@@ -207,7 +215,7 @@ def _numbers(view: View) -> list[float]:
 def view_from(
     spec: ObjectSpec, state: Mapping[str, float], node: TreeNode, camera: Camera | None
 ) -> View:
-    """Return a view of an object, in the object's frame, from the direction of the camera."""
+    """Return a view of the whole object from the camera's direction, in the object's frame."""
     points = visible_vertices(spec, state)
     if camera is None:
         return View.framing(points, width=WIDTH, height=HEIGHT)
@@ -224,13 +232,13 @@ def view_from(
 
 
 def opened_state(spec: ObjectSpec) -> dict[str, float]:
-    """Return the open position [rad or m] of every joint that follows no other joint."""
+    """Return open positions [rad or m] of all joints that move and do not follow another joint."""
     state = {}
     for joint in spec.joints:
         if joint.type == "fixed" or joint.mimic is not None:
             continue
         if joint.type == "ball":
-            # Tilt it towards the front.
+            # Tilt the child towards the front.
             state[f"{joint.name}.y"] = OPENED * min(joint.upper or 1.0, 1.0)
             continue
         turns = joint.type == "continuous"

@@ -1,4 +1,4 @@
-"""Files and pictures of a built program, rewritten whenever its text changes."""
+"""Files and pictures of a built program, written again whenever the program changes."""
 
 import logging
 import time
@@ -22,29 +22,30 @@ log = logging.getLogger(__name__)
 MAX_PRINTED = 20
 """Number of lines of a program's output that are logged."""
 POLL_S = 0.2
-"""Interval at which a watched program's file is checked for changes."""
+"""Interval between checks of a program's file for changes [s]."""
 
 
 @dataclass(frozen=True)
 class BuiltProgram:
-    """A program's text and the result of building it."""
+    """The text of a program, and the result of building it."""
 
     text: str
     built: BuildResult
     other_files: Mapping[str, str] = field(default_factory=dict)
-    """Contents of further files that belong to the program, by name."""
+    """Contents of other files that belong to the program, by file name."""
     notes: tuple[str, ...] = ()
     """Further lines to log."""
 
 
 Builder = Callable[[Path], BuiltProgram]
-"""Reads and builds the program in a file."""
+"""Function that reads and builds the program in a file."""
 
 
 def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the files of an object: its formats, spec and pictures.
+    """Return the contents of an object's files by name: export formats, spec.json and pictures.
 
-    render.png shows it at rest; opened.png, if any joint moves, with all joints open.
+    render.png shows the object with all joints at zero. If any joint moves, opened.png shows the
+    object with all joints open.
     """
     files = object_files(spec)
     files["spec.json"] = spec.to_json().encode()
@@ -56,7 +57,7 @@ def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
 
 
 def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
-    """Write a built object into a folder and return the paths written, relative to it.
+    """Write a built object into a folder, and return the written paths relative to the folder.
 
     Raises:
         ExportError: a file cannot be written.
@@ -69,12 +70,12 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
 
 
 def write_failed(program: BuiltProgram, out: Path, options: ProgramOptions) -> Path | None:
-    """Write the picture of an object that fails its checks, and return its path.
+    """Write the picture of an object that fails its checks, and return the picture's path.
 
-    Returns None without an object. Other files in the folder are unchanged.
+    If the program builds no object, return None. Other files in the folder are unchanged.
 
     Raises:
-        ExportError: it cannot be written.
+        ExportError: the picture cannot be written.
     """
     spec = program.built.spec
     if spec is None:
@@ -116,17 +117,21 @@ def watch(
     inputs: tuple[Path, ...] = (),
     options: ProgramOptions | None = None,
 ) -> int:
-    """Build a program now and after every change of its files, and return the number of builds.
+    """Build a program now and after every change of its files, until Ctrl-C is pressed.
 
-    Ctrl-C ends it. Each build logs one line and its signals. A program with errors only
-    adds failed.png, if there is an object; a missing program changes no file.
+    Each build logs one line and the program's signals. If the program has errors, the only file
+    written is failed.png, and only if there is an object. If the program's file is missing, no file
+    is changed.
 
     Args:
         program: the program's file.
-        out: folder to write into.
+        out: folder for the files of the object.
         build: reads and builds the program.
-        inputs: other files that the result depends on; they need not exist.
-        options: thresholds for the picture of an object that fails.
+        inputs: other files on which the result depends; they need not exist.
+        options: thresholds for the picture of an object that fails its checks.
+
+    Returns:
+        The number of builds.
     """
     count, stamps = 0, ()
     written: frozenset[str] = frozenset()
@@ -143,7 +148,7 @@ def watch(
 
 
 def _stamp(program: Path) -> tuple[int, int] | None:
-    """Return a file's modification time [ns] and size, None if it is missing."""
+    """Return the modification time [ns] and the size of a file, or None if the file is missing."""
     try:
         status = program.stat()
     except OSError:
@@ -159,7 +164,7 @@ def _rebuild(
     written: frozenset[str],
     options: ProgramOptions | None,
 ) -> frozenset[str]:
-    """Build a program, write its files, log the outcome, and return the paths now in the folder."""
+    """Build a program, write its files, log the outcome, and return the paths in the folder."""
     start = time.monotonic()
     try:
         result = build(program)

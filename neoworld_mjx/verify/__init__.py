@@ -1,4 +1,4 @@
-"""Step 3, object-level physics (paper Section 3.2): object tests, and repairs by patches."""
+"""Step 3, object-level physics (paper Section 3.2): object tests and repairs."""
 
 from .patch import Patch
 from .verification import VerificationResult, verify_and_repair

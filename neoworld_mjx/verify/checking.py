@@ -1,4 +1,4 @@
-"""`neoworld check` of an object: a program, a URDF, MJCF or USD file from any source."""
+"""`neoworld check` of an object: a program, or a URDF, MJCF or USD file from any source."""
 
 import time
 from pathlib import Path
@@ -19,28 +19,28 @@ from .patched import build_patched
 from .verification import VerificationResult, verify_and_repair
 
 MAX_JOINTS = 64
-"""Largest number of moving joints of an imported object that is checked; each takes seconds."""
+"""Largest number of moving joints of an imported object; the check of each joint takes seconds."""
 
 
 def import_object(path: Path) -> Imported:
     """Read a URDF, MJCF or USD file with one object.
 
     Raises:
-        SpecError: the file has another format, holds several objects, is malformed, or exceeds the
-            limits on size.
+        SpecError: the file has another format, contains several objects, is malformed, or exceeds
+            the limits on size.
     """
     imported = import_file(path)
     if isinstance(imported, ImportedScene):
         names = ", ".join(item.name for item in imported.spec.objects[:8])
-        raise SpecError(f"{path} holds a scene of several objects, not one: {names}")
+        raise SpecError(f"{path} contains several objects instead of one: {names}")
     return imported
 
 
 def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
-    """Read the object of a program (.py), spec.json, URDF, MJCF or USD.
+    """Read the object of a file: a program (.py), spec.json, URDF, MJCF or USD.
 
     Raises:
-        SpecError: the file cannot be read, or it builds no object.
+        SpecError: the file cannot be read, or the program builds no object.
     """
     if path.suffix == ".json":
         return read_model(path, ObjectSpec, SpecError, "an object")
@@ -49,7 +49,7 @@ def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
     built = build_patched(path, options).built
     if built.spec is None:
         reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
-        raise SpecError(f"{path} gives no object: {reasons}")
+        raise SpecError(f"{path} builds no object: {reasons}")
     return built.spec
 
 
@@ -62,25 +62,25 @@ def check_object(
     repair: bool = False,
     out: Path | None = None,
 ) -> dict[str, Any]:
-    """Run the object tests on the object of a file, and repair it on request.
+    """Run the object tests on the object of a file, and repair the object on request.
 
     Args:
-        path: a program (.py), URDF, MJCF or USD.
+        path: a program (.py), URDF, MJCF or USD file.
         config: options of programs and of the object tests.
-        imported: content of the file, if it has been read already.
-        fixed_base: True if the base is fixed.
-        repair: True to try direct repairs; the patch of a program is written next to it.
-        out: folder for the repaired object in every format; None writes none.
+        imported: content of the file if it has already been read; if None, the file is read.
+        fixed_base: if True, the base is fixed.
+        repair: if True, try direct repairs. The patch of a program is written next to the program.
+        out: folder for the repaired object in every format; if None, the object is not written.
 
     Returns:
         The JSON object that `neoworld check --json` prints.
 
     Raises:
-        SpecError: the file cannot be used.
+        SpecError: the file or the options cannot be used.
         ExportError: the repaired object cannot be written.
     """
     if out is not None and not repair:
-        raise SpecError("--out writes the repaired object: give --repair with it")
+        raise SpecError("--out writes the repaired object, so it requires --repair")
     output: dict[str, Any] = {"target": str(path)}
     allowed: tuple[Allowance, ...] = ()
     is_program, failed = path.suffix == ".py", False
@@ -111,7 +111,7 @@ def check_object(
     output |= _report(result)
     output["seconds"] = round(time.perf_counter() - start, 3)
     if failed and result.patch.empty:
-        # Errors of the compile checks count as well, unless a patch repaired the object.
+        # An object with errors of the compile checks fails, unless a patch repaired it.
         output["passed"] = False
     if repair and not result.patch.empty:
         if is_program:
@@ -124,7 +124,7 @@ def check_object(
 
 
 def _report(result: VerificationResult) -> dict[str, Any]:
-    """Return a result as a JSON object: verdict, counts, checks with the worst first, repairs."""
+    """Return a result as a JSON object: verdict, counts, checks (the worst first) and repairs."""
     verdict = result.verdict
     outcomes = [check.outcome for check in verdict.checks]
     order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")

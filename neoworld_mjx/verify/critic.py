@@ -1,10 +1,15 @@
-"""Step 3 with models (3.2): the critic judges key frames, and its verdict has an effect.
+"""Step 3 with models (3.2): the critic judges key frames, and its verdict decides what happens.
 
-Models see objects that direct repairs left with failed or borderline checks, or all on request. On
-the verdict "edit" the reasoner proposes a `Patch`, which must lower the fault score like every
-repair; on "reprogram" the programmer writes the program again, which must lower it as well; "sound"
-waives checks that fail only because the object is tested without its scene. An object that passes
-with borderline checks goes only to the critic: its fault score is 0, and no edit could lower that.
+Models are shown objects that have failed or borderline checks after direct repairs, or, on request,
+all objects. The critic returns one of three verdicts:
+
+- "edit": the reasoner proposes a `Patch`, which is accepted only if it lowers the fault score.
+- "reprogram": the programmer writes the program again, which is accepted only if it lowers the
+  fault score.
+- "sound": checks that fail only because the object is tested without its scene are waived.
+
+An object that passes with borderline checks is shown only to the critic, because its fault score is
+0 and no edit could lower it.
 """
 
 import asyncio
@@ -30,19 +35,23 @@ T = TypeVar("T", bound=BaseModel)
 R = TypeVar("R")
 
 Reprogram = Callable[[Sequence[str]], Awaitable[SynthesisResult]]
-"""Writes an object's program again according to findings, one line each."""
+"""Function that requests a new program of an object, given findings of one line each."""
 
 
 @runtime_checkable
 class Compute(Protocol):
-    """Run a function in a thread and wait for it, for instance one at a time."""
+    """Function that runs another function without blocking the event loop.
+
+    An implementation may limit how many functions run at the same time.
+    """
 
     def __call__(self, work: Callable[[], R], /) -> Awaitable[R]:
-        """Return the function's result."""
+        """Return an awaitable of the result of `work`."""
         ...
 
 
-# Titles, docstrings and descriptions of the responses are part of the requests, the keys of tapes.
+# Titles, docstrings and descriptions of response schemas are part of the requests. Recorded
+# responses (tapes) match only requests that are exactly equal.
 
 
 class Finding(BaseModel):
@@ -81,13 +90,13 @@ def key_frames_request(
     tried: Sequence[str] = (),
     always: bool = False,
 ) -> Request[MotionCritique]:
-    """Return the request to the critic about an object's key frames.
+    """Return the request to the critic to judge an object's key frames.
 
     Args:
         tests: results of the object tests.
-        surroundings: what the object stands on or in, as a sentence.
+        surroundings: a sentence that says what the object stands on or in.
         tried: changes that models proposed before, with their outcomes.
-        always: see `strips`.
+        always: if True, add the standard scenarios; see `strips`.
     """
     paragraphs = [
         f"The object: {tests.spec.label or tests.spec.name}. {surroundings}".rstrip(),
@@ -106,7 +115,14 @@ def edit_request(
     surroundings: str = "",
     tried: Sequence[str] = (),
 ) -> Request[ProposedEdit]:
-    """Return the request to the reasoner for a patch; see `key_frames_request`."""
+    """Return the request to the reasoner for a patch.
+
+    Args:
+        tests: results of the object tests.
+        critique: the critic's critique, whose findings the request lists.
+        surroundings: a sentence that says what the object stands on or in.
+        tried: changes that models proposed before, with their outcomes.
+    """
     paragraphs = [
         surroundings,
         _numbers(tests),
@@ -145,7 +161,7 @@ def _numbers(tests: ObjectTests) -> str:
 
 
 def described(tests: ObjectTests) -> str:
-    """Describe an object's extent and base, and its editable numbers with their present values."""
+    """Describe an object's extent and base, and the current values that a patch can edit."""
     spec = tests.spec
     low, high = bounds(spec)
     lines = [f"extent: {_ranges(low, high)}; the origin is (0, 0, 0)"]
@@ -177,7 +193,7 @@ def described(tests: ObjectTests) -> str:
 
 
 def _geom_lines(part: PartSpec) -> list[str]:
-    """Describe the geoms of a part with their extents."""
+    """Describe the first 12 geoms of a part, with their extents."""
     boxes: dict[str, list[np.ndarray]] = {}
     for role in ("collision", "visual"):
         for geom, piece, frame in pieces(part, role):
@@ -213,25 +229,27 @@ async def revise_with_models(
     reprogram: Reprogram | None = None,
     compute: Compute = asyncio.to_thread,
 ) -> list[MotionCritique]:
-    """Request verdicts from the critic, and edits or new programs that they ask for.
+    """Request critiques from the critic, and the edits or new programs for which the critic asks.
 
-    An object that passes gets findings but no changes; so does every object if `rounds` is 0.
+    If the object passes the tests or `rounds` is 0, only a critique is requested, and the object is
+    not changed.
 
     Args:
-        repaired: the result of direct repairs; changes that help are added to it.
-        models: critic and reasoner.
+        repaired: the result of direct repairs, to which changes that help are added.
+        models: models for the critic and the reasoner.
         rounds: largest number of edits and new programs.
-        always: True if the critic also sees valid objects; then a tape must hold its responses.
-        surroundings: what the object stands on or in, as a sentence.
-        reprogram: writes the object's program again; None if there is none to write.
+        always: if True, the critic is also shown valid objects, and a response that the recorded
+            responses (tape) lack is an error.
+        surroundings: a sentence that says what the object stands on or in.
+        reprogram: requests a new program of the object; if None, no program can be requested.
         compute: runs simulations.
 
     Returns:
-        The critique of each round.
+        The critiques, one for each round in which the critic responded.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingResponseError: with `always`, a tape lacks the response.
+        MissingResponseError: `always` is True, and the recorded responses lack a response.
     """
     tried: list[str] = []
 
@@ -241,7 +259,7 @@ async def revise_with_models(
         except MissingResponseError:
             if always:
                 raise
-            # By default, a response that the tape does not hold is skipped without a fallback.
+            # By default, a response that the tape lacks is skipped without recording a fallback.
             repaired.tried.append(f"{request.name}: the tape does not hold the answer")
             return None
 
@@ -272,7 +290,7 @@ async def revise_with_models(
         return None if repaired.after.passed else _Round(repaired.tests)
 
     async def rewritten(critique: MotionCritique) -> bool:
-        """Have the program written again and test it; return False if that is impossible."""
+        """Request a new program and test it; return False if no program can be requested."""
         lines = findings(critique)
         if reprogram is None:
             repaired.unmet.append("; ".join(lines) or "the critic states no finding")

@@ -1,4 +1,4 @@
-"""GIFs of the paper's two standard scenarios."""
+"""GIF animations of the two standard scenarios of the paper."""
 
 import numpy as np
 
@@ -14,10 +14,11 @@ FRAMES = 16
 
 
 def films(tests: ObjectTests) -> dict[str, bytes]:
-    """Return a GIF of each standard scenario of an object, by the scenario's name.
+    """Return a GIF of each standard scenario of an object, by the kind of the scenario.
 
-    The GIFs loop, at the speed of the simulation and in flat colours. For an object with a fixed
-    base, a joint is driven; without joints there is no GIF.
+    The GIFs loop, play at the speed of the simulation, and have flat colors. For an object with a
+    fixed base, the only GIF shows a joint that is driven. If such an object has no joints, there is
+    no GIF.
     """
     return {kind: _film(tests, run) for kind, run in standard_runs(tests).items()}
 

@@ -1,4 +1,4 @@
-"""Key frames of failed and borderline checks, as labelled strips for the critic."""
+"""Key frames of failed and borderline checks, as labeled strips for the critic."""
 
 import io
 
@@ -22,16 +22,16 @@ FRAMES, MOST = 4, 3
 
 
 def questionable(verdict: Verdict) -> list[Check]:
-    """Return failed checks, the worst first, then borderline ones."""
+    """Return the failed checks, the worst first, followed by the borderline checks."""
     checks = [c for c in verdict.checks if c.outcome == "FAIL" or c.borderline]
     return sorted(checks, key=lambda c: (c.borderline, -c.margin))
 
 
 def standard_runs(tests: ObjectTests) -> dict[str, Trajectory]:
-    """Return a run of each of the paper's two standard scenarios, by the scenarios' names.
+    """Return one run of each of the two standard scenarios of the paper, by kind of scenario.
 
-    Of the pushes, it is the one that moves the object or one of its joints the most. An object with
-    a fixed base neither falls nor is pushed; for it, the first drive of a joint is returned.
+    The run of a push is that in which the object or one of its joints moves the most. For an object
+    with a fixed base, which neither falls nor is pushed, return the first drive of a joint.
     """
 
     def displacement(run: Trajectory) -> float:
@@ -50,13 +50,13 @@ def strips(tests: ObjectTests, *, always: bool = False) -> list[DescribedPicture
 
     Args:
         tests: results of the object tests.
-        always: True to add the standard scenarios up to the largest number of strips.
+        always: if True, add the standard scenarios, up to the largest number of strips.
 
     Returns:
-        At most three strips of four frames, each frame labelled with its time or joint value.
+        At most three strips of four frames. Each frame is labeled with the time or the joint value.
     """
     by_name = {trajectory.scenario.name: trajectory for trajectory in tests.trajectories}
-    # Four frames of one value do not show the direction of a ball joint; its evidence states it.
+    # Four frames of one value cannot show the direction of a ball joint; the evidence states it.
     balls = {j.name for j in tests.spec.joints if j.type == "ball"}
     pictures: dict[str, DescribedPicture] = {}
     for check in questionable(tests.verdict):
@@ -77,7 +77,7 @@ def strips(tests: ObjectTests, *, always: bool = False) -> list[DescribedPicture
 
 
 def _of_run(tests: ObjectTests, trajectory: Trajectory, label: str) -> DescribedPicture:
-    """Draw four frames of a run."""
+    """Return a strip of four frames of a run."""
     steps = np.linspace(0, len(trajectory.time) - 1, FRAMES).astype(int)
     poses = [posed_at(tests, trajectory, int(k)) for k in steps]
     titles = [f"{label[:24]} t={trajectory.time[k]:.2f} s" for k in steps]
@@ -85,7 +85,7 @@ def _of_run(tests: ObjectTests, trajectory: Trajectory, label: str) -> Described
 
 
 def posed_at(tests: ObjectTests, trajectory: Trajectory, k: int) -> SceneObject:
-    """Return the object in its pose at a step of a run."""
+    """Return the object with its pose and joint positions at step `k` of a run."""
     simulation = tests.simulation
     assert simulation is not None
     q = trajectory.qpos[k]
@@ -98,7 +98,7 @@ def posed_at(tests: ObjectTests, trajectory: Trajectory, k: int) -> SceneObject:
 
 
 def _of_joint(tests: ObjectTests, check: Check, label: str) -> DescribedPicture:
-    """Draw a joint from rest to its worst position, while its prerequisites are open."""
+    """Return a strip of a joint from 0 to its worst position, while its prerequisites are open."""
     joint = next(j for j in tests.spec.joints if j.name == check.joint)
     worst = check.at if check.at is not None else 0.0
     if check.at is None and joint.type in ("revolute", "prismatic"):
@@ -124,7 +124,7 @@ def _posed(
 
 
 def _strip(label: str, poses: list[SceneObject], titles: list[str]) -> DescribedPicture:
-    """Return frames in a row, all from the same viewpoint."""
+    """Return a strip of frames in a row, all rendered from one viewpoint."""
     states = [
         [
             np.round([*posed.xy, posed.z, *posed.base_tilt], 3).tolist(),
@@ -137,7 +137,7 @@ def _strip(label: str, poses: list[SceneObject], titles: list[str]) -> Described
 
 
 def view_of_all(poses: list[SceneObject], width: int, height: int) -> View:
-    """Return a view that contains the whole object in all of its poses."""
+    """Return a view in which the whole object is visible in all of the poses."""
     points = []
     for posed in poses:
         turn = Rotation.from_quat(np.roll(posed.base_tilt, -1))
@@ -147,7 +147,7 @@ def view_of_all(poses: list[SceneObject], width: int, height: int) -> View:
 
 
 def _drawn(poses: list[SceneObject], titles: list[str]) -> bytes:
-    """Draw the frames of a strip as PNG."""
+    """Render the frames of a strip, and return a PNG image."""
     view = view_of_all(poses, WIDTH, HEIGHT)
     sheet = Image.new("RGB", (WIDTH * len(poses), HEIGHT + BAND), "white")
     draw = ImageDraw.Draw(sheet)

@@ -1,9 +1,10 @@
 """Patches: the restricted edits that Step 3 may make to an object (paper Section 3.2).
 
-A patch edits masses and inertias, joint limits, damping and friction, origins, collision geometry,
-and the friction of surfaces. It cannot express parts, joints, axes, types, or visual geometry. The
-patch of a program is a file next to it and is applied to the object that the program builds, so it
-survives a rebuild.
+A patch can edit masses and inertias, positions of parts, joint limits, damping and friction,
+origins of joints, collision geometry, and the friction of surfaces. It cannot add or remove parts
+or joints, and cannot change axes, types or visual geometry. The patch of a program is a file next
+to the program, and is applied to the object that the program builds. It therefore still applies
+after the program has been built again.
 """
 
 from pathlib import Path
@@ -35,8 +36,8 @@ Placed = TypeVar("Placed", AuthoredInertia, GeomSpec, Site)
 SUFFIX = ".patch.json"
 
 
-# Docstrings of edits and of their fields are part of the schema that models receive, and tapes
-# depend on them.
+# Docstrings of the edit classes and of their fields are part of the schema that models receive.
+# Recorded responses (tapes) match only requests that are exactly equal.
 
 
 class Edit(BaseModel):
@@ -103,11 +104,14 @@ class Patch(Edit):
 
     @property
     def empty(self) -> bool:
-        """True if it changes nothing."""
+        """True if the patch changes nothing."""
         return not (self.parts or self.joints or self.geoms or self.materials)
 
     def joined(self, other: "Patch") -> "Patch":
-        """Merge another patch into this one: shifts add up, otherwise the other's values win."""
+        """Return the merger of this patch with another patch.
+
+        Shifts add up. In all other fields, values of the other patch replace those of this patch.
+        """
         merged, later = self.model_dump(exclude_none=True), other.model_dump(exclude_none=True)
         for kind, edits in later.items():
             for name, edit in edits.items():
@@ -129,7 +133,7 @@ class Patch(Edit):
         )
 
     def to_json(self) -> str:
-        """Return, as JSON, the fields that the patch sets."""
+        """Return the fields that the patch sets as JSON text."""
         return self.model_dump_json(indent=1, exclude_none=True, exclude_defaults=True) + "\n"
 
 
@@ -137,8 +141,8 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
     """Apply a patch to an object.
 
     Returns:
-        The object, and the names of parts, joints, geoms and materials that the patch edits but the
-        object lacks, for instance after a change of its program.
+        The patched object, and the parts, joints, geoms and materials that the patch edits but the
+        object lacks, for example after a change of the object's program.
 
     Raises:
         SpecError: the patched object is invalid.
@@ -155,7 +159,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
         for name in edits
         if name not in {item.name for item in items}
     ]
-    # The shift of a part moves all parts below it.
+    # The shift of a part also moves all parts that it carries.
     shifts: dict[str, NDArray] = {}
     for part, joint in spec.ordered:
         above = np.zeros(3) if joint is None else shifts[joint.parent]
@@ -179,7 +183,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
 
 
 def _translated(item: Placed, shift: NDArray) -> Placed:
-    """Return a geom, site or inertia with its position translated by `shift` [3] m."""
+    """Return a geom, site or inertia, translated by `shift` [m]."""
     if not np.any(shift):
         return item
     return item.model_copy(update={"pos": tuple(np.add(item.pos, shift).tolist())})
@@ -205,7 +209,7 @@ def _geom(geom: GeomSpec, part: PartSpec, patch: Patch) -> list[GeomSpec]:
         g.role != "collision" and patch.geoms.get(g.name, GeomEdit()).as_seen for g in part.geoms
     )
     if visual_collides and geom.role == "collision":
-        return []  # The visible shape collides in its place.
+        return []  # The visible shape replaces the collider.
     if edit.as_seen and geom.role != "collision":
         return [geom.model_copy(update={"role": "both"})]
     if edit.shrink is None or geom.role == "visual":
@@ -219,7 +223,7 @@ def _geom(geom: GeomSpec, part: PartSpec, patch: Patch) -> list[GeomSpec]:
 
 def _joint(joint: JointSpec, patch: Patch, shift: NDArray) -> JointSpec:
     edit = patch.joints.get(joint.name, JointEdit())
-    # Only the upper limit of a ball can change; continuous and fixed joints have no range.
+    # Only the upper limit of a ball joint can change. Continuous and fixed joints have no range.
     limits = {"revolute": {"lower", "upper"}, "prismatic": {"lower", "upper"}, "ball": {"upper"}}
     fields = {"damping", "friction", *limits.get(joint.type, ())}
     update = edit.model_dump(include=fields, exclude_none=True)
@@ -233,12 +237,12 @@ def _material(material: Material, patch: Patch) -> Material:
 
 
 def overlay_path(program: Path) -> Path:
-    """Return the path of a program's patch."""
+    """Return the path of the patch of a program."""
     return program.with_name(program.stem + SUFFIX)
 
 
 def read_overlay(program: Path) -> Patch | None:
-    """Read the patch of a program; None if it has none.
+    """Read the patch of a program; return None if the program has no patch.
 
     Raises:
         SpecError: the file cannot be read or is not a patch.

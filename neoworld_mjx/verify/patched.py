@@ -1,4 +1,4 @@
-"""Programs built with their patches."""
+"""Building of programs with their patches."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,16 +13,16 @@ from .patch import SUFFIX, Patch, apply, read_overlay
 
 @dataclass(frozen=True)
 class PatchedProgram(BuiltProgram):
-    """The result of building a program, with its patch applied."""
+    """The result of building a program and applying the program's patch."""
 
     patch: Patch | None = None
-    """None if the program has no patch."""
+    """The patch; None if the program has no patch."""
     stale: tuple[str, ...] = ()
-    """Parts, joints and geoms that the patch edits but the object lacks."""
+    """Parts, joints, geoms and materials that the patch edits but the object lacks."""
 
 
 def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
-    """Build the program in a file, and apply its patch to the object.
+    """Build the program in a file, and apply the program's patch to the object.
 
     Args:
         program: the file.
@@ -39,7 +39,7 @@ def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
     spec, stale = apply(patch, built.spec)
     notes = (
         *(f"patch: {change}" for change in patch.changes()),
-        *(f"patch: {edit} is no longer there" for edit in stale),
+        *(f"patch: the object no longer has {edit}" for edit in stale),
     )
     beside = {"program" + SUFFIX: patch.to_json()}
     return PatchedProgram(text, replace(built, spec=spec), beside, notes, patch, stale)

@@ -1,9 +1,9 @@
-"""Direct repairs: patches proposed from measurements, accepted only if they help.
+"""Direct repairs: patches that are derived from measurements and accepted only if they help.
 
-Each round takes the likeliest cause, runs the object tests with each of a few patches, and accepts
-the best patch that lowers the fault score and adds no fault. Direct repairs send no request to a
-model; `Repair.try_patches` applies the same rule to patches that a model proposes, and
-`Repair.try_program` to a new program.
+Each round addresses the likeliest cause. It runs the object tests with each of a few patches, and
+accepts the best patch that lowers the fault score and adds no fault. Direct repairs send no
+requests to models. `Repair.try_patches` also applies this rule to patches that a model proposes.
+`Repair.try_program` accepts a new program if it lowers the fault score.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -26,50 +26,59 @@ from ..spec import JointSpec, ObjectSpec, PartSpec, Vec3, inertial, part_bounds
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
 
 GAP_M = 0.0005
-"""Gap that a repair leaves between parts that it moves apart or together."""
+"""Gap that a repair leaves between parts that it moves apart or together [m]."""
 GAIN = 0.05
-"""Least decrease of the fault score by an accepted patch."""
+"""A patch or a new program is accepted only if it lowers the fault score by more than this."""
 
 
 @runtime_checkable
 class RunTests(Protocol):
-    """Run the object tests, by default with the overlaps that the first program declares."""
+    """Function that runs the object tests.
+
+    By default, the overlaps that the first program declares are allowed.
+    """
 
     def __call__(self, spec: ObjectSpec, /, *, allowed: Sequence[Allowance] = ...) -> ObjectTests:
-        """Return the results."""
+        """Return the results of the object tests."""
         ...
 
 
 @dataclass
 class Repair:
-    """Repair of an object: the accepted patch so far, and the test results of the patched object.
+    """State of the repair of an object: the accepted patch, and the results with this patch.
 
-    `try_patches`, `try_program` and `waive` update it.
+    `try_patches`, `try_program` and `waive` update the state.
     """
 
     original: ObjectSpec
+    """The object without the patch."""
     run: RunTests
     tests: ObjectTests
     """Test results of the object with `patch`."""
     before: Verdict
-    """Verdict on the original object."""
+    """Verdict on the first program's object without a patch."""
     patch: Patch = field(default_factory=Patch)
+    """The accepted patch."""
     tried: list[str] = field(default_factory=list)
-    """Every patch that was tried: its changes, and the fault score before and after."""
+    """Description of every patch that was tried, with the fault score before and after."""
     lost_critics: list[tuple[str, str]] = field(default_factory=list)
-    """Requests that a model failed to answer, and why."""
+    """Pairs of a request that a model failed to answer, and the reason."""
     program: SynthesisResult | None = None
-    """The new program that built `original`; None for the first one."""
+    """The new program that built `original`; None if the first program built it."""
     unmet: list[str] = field(default_factory=list)
     """Findings for which the critic asked for a new program that could not be requested."""
 
     @property
     def after(self) -> Verdict:
-        """Verdict on the object with the patch."""
+        """Verdict on the object with the accepted patch."""
         return self.tests.verdict
 
     def try_patches(self, patches: Iterable[Patch]) -> bool:
-        """Try patches on top of the accepted one, accept the best, and return True if any helps."""
+        """Try each patch on top of the accepted patch, and accept the best patch that helps.
+
+        Returns:
+            True if a patch was accepted.
+        """
         best: tuple[float, Patch, ObjectTests] | None = None
         before, known_faults = self.after.score, set(self.after.faults)
         for patch in patches:
@@ -93,11 +102,14 @@ class Repair:
         return best is not None
 
     def try_program(self, result: SynthesisResult, *, rounds: int = 6) -> bool:
-        """Replace the object by that of a new program if it has a lower fault score.
+        """Replace the object by that of a new program if the fault score decreases.
 
         Args:
             result: the new program.
-            rounds: largest number of causes that direct repairs of the new object address.
+            rounds: largest number of rounds of direct repairs of the new object.
+
+        Returns:
+            True if the object was replaced.
         """
         before = self.after.score
         if result.spec is None:
@@ -114,20 +126,20 @@ class Repair:
         return True
 
     def waive(self) -> None:
-        """Accept the checks that an object fails only because it is tested without its scene."""
+        """Waive checks that fail only because the object is tested without its scene."""
         self.tests = replace(self.tests, verdict=waived(self.after))
 
 
 def repair(
     spec: ObjectSpec, run: RunTests, *, rounds: int = 6, first: ObjectTests | None = None
 ) -> Repair:
-    """Repair an object by patches that its measurements propose.
+    """Repair an object with patches that are derived from measurements.
 
     Args:
         spec: the object.
         run: runs the object tests.
-        rounds: largest number of causes to address.
-        first: test results of `spec`, if they exist.
+        rounds: largest number of rounds, each of which addresses one cause.
+        first: test results of `spec`; if None, the tests are run.
     """
     tests = first or run(spec)
     repaired = Repair(spec, run, tests, tests.verdict)
@@ -144,7 +156,10 @@ def repair(
 def _likeliest_cause(
     verdict: Verdict, given_up: Collection[tuple[Fault | None, str]]
 ) -> Check | None:
-    """Return the failed check of the likeliest cause that a patch could repair."""
+    """Return the failed check of the likeliest repairable cause, or None.
+
+    Checks in `given_up` are excluded.
+    """
     for fault in verdict.faults:
         for check in verdict.checks:
             repairable = fault in _PART_REPAIRS or fault in _JOINT_REPAIRS
@@ -154,7 +169,7 @@ def _likeliest_cause(
 
 
 def proposals(tests: ObjectTests, check: Check) -> Iterator[Patch]:
-    """Yield patches that could repair a failed check, the most likely first."""
+    """Yield patches that could repair a failed check, the most promising first."""
     if check.fault in _PART_REPAIRS and check.part is not None:
         yield from _PART_REPAIRS[check.fault](tests, tests.spec.part(check.part))
     elif check.fault in _JOINT_REPAIRS and check.joint is not None:
@@ -176,18 +191,18 @@ def _collide_as_seen(_: ObjectTests, part: PartSpec) -> Iterator[Patch]:
 
 
 def _cut_limits(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Cut the range to the part of it that is free of collisions."""
+    """Reduce the joint's range to the collision-free range."""
     if joint.name not in tests.joint_checks.free:
         return
     low, high = tests.joint_checks.free[joint.name]
-    # Rounding must not exclude the rest position. A ball without a limit has an upper limit of 0.
+    # Rounding must not widen the range. A ball joint without a limit has an upper limit of 0.
     upper = high if joint.type == "ball" else min(high, joint.upper)
     if low < high:
         yield _edited(joint, JointEdit(lower=max(low, joint.lower), upper=upper))
 
 
 def _widen_limits(_: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Widen the range at either end to the declared travel."""
+    """Widen the range to the declared travel, at the upper or at the lower end."""
     if joint.intent is None or joint.intent.travel is None:
         return
     travel = joint.intent.travel
@@ -196,7 +211,10 @@ def _widen_limits(_: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
 
 
 def _add_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Raise damping and dry friction to their defaults, and damping to four times that."""
+    """Raise dry friction to its default, and damping to one or four times its default.
+
+    For a joint with a spring, the default damping is increased.
+    """
     damping, friction = _losses(tests, joint)
     if joint.stiffness > 0:
         damping = max(damping, 2 * float(np.sqrt(joint.stiffness * damping * SETTLING_S)))
@@ -214,7 +232,7 @@ def _cut_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
 
 
 def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Move the pivot to an edge of the child, the nearest first, or to the axis of a round part."""
+    """Move the pivot to an edge of the child, the nearest edge first, or to the child's center."""
     low, high = part_bounds(tests.spec, tests.spec.part(joint.child))
     middle = (low + high) / 2
     pivot, axis = np.array(joint.pos), np.array(joint.axis)
@@ -238,7 +256,7 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
 
 
 def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Move a detached part to its parent: straight along one axis, or the shortest way."""
+    """Move a detached part to its parent, along one axis or along the shortest path."""
     spec, child = tests.spec, joint.child
     shortest = _shift_to_gap(spec, child, joint.parent, lambda gap: abs(gap - GAP_M) < 1e-4)
     low, high = part_bounds(spec, spec.part(child))
@@ -264,7 +282,8 @@ def _separate(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     shifts = [_shift_to_gap(spec, child, other, lambda gap: gap >= 0.5 * GAP_M)]
     size = max(depth, 1e-3) + GAP_M
     shifts += [sign * size * axis + 0.0 for axis in np.eye(3) for sign in (1.0, -1.0)]
-    # Measuring a distance is cheap, the object tests are not: only shifts that separate are tried.
+    # Distances are cheap to measure, but the object tests are not, so only shifts that separate
+    # the parts are tried.
     free = [shift for shift in shifts if _gap(spec, child, other, shift)[0] > -1e-3]
     free.sort(key=lambda shift: float(np.linalg.norm(shift)))
     for shift in free[:4]:
@@ -277,10 +296,10 @@ def _separate(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
 def _shift_to_gap(
     spec: ObjectSpec, part: str, other: str, stop: Callable[[float], bool]
 ) -> NDArray:
-    """Return the shift [3] m that brings a part to `GAP_M` from another, the shortest way.
+    """Return the shortest shift that leaves a gap of `GAP_M` between two parts [m], shape [3].
 
-    Moving along the line of the smallest distance changes that line, so this takes up to 8 steps,
-    until `stop` accepts the gap [m].
+    A shift along the line of the smallest distance changes this line, so the shift is found in up
+    to 8 steps, until `stop` accepts the gap [m].
     """
     shift = np.zeros(3)
     for _ in range(8):
@@ -292,7 +311,7 @@ def _shift_to_gap(
 
 
 def _gap(spec: ObjectSpec, part: str, other: str, shift: NDArray) -> tuple[float, NDArray]:
-    """Return the signed distance [m] from a shifted part to another, and the direction [3] away."""
+    """Return the signed distance of a shifted part from another part [m], and its direction."""
     probe = Probe(apply(_shifted(part, shift), spec)[0])
     return probe.separation(probe.names.index(other), probe.names.index(part))
 

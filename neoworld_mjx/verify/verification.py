@@ -1,4 +1,4 @@
-"""Step 3 for one object: the object tests, repairs, and the cache of results."""
+"""Step 3 for one object: object tests, repairs, and the cache of results."""
 
 import asyncio
 import json
@@ -37,28 +37,28 @@ class VerificationResult(BaseModel):
     verdict: Verdict
     """Verdict on the resulting object."""
     before: Verdict | None = None
-    """Verdict on the object before its repair; None if it was not repaired."""
+    """Verdict on the object before repairs; None if the object was not changed."""
     patch: Patch = Patch()
     changes: tuple[str, ...] = ()
     """Description of each change of the patch."""
     tried: tuple[str, ...] = ()
-    """Every patch that was tried, with the fault score before and after."""
+    """Description of every patch that was tried, with the fault score before and after."""
     seen: tuple[str, ...] = ()
     """The critic's findings in the key frames."""
     lost_critics: tuple[tuple[str, str], ...] = ()
-    """Requests that a model failed to answer, and why."""
+    """Pairs of a request that a model failed to answer, and the reason."""
     unmet: tuple[str, ...] = ()
     """Findings for which the critic asked for a new program that could not be requested."""
     program: str | None = None
-    """Text of a new program that replaces the first one."""
+    """Text of a new program that replaces the first program; None without a new program."""
     program_json: str | None = None
-    """All rounds of the new program, see `SynthesisResult.to_json`."""
+    """All rounds of the new program; see `SynthesisResult.to_json`."""
     reprogrammed: ObjectSpec | None = None
-    """The object that the new program builds."""
+    """The object that the new program builds, without `patch`."""
 
     @property
     def changed(self) -> bool:
-        """True if the object differs from the programmed one."""
+        """True if the object has a new program or a patch."""
         return self.reprogrammed is not None or not self.patch.empty
 
     @property
@@ -67,7 +67,7 @@ class VerificationResult(BaseModel):
         return tuple(check for check in self.verdict.checks if check.hint == WAIVED)
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
-        """Return the object, or that of the new program, with its patch."""
+        """Return the object with the patch; a new program's object replaces `spec` first."""
         spec = self.reprogrammed or spec
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
@@ -90,17 +90,20 @@ async def verify_object(
     reprogram: Reprogram | None = None,
     compute: Compute = asyncio.to_thread,
 ) -> VerificationResult:
-    """Test and repair an object as `verify_and_repair` does, among others that wait for models.
+    """Test and repair an object; this is the asynchronous form of `verify_and_repair`.
+
+    Several objects can be verified concurrently, so that one object is tested while others wait for
+    models.
 
     Args:
         spec: the object.
         options: options of the tests.
-        fixed_base: True if its base is fixed.
-        tilt: its resting orientation.
-        allowed: overlaps that its program declares.
-        models: critic and reasoner; None sends no request.
-        surroundings: what the object stands on or in, as a sentence for the models.
-        reprogram: writes the object's program again if the critic asks for it.
+        fixed_base: if True, the base of the object is fixed.
+        tilt: orientation in which the object rests.
+        allowed: overlaps that the object's program declares.
+        models: models for the critic and the reasoner; if None, no requests are sent.
+        surroundings: a sentence for the models that says what the object stands on or in.
+        reprogram: requests a new program of the object if the critic asks for it.
         compute: runs simulations.
     """
     key = {
@@ -123,7 +126,7 @@ async def verify_object(
     direct = options.rounds if options.direct_repairs else 0
     repaired = await compute(lambda: repair(spec, run, rounds=direct))
     critiques: list[MotionCritique] = []
-    # A support without joints is in no scenario, so there is nothing to show.
+    # A fixed object without joints has no scenarios, so there is nothing to show.
     shown = repaired.after.questionable or (always and bool(standard_runs(repaired.tests)))
     if models is not None and shown:
         critiques = await revise_with_models(
@@ -164,21 +167,23 @@ def verify_and_repair(
     models: Panel | None = None,
     reprogram: Reprogram | None = None,
 ) -> VerificationResult:
-    """Test an object, and repair it from the measurements in at most `options.rounds` rounds.
+    """Test an object, and repair it in at most `options.rounds` rounds.
 
-    Without models, results are cached; with models, the tapes are the cache.
+    Results are cached if no request was sent to a model. Otherwise, recorded responses (tapes)
+    serve as the cache.
 
     Args:
         spec: the object.
-        options: options of the tests; with `rounds` 0 the object is not changed, without
-            `direct_repairs` only models change it.
-        fixed_base: True if its base is fixed.
-        tilt: its resting orientation.
-        allowed: overlaps that its program declares.
-        models: critic and reasoner for failed and borderline checks, or as `options.critic` says;
-            None sends no request.
-        reprogram: writes the object's program again if the critic asks for it; None ends the
-            rounds then.
+        options: options of the tests. If `rounds` is 0, the object is not changed. If
+            `direct_repairs` is False, only models change the object.
+        fixed_base: if True, the base of the object is fixed.
+        tilt: orientation in which the object rests.
+        allowed: overlaps that the object's program declares.
+        models: models for the critic and the reasoner, which are asked about objects with failed or
+            borderline checks, or about all objects if `options.critic` is "always". If None, no
+            requests are sent.
+        reprogram: requests a new program of the object if the critic asks for it. If None, the
+            rounds end when the critic asks for a new program.
     """
     work = verify_object(
         spec,

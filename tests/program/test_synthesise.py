@@ -336,7 +336,7 @@ def test_a_programmer_may_correct_the_measured_box():
     absurd = written(GOOD).model_copy(update={"box": [0.4, 0.6, 6.0]})
     kept = synthesised(ScriptedModel(absurd, *verdict(9, accept=True)))
     assert kept.size is None
-    assert "over 4 times off" in kept.fallbacks[0][1]
+    assert "a factor of over 4" in kept.fallbacks[0][1]
 
 
 def test_a_critic_may_correct_the_measured_box():

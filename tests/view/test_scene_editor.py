@@ -113,5 +113,5 @@ def test_invalid_targets_are_one_clear_error(kind, tmp_path):
     path = {"missing": "none/scene.json", "empty folder": "", "no program": "a.py"}[kind]
     if path == "a.py":
         (tmp_path / path).write_text("x = 1\n")
-    with pytest.raises(SpecError, match=r"scene\.json|gives no object|no such|No such"):
+    with pytest.raises(SpecError, match=r"scene\.json|builds no object|no such|No such"):
         open_target(tmp_path / path, config)

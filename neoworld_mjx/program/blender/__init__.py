@@ -1,1 +1,1 @@
-"""Execution of programs in a confined Blender process, and conversion of scenes to objects."""
+"""Execution of programs in a confined Blender process, and conversion of scenes into objects."""

@@ -1,4 +1,4 @@
-"""Installation of Blender, and the test that this machine can run its programs confined."""
+"""Installation of Blender, and a test whether programs can run in a confined Blender process."""
 
 import shutil
 import subprocess
@@ -10,14 +10,14 @@ from .blender_environment import INSTALL, LIBRARIES, blender_folder, blender_pyt
 from .blender_process import run_confined
 
 _SECONDS = 1800.0
-"""Time limit of an installation command."""
+"""Time limit of an installation command [s]."""
 
 
 def install_blender() -> Path:
-    """Create or update Blender's environment and return its folder.
+    """Create or update Blender's virtual environment, and return the environment's folder.
 
     Raises:
-        ProgramError: uv is missing, or a command failed.
+        ProgramError: uv is missing, a command failed, or Blender cannot run programs.
     """
     lines = "\n".join(f"    {' '.join(command)}" for command in commands())
     if shutil.which("uv") is None:
@@ -27,7 +27,7 @@ def install_blender() -> Path:
     blender_folder().parent.mkdir(parents=True, exist_ok=True)
     for command in commands():
         try:
-            # Not in a clone of this package, whose pinned versions uv would apply to bpy.
+            # In a clone of this package, uv would apply the package's pinned versions to bpy.
             process = subprocess.run(
                 command,
                 capture_output=True,
@@ -56,7 +56,10 @@ def require_blender() -> None:
 
 
 def unavailable() -> str | None:
-    """Return the reason why Blender cannot run programs here, None if it can; tested once."""
+    """Return why Blender cannot run programs on this machine, or None if it can.
+
+    The test run is made once in a process.
+    """
     if not blender_python().exists():
         return f"Blender is not installed ({blender_python()} is missing): run `{INSTALL}`"
     return _test_run(str(blender_python()))
@@ -64,7 +67,7 @@ def unavailable() -> str | None:
 
 @lru_cache(maxsize=1)
 def _test_run(python: str) -> str | None:
-    """Run an empty program, and return the reason of a failure."""
+    """Run an empty program; if it fails, return the reason."""
     output = run_confined("", timeout_s=60.0, memory_mib=4096)
     if output.missing:
         return f"untrusted programs cannot be confined here without {output.missing}"

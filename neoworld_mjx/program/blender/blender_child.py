@@ -1,8 +1,8 @@
-"""Script that runs one program in Blender and writes the resulting scene as data.
+"""Script that runs one program in Blender, and writes the resulting scene as JSON.
 
-`blender_process` starts it with Blender's own Python: the program's text on standard input, the
-limits and the number of the output's file descriptor as arguments. It does not import the package.
-Its output is as untrusted as the program.
+`blender_process` runs this script with the Python interpreter of Blender's environment. Standard
+input is the program's text. The arguments are the limits and the file descriptor for the output.
+The script does not import this package. The output is as untrusted as the program.
 """
 
 import base64
@@ -18,7 +18,7 @@ from typing import Any
 
 PROGRAM = "<program.py>"
 UNAVAILABLE = 77
-"""Exit code if the machine cannot confine a process."""
+"""Exit code if this machine cannot confine a process."""
 _SYSTEM = ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache",
            "/dev/null", "/dev/urandom", "/sys/devices/system/cpu")  # fmt: skip
 _DYNAMICS = (
@@ -31,7 +31,7 @@ _GREY = 0.8
 
 
 def main() -> int:
-    """Confine this process, run the program and write the scene; return the exit code."""
+    """Confine this process, run the program, write the scene, and return the exit status."""
     memory_mib, cpu_s, file_mib, descriptor = (int(value) for value in sys.argv[1:5])
     confinement = _load_sibling("confinement")
     software = {sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()}
@@ -41,7 +41,7 @@ def main() -> int:
         sys.stderr.write(f"missing: {error}\n")
         return UNAVAILABLE
     text = sys.stdin.read()
-    # Blender writes its own warnings to standard output.
+    # Blender writes warnings to standard output, so descriptor 1 is redirected to standard error.
     printed = os.fdopen(os.dup(1), "w", errors="replace")
     os.dup2(2, 1)
     bpy: Any = importlib.import_module("bpy")
@@ -65,7 +65,7 @@ def _load_sibling(name: str) -> Any:
 
 
 def _run(text: str, bpy: Any) -> dict[str, Any]:
-    """Run the program and describe the resulting scene, or its error."""
+    """Run the program, and return a description of the resulting scene or of the error."""
     try:
         exec(compile(text, PROGRAM, "exec"), {"__name__": "__main__", "__file__": PROGRAM})
     except SyntaxError as error:
@@ -90,7 +90,7 @@ def _error(
 
 
 def _scene(bpy: Any) -> dict[str, Any]:
-    """Describe the shapes, joints and points of the current scene, in world coordinates."""
+    """Return the shapes, joints and sites of the current scene, in world coordinates."""
     scene = bpy.context.scene
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
@@ -117,7 +117,7 @@ def _scene(bpy: Any) -> dict[str, Any]:
 
 
 def _shape(obj: Any, graph: Any, materials: dict[str, Any]) -> dict[str, Any] | None:
-    """Describe the triangles of an object with all of its modifiers applied."""
+    """Return an object's triangles, after all modifiers, and properties; None without triangles."""
     np: Any = importlib.import_module("numpy")
     evaluated = obj.evaluated_get(graph)
     mesh = evaluated.to_mesh()
@@ -160,7 +160,7 @@ def _packed(values: Any, kind: str) -> str:
 
 
 def _material(material: Any) -> dict[str, Any]:
-    """Describe a material by its custom properties, else by its Principled BSDF."""
+    """Return a material's fields: the custom properties, or else values of the Principled BSDF."""
     fields: dict[str, Any] = {"name": material.name}
     tree = material.node_tree
     nodes = [] if tree is None else [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
@@ -186,13 +186,13 @@ def _material(material: Any) -> dict[str, Any]:
 
 
 def _srgb(value: float) -> float:
-    """Convert a linear color value to sRGB, from 0 to 1."""
+    """Convert a linear color value to sRGB, clipped to 0 to 1."""
     value = min(max(value, 0.0), 1.0)
     return 12.92 * value if value <= 0.0031308 else 1.055 * value ** (1 / 2.4) - 0.055
 
 
 def _joint(obj: Any) -> dict[str, Any]:
-    """Describe the joint of an empty; its axis is the empty's z unless a property sets it."""
+    """Return the joint of an empty; the default axis is the z axis of the empty."""
     world = obj.matrix_world
     fields: dict[str, Any] = {
         "name": obj.name,

@@ -1,6 +1,7 @@
-"""Conversion of a Blender scene into the SDK's object: parts, materials, masses, joints, sites.
+"""Conversion of a Blender scene into an object of the SDK.
 
-Every value passes through the SDK, so that both languages have the same limits and messages.
+Parts, materials, masses, joints and sites are created by calls of the SDK, so that both languages
+have equal limits and messages.
 """
 
 import time
@@ -31,15 +32,15 @@ _DYNAMICS = {
     "prismatic": ("damping", "friction", "stiffness", "effort", "velocity"),
     "ball": ("damping", "friction", "stiffness"),
 }
-"""Dynamics arguments by joint type."""
+"""Names of the arguments for dynamics, by joint type."""
 _DEFAULT_MATERIAL = "plastic"
 
 
 def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
-    """Run a program in Blender, create its object, and return its printed text and its errors.
+    """Run a program in Blender, create its object, and return its printed text and its signals.
 
     Raises:
-        ProgramError: Blender is not installed, or the machine cannot confine it.
+        ProgramError: Blender is not installed, or this machine cannot confine the process.
     """
     require_blender()
     output = run_confined(
@@ -56,9 +57,12 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
 def build_object(
     scene: BlenderScene, session: Session, options: ProgramOptions | None = None
 ) -> list[Signal]:
-    """Create the object of an untrusted scene in a session; return errors and warnings.
+    """Create the object of an untrusted scene in a session, and return errors and warnings.
 
-    `options` limit the time for splitting shapes into convex pieces.
+    Args:
+        scene: the scene.
+        session: collects the object and counts the resources that it uses.
+        options: limits the time for splitting shapes into convex pieces (`blender_timeout_s`).
     """
     options = options or ProgramOptions()
     if scene.error is not None:
@@ -87,7 +91,7 @@ def _raised(scene: BlenderScene) -> Signal:
 
 
 class _Conversion:
-    """Conversion of one scene into an object."""
+    """State of the conversion of one scene into an object."""
 
     def __init__(self, scene: BlenderScene, deadline: float) -> None:
         self.scene, self.deadline = scene, deadline
@@ -124,7 +128,7 @@ class _Conversion:
         return self.parts[name]
 
     def _add(self, shape: BlenderShape, part: Part) -> None:
-        """Add the solids of a Blender object to its part."""
+        """Add the solids of a Blender object to a part."""
         context = f"object {shape.name!r}"
         vertices, faces, slots = shape.triangles()
         if len(faces) > MAX_FACES:
@@ -146,7 +150,7 @@ class _Conversion:
             )
 
     def _material(self, shape: BlenderShape, slot: int) -> str:
-        """Return the name of a slot's material; it is defined in the object on first use."""
+        """Define the material of a slot on first use, and return the material's name."""
         name = shape.materials[slot] if slot < len(shape.materials) else ""
         if name not in self.materials:
             message = f"object {shape.name!r} has no material: {_DEFAULT_MATERIAL} is assumed"
@@ -174,7 +178,7 @@ class _Conversion:
         return self.object.material(label, **fields)
 
     def _join(self) -> None:
-        """Create the joints, each after the joints that it refers to."""
+        """Create the joints in an order in which each joint follows the joints that it mentions."""
         built: dict[str, Joint] = {}
         pending = list(self.scene.joints)
         while pending:
@@ -227,7 +231,7 @@ def _direction(value: list[float] | str | None) -> Any:
 
 
 def _rounded(values: list[float]) -> tuple[float, float, float]:
-    """Round to 7 decimals, about the precision of Blender's floats."""
+    """Round to 7 decimals, which is about the precision of Blender's floats."""
     x, y, z = (np.round(values, 7) + 0.0).tolist()
     return x, y, z
 
@@ -241,6 +245,6 @@ def _named_by(joint: BlenderJoint) -> set[str]:
 
 
 def _material_in(name: str) -> str | None:
-    """Return the named material that a name contains: "oak" for "dark_oak"."""
+    """Return the named material that a name contains, such as "oak" for "dark_oak", or None."""
     padded = f"_{name.lower()}_"
     return max((m for m in MATERIALS if f"_{m}_" in padded), key=len, default=None)

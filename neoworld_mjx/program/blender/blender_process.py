@@ -1,4 +1,4 @@
-"""Execution of a program in a confined Blender process; its output is untrusted."""
+"""Execution of a program in a confined Blender process, whose output is untrusted."""
 
 import os
 import subprocess
@@ -17,33 +17,34 @@ from .blender_environment import blender_python
 from .blender_scene import BlenderScene
 
 SCENE_MIB = 48
-"""Largest size of the returned scene; a triangle takes about 40 bytes."""
+"""Largest size of the returned scene [MiB]; a triangle takes about 40 bytes."""
 _WALL = 4.0
-"""Wall time limit as a multiple of the processor time limit, as the machine may be busy."""
+"""Limit on wall time, as a multiple of the limit on processor time; the machine may be busy."""
 _CPU_START_S = 5
-"""Additional processor time for loading Blender."""
+"""Additional processor time for loading Blender [s]."""
 _CHILD = Path(__file__).with_name("blender_child.py")
 _KILLED = (-9, -24)
-"""Exit codes at the limit of processor time: SIGKILL, SIGXCPU."""
+"""Exit codes of a process that exceeded the limit on processor time: SIGKILL and SIGXCPU."""
 
 
 @dataclass(frozen=True)
 class BlenderOutput:
-    """Output of a run of Blender."""
+    """Output of one run of Blender."""
 
     scene: BlenderScene | None
+    """The scene; None if the run failed."""
     exit_code: int
-    """Exit code as `subprocess` returns it."""
+    """Exit code as `subprocess` returns it; negative if a signal ended the process."""
     printed: str = ""
     errors: str = ""
     """Standard error."""
     timed_out: bool = False
     unreadable: str = ""
-    """Reason that the scene of a successful program cannot be read; empty otherwise."""
+    """Why the scene of a successful program cannot be read; empty if it can be read."""
 
     @property
     def missing(self) -> str:
-        """Feature that this machine needs to confine the process but lacks; empty if none."""
+        """Feature that this machine lacks and that confining the process needs; empty if none."""
         if self.exit_code != UNAVAILABLE:
             return ""
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
@@ -56,9 +57,11 @@ def run_confined(
 
     Args:
         text: the program.
-        timeout_s: processor time of the program [s]; its wall time is limited to four times this.
-        memory_mib: address space of the process [MiB]; Blender itself takes about 1300.
-        printed_bytes: limit of the printed text.
+        timeout_s: limit on the program's processor time [s]. The limit on wall time is four times
+            the processor time, including the time for loading Blender.
+        memory_mib: limit on the address space of the process [MiB], of which Blender takes about
+            1300 MiB.
+        printed_bytes: limit on the size of the printed text [bytes].
     """
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
@@ -72,7 +75,7 @@ def run_confined(
             paths[3].open("wb") as scene_file,
         ):
             limits = (memory_mib, cpu_s, SCENE_MIB, scene_file.fileno())
-            # Files have a size limit and, unlike pipes, need no reader.
+            # The size of files is limited, and files, unlike pipes, need no reader.
             child = subprocess.Popen(
                 [str(blender_python()), "-I", "-B", str(_CHILD), *map(str, limits)],
                 stdin=program,

@@ -1,4 +1,4 @@
-"""Schema of the scene that Blender's process writes after a program: untrusted, bounded in size."""
+"""Schema of the scene that the Blender process writes, which is untrusted and limited in size."""
 
 import base64
 import binascii
@@ -13,7 +13,7 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 MAX_SHAPES, MAX_JOINTS = 3000, 300
 MAX_REACH_M = 100.0
-"""Largest allowed coordinate."""
+"""Largest allowed coordinate [m]."""
 
 
 class _Data(BaseModel):
@@ -21,7 +21,7 @@ class _Data(BaseModel):
 
 
 class BlenderMaterial(_Data):
-    """A material as its custom properties define it, or else its Principled BSDF."""
+    """A material, with values from its custom properties, or else from its Principled BSDF."""
 
     name: Text
     density: Number | None = None
@@ -45,18 +45,18 @@ class BlenderShape(_Data):
     role: Text
     convex: bool
     mass: Number | None = None
-    """Mass [kg], added to that of the whole part."""
+    """Mass [kg]; the masses of all shapes of a part add up."""
     materials: list[Text] = Field(max_length=64)
-    """Names by slot; empty for an empty slot."""
+    """Name of the material in each slot; empty for an empty slot."""
     vertices: str
-    """[v, 3], 64-bit floats."""
+    """Vertices as 64-bit floats, shape [v, 3]."""
     faces: str
-    """[f, 3], 32-bit integers."""
+    """Vertex indices of each triangle as 32-bit integers, shape [f, 3]."""
     slots: str
-    """Slot of each face [f], 32-bit integers."""
+    """Material slot of each triangle as a 32-bit integer, shape [f]."""
 
     def triangles(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Return vertices [v, 3] m, faces [f, 3] and slots [f].
+        """Return vertices [m], shape [v, 3]; faces, shape [f, 3]; and slots, shape [f].
 
         Raises:
             ValueError: the arrays are malformed, or vertices are not finite or too far away.
@@ -74,7 +74,7 @@ class BlenderShape(_Data):
 
 
 class BlenderJoint(_Data):
-    """A joint that an empty declares, in world coordinates."""
+    """A joint that an empty of the scene declares, in world coordinates."""
 
     name: Text
     type: Text
@@ -94,11 +94,11 @@ class BlenderJoint(_Data):
     multiplier: Number | None = None
     offset: Number | None = None
     after: Text | None = None
-    """Names of joints, separated by commas."""
+    """Names of the joints that must be open first, separated by commas."""
 
 
 class BlenderSite(_Data):
-    """A point of a part that an empty declares."""
+    """A point of a part that an empty of the scene declares, in world coordinates."""
 
     name: Text
     part: Text
@@ -106,7 +106,7 @@ class BlenderSite(_Data):
 
 
 class BlenderError(_Data):
-    """Exception that ended the program."""
+    """The exception that ended the program."""
 
     type: Annotated[str, Field(max_length=60)]
     message: Annotated[str, Field(max_length=600)]
@@ -115,7 +115,7 @@ class BlenderError(_Data):
 
 
 class BlenderScene(_Data):
-    """Scene after the program's run, or the program's error."""
+    """The scene after the program has run, or the program's error."""
 
     error: BlenderError | None = None
     name: Text = ""

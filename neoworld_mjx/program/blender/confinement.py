@@ -1,9 +1,9 @@
-"""Confinement of this process by Linux: files, system calls, memory and time.
+"""Confinement of the current process on Linux: files, system calls, memory and time.
 
-Blender's Python runs this first, with the standard library alone. Afterwards the process can read
-only its own software (Landlock), open no file for writing, and make only the system calls of
-`_CALLS`: no sockets, no new processes, no signals to other processes (seccomp). This cannot
-be undone.
+The Blender process runs this module first; it imports only the standard library. Afterwards, the
+process can read only Python, Blender and system libraries (Landlock), and cannot open any file for
+writing. It can make only the system calls that the filters allow (seccomp), so it cannot create
+sockets or processes, or send signals to other processes. The confinement cannot be undone.
 """
 
 import ctypes
@@ -41,29 +41,30 @@ _CALLS = {
 _OPEN, _OPENAT, _CLONE, _CLONE3 = 2, 257, 56, 435
 _KILL, _TGKILL, _PRCTL, _PRLIMIT64, _SECCOMP = 62, 234, 157, 302, 317
 _CREATE_RULESET, _ADD_RULE, _RESTRICT = 444, 445, 446
-"""Numbers of Landlock's calls."""
+"""Numbers of the system calls of Landlock."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _CLONE_THREAD = 0x10000
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_GET_NAME, _PR_SET_VMA = 1, 15, 16, 0x53564D41
 _PR_SET_NO_NEW_PRIVS, _SET_FILTER, _TSYNC, _SIGKILL = 38, 1, 1, 9
 _READ = 1 << 0 | 1 << 2 | 1 << 3
-"""Landlock's rights to execute, read a file and read a folder."""
+"""Rights in Landlock to execute a file, to read a file and to list a folder."""
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
-"""Number of file access rights by version of Landlock; later versions have the same."""
+"""Number of file access rights, by version of Landlock; versions above 5 have as many as 5."""
 
 
 class Unavailable(Exception):
-    """This machine cannot confine a process; the message names the missing feature."""
+    """Raised if this machine cannot confine a process; the message names the missing feature."""
 
 
 def confine(memory_mib: int, cpu_s: float, file_mib: int, readable: Sequence[str]) -> None:
-    """Confine this process and all of its future threads.
+    """Confine this process and all threads that it creates later.
 
     Args:
-        memory_mib: address space [MiB].
-        cpu_s: processor time [s].
-        file_mib: largest file that it can write through an open descriptor [MiB].
-        readable: files and folders that it may open for reading; missing ones are skipped.
+        memory_mib: limit on the address space [MiB].
+        cpu_s: limit on processor time [s].
+        file_mib: size limit of a file that the process writes through an open descriptor [MiB].
+        readable: files and folders that the process may open for reading; missing paths are
+            skipped.
 
     Raises:
         Unavailable: the system lacks a required feature.
@@ -113,7 +114,7 @@ def _call(name: str, result: int) -> int:
 
 
 def _restrict_files(readable: Sequence[str]) -> None:
-    """Let this process open only the paths in `readable`, for reading."""
+    """Allow this process to open only the paths in `readable`, and only for reading."""
     call = _libc().syscall
     call.restype = ctypes.c_long
     version = call(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
@@ -139,7 +140,7 @@ def _restrict_files(readable: Sequence[str]) -> None:
 
 
 _Step = tuple[int, int, int, int]
-"""Instruction of a filter: code, jump if true, jump if false, number."""
+"""Instruction of a BPF filter: code, jump if true, jump if false, and operand."""
 _LOAD, _EQUAL, _ANY, _RETURN = 0x20, 0x15, 0x45, 0x06
 _ALLOW, _KILL_ALL, _EPERM, _ENOSYS = 0x7FFF0000, 0x80000000, 0x50001, 0x50026
 
@@ -149,7 +150,7 @@ def _argument(k: int, high: bool = False) -> _Step:
 
 
 def _first_filter() -> Iterator[_Step]:
-    """Yield a filter that allows the calls in `_CALLS`, and others with certain arguments only."""
+    """Yield a filter that allows the calls in `_CALLS`, and a few others with certain arguments."""
     pid = os.getpid()
     yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, _ARCHITECTURE), (_RETURN, 0, 0, _KILL_ALL))
     yield (_LOAD, 0, 0, 0)
@@ -186,13 +187,13 @@ def _if_equal(k: int, *values: int) -> list[_Step]:
 
 
 def _null(k: int) -> list[_Step]:
-    """Allow a call whose pointer is null."""
+    """Return steps that allow a call if the pointer argument `k` is null."""
     test = ((_EQUAL, 1, 0, 0), (_RETURN, 0, 0, _EPERM))
     return [_argument(k), *test, _argument(k, True), *test, (_RETURN, 0, 0, _ALLOW)]
 
 
 def _install(steps: Sequence[_Step]) -> None:
-    """Install a filter of system calls for all threads."""
+    """Install a filter for system calls of all threads."""
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
     program = struct.pack("@HP", len(steps), ctypes.addressof(code))
     call = _libc().syscall

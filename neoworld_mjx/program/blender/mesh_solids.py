@@ -1,4 +1,4 @@
-"""Decomposition of a Blender object's triangles into solids, and of solids into convex pieces."""
+"""Decomposition of a Blender mesh into connected solids, and of solids into convex pieces."""
 
 from typing import NamedTuple
 
@@ -14,30 +14,31 @@ MAX_FACES = 200_000
 MAX_CONCAVE_FACES = 20_000
 """Largest number of triangles of a solid that is split into convex pieces."""
 _SQUARE = 1e-6
-"""Largest deviation from a box, relative to its size."""
+"""Largest deviation of a mesh from a box, relative to the box's size."""
 
 
 class Solid(NamedTuple):
     """A connected solid of an object."""
 
     vertices: NDArray
-    """Vertices [v, 3] m."""
+    """Vertices [m], shape [v, 3]."""
     faces: NDArray
-    """Triangles [f, 3]."""
+    """Vertex indices of each triangle, shape [f, 3]."""
     slot: int
-    """Material slot of most of its faces."""
+    """Most frequent material slot of the triangles."""
 
 
 def split_solids(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Solid]:
-    """Split a mesh into its connected solids, without unused vertices.
+    """Split a mesh into connected solids without unused vertices.
 
-    If any solid is open, coincident vertices of the whole mesh are merged first. A solid with
-    inverted faces is a cavity of the largest one; if all are inverted, their faces are reversed.
+    If any solid is open, coincident vertices of the whole mesh are merged first. A closed solid
+    with inverted faces is a cavity, which is joined to the largest solid. If all solids are
+    inverted, all faces are reversed first.
 
     Args:
-        vertices: [v, 3] m.
-        faces: triangles [f, 3].
-        slots: material slot of each face [f].
+        vertices: vertices [m], shape [v, 3].
+        faces: vertex indices of each triangle, shape [f, 3].
+        slots: material slot of each triangle, shape [f].
     """
     label = _components(len(vertices), faces)
     if not all(_closed(faces[label == k]) for k in np.unique(label)):
@@ -63,11 +64,11 @@ def split_solids(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Soli
 
 
 def shape_of(solid: Solid, convex: bool) -> tuple[Box | Mesh, Pose] | None:
-    """Return the shape of a solid and its pose; None for one without extent.
+    """Return the shape of a solid, and the shape's pose; return None for a solid without extent.
 
     Args:
         solid: the solid.
-        convex: True to use its convex hull for collisions.
+        convex: if True, the collider is the convex hull of the solid.
 
     Raises:
         ValueError: the solid is concave and has too many triangles to be split.
@@ -99,7 +100,7 @@ def _rows(points: NDArray) -> tuple[tuple[float, float, float], ...]:
 
 
 def _components(count: int, faces: NDArray) -> NDArray:
-    """Return the connected component of each face [f]."""
+    """Return the index of the connected component of each face, shape [f]."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -110,7 +111,7 @@ def _components(count: int, faces: NDArray) -> NDArray:
 
 
 def _closed(faces: NDArray) -> bool:
-    """Return True if every edge lies between two faces with opposite directions along it."""
+    """Return True if every edge belongs to two faces that traverse it in opposite directions."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     directed = {(int(a), int(b)) for a, b in edges}
     return len(directed) == len(edges) and all((b, a) in directed for a, b in directed)
@@ -129,7 +130,7 @@ def _solid(vertices: NDArray, faces: NDArray, slots: NDArray) -> Solid:
 
 
 def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
-    """Return a mesh of eight vertices and twelve triangles as a box, or None if it is not one."""
+    """Return a mesh as a box with a pose, or None if the mesh is not a box."""
     if len(vertices) != 8 or len(faces) != 12:
         return None
     centre = vertices.mean(axis=0)
