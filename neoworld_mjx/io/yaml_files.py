@@ -1,4 +1,4 @@
-"""Reader of untrusted YAML, bounded in size and depth, without aliases."""
+"""Reader of untrusted YAML that limits size and nesting depth and rejects aliases."""
 
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,11 @@ class _BoundedLoader(yaml.SafeLoader):
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML text.
+    """Return the value of a YAML document.
 
     Raises:
-        ValueError: the text is not YAML of plain values, is nested too deep, or holds aliases.
+        ValueError: the document contains something other than plain values, is nested too deeply,
+            or contains aliases.
     """
     try:
         return _BoundedLoader(text).get_single_data()
