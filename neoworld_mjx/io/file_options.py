@@ -47,8 +47,8 @@ class FileOptions(Options):
     )
     decompose_s: float = option(
         120.0,
-        "Time limit for splitting all meshes of an asset into convex pieces, within `memory_mib`; "
-        "the meshes that remain become their convex hulls.",
+        "Time limit for decomposing all meshes of an asset into convex pieces, within "
+        "`memory_mib`; the remaining meshes are replaced by their convex hulls.",
         unit="s",
         gt=0,
         le=86400,

@@ -111,7 +111,7 @@ def call_limited(
 
 @lru_cache(maxsize=1)
 def _server(pid: int) -> "subprocess.Popen[bytes]":
-    """Return the server of the process `pid`, which is started on the first call."""
+    """Return the server of the process `pid`; the first call starts the server."""
     del pid
     package = str(Path(__file__).parents[2])
     inherited = os.environ.get("PYTHONPATH")

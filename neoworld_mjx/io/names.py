@@ -47,8 +47,7 @@ def repeated(names: Iterable[str]) -> list[str]:
 
 
 def file_name(text: str, length: int = 60) -> str:
-    """Return a file name, possibly empty, of at most `length` characters that resembles a string.
-    """
+    """Return a file name (may be empty) of at most `length` characters that resembles a string."""
     return re.sub(r"[^A-Za-z0-9._]+", "-", text[: 4 * length]).strip("-.")[:length].rstrip("-.")
 
 

@@ -52,7 +52,7 @@ def test_threads_share_the_cores(monkeypatch):
 
 def test_a_worker_with_other_versions_is_refused():
     returned = work_there(squares, 2, versions() | {"jax": "0.0.1"})
-    assert isinstance(returned, RunError) and "here it is 0.0.1" in str(returned)
+    assert isinstance(returned, RunError) and "this machine has 0.0.1" in str(returned)
     assert work_there(squares, 2, versions()) == [2, 4]
 
 
@@ -159,7 +159,7 @@ def test_invalid_parameters_of_slurm_are_one_message(monkeypatch):
     for text, error, message in (
         ("partition", ConfigError, "submitit's parameters as KEY=VALUE"),
         ("slurm_partitoin=gpu", ConfigError, "slurm_partitoin"),
-        ("slurm_partition=gpu", EngineError, "there is no sbatch here"),
+        ("slurm_partition=gpu", EngineError, "sbatch is not installed"),
     ):
         with pytest.raises(error, match=message):
             check_place(Place(slurm=text))

@@ -139,7 +139,7 @@ BROKEN = {
             f'<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="{k}"/></joint>'
             for j, c, k in (("j", "b", "k"), ("k", "c", "j"))
         ) + "</robot>",
-        "follows itself through other joints",
+        "mimics itself through other joints",
     ),
     "bad_mesh.urdf": (MESH.format("in.obj"), "has no triangles"),
     "empty.usda": ("#usda 1.0", "has no visible or colliding geometry"),
