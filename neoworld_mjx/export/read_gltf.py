@@ -43,9 +43,7 @@ def read_gltf(path: Path) -> MeshScene:
         )
         count = len(loaded.graph.nodes_geometry)
         if not 0 < count <= MAX_NODES:
-            raise SpecError(
-                f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}"
-            )
+            raise SpecError(f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}")
         posed = [_parts_below(loaded, node) for node in _object_nodes(loaded.graph)]
         camera = _gltf_camera(gltf_document(data))
     except SpecError:

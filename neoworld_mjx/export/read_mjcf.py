@@ -162,7 +162,7 @@ def _body_joints(model: mujoco.MjModel, body: int) -> range:
 
 
 def _with_start_state(model: mujoco.MjModel, top: int, assembly: Assembly) -> Assembly:
-    """Set an object's pose and joint positions to those of the keyframe "start", if there is one."""
+    """Set the pose and joint positions of an object to those of the keyframe "start", if any."""
     keys = [k for k in range(model.nkey) if model.key(k).name == START]
     if not keys:
         return assembly
