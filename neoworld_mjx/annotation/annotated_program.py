@@ -12,7 +12,7 @@ _CALLS = {
     "bowl": ("lathe", _LATHE),
     "cup": ("lathe", _LATHE),
 }
-"""SDK function that creates each shape, and the program line that calls it."""
+"""SDK function that creates a shape, and the program line that calls the function, by kind."""
 
 
 def program_of(obj: AnnotatedObject, size: tuple[float, float, float], rgb: RGB) -> str | None:

@@ -31,7 +31,7 @@ def annotated_tree(annotation: Annotation) -> SceneTree:
         SpecError: there are no objects, a box lies above the horizon, or the tree is invalid.
     """
     if not annotation.objects:
-        raise SpecError("the annotation has no object: draw a box first")
+        raise SpecError("the annotation has no objects: draw a box first")
     camera = annotation.camera
     by_name = {obj.name: obj for obj in annotation.objects}
     boxes: dict[str, Box3D] = {}

@@ -31,7 +31,7 @@ class AnnotatedObject(Spec):
     kind: str = "box"
     """A template, one of `SHAPES`, `MODEL` or `KEPT`."""
     box: Box2D
-    """2D box in pixels of the upright original."""
+    """2D box in the upright photograph at its original size [px]."""
     parent: Name = GROUND
     relation: Relation = "on"
     support: bool = False
@@ -74,7 +74,7 @@ class Annotation(Spec):
                 raise ValueError(f"object {obj.name}: parent: {choices(obj.parent, names)}")
         on_cycle = name_on_cycle(self.parents())
         if on_cycle is not None:
-            raise ValueError(f"objects support each other in a circle through {on_cycle}")
+            raise ValueError(f"objects support each other in a cycle through {on_cycle}")
         return self
 
     def parents(self) -> dict[str, str | None]:

@@ -30,7 +30,7 @@ def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> An
         change: new values, by field name of `AnnotatedObject`.
 
     Raises:
-        SpecError: a value is invalid, or objects would support each other in a circle.
+        SpecError: a value is invalid, or objects would support each other in a cycle.
     """
     new = change.get("name", name)
     objects = []

@@ -75,7 +75,7 @@ def read_xml(path: Path) -> ET.Element:
         raise SpecError(f"{path} is empty")
     counts = _repeated(root)
     if counts.total() > MAX_ELEMENTS:
-        raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
+        raise SpecError(f"{path} expands to more than {MAX_ELEMENTS} elements")
     for tag, limit in MAX_COUNTS.items():
         if counts[tag] > limit:
             raise SpecError(f"{path} has more than {limit} elements <{tag}>")

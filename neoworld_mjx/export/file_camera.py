@@ -43,7 +43,7 @@ class FileCamera(Spec):
     def _complete(self) -> "FileCamera":
         stated = [value is not None for value in (self.fx, self.fy, self.cx, self.cy)]
         if any(stated) and not all(stated):
-            raise ValueError("fx, fy, cx and cy belong together")
+            raise ValueError("fx, fy, cx and cy must be given together")
         if self.fx is not None and self.fy is not None and self.fovy is not None:
             raise ValueError("give fovy, or fx, fy, cx and cy, not both")
         if self.fx and self.fy and abs(self.fx / self.fy - 1) > SAME_FOCAL:
@@ -56,7 +56,7 @@ class FileCamera(Spec):
         return self
 
     def completed_by(self, other: "FileCamera | None") -> "FileCamera":
-        """Return a copy that takes the pose or intrinsics that are missing from another camera."""
+        """Return a copy whose missing pose or intrinsics are taken from another camera."""
         if other is None:
             return self
         update: dict[str, object] = {}
@@ -115,7 +115,7 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
         if min(half[0] / width, half[1] / height) < 0.25:
             raise PhotoError(
                 f"the principal point ({camera.cx:g}, {camera.cy:g}) is not near the middle of a "
-                f"photograph of {width} x {height} pixels: give the intrinsics at its size"
+                f"photograph of {width} x {height} pixels: give the intrinsics for this size"
             )
         crop = [abs(h - s / 2) > OFF_CENTER * s for h, s in zip(half, (width, height), strict=True)]
         if crop[0]:

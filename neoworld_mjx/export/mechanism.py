@@ -182,7 +182,7 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SpecError(
-            f"{path}: an object has one root link; the file has {', '.join(roots) or 'none'}"
+            f"{path}: expected one root link, but the file has {', '.join(roots) or 'none'}"
         )
     return roots[0]
 

@@ -57,7 +57,7 @@ def read_mjcf(path: Path) -> Mechanism:
     assemblies = read_mjcf_scene(path)
     if len(assemblies) != 1:
         names = ", ".join(assembly.path for assembly in assemblies)
-        raise SpecError(f"{path}: an object is one body of the world; the file has {names}")
+        raise SpecError(f"{path}: expected one child of the world body; the file has {names}")
     return transformed(assemblies[0].mechanism, assemblies[0].frame)
 
 
@@ -100,7 +100,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         assembly = Assembly(_name(model, top), local, frame, fixed)
         result.append(_without_prefix(_with_start_state(model, top, assembly)))
     if not result:
-        raise SpecError(f"{path}: an object is one body of the world; the file has none")
+        raise SpecError(f"{path}: the world body has no child with geometry")
     return result
 
 
@@ -302,12 +302,12 @@ def _joint(
         upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
         return unchecked_joint(**common, **losses, type="ball", upper=upper)
     if kind == _J.mjJNT_FREE:
-        raise SpecError(f"{path}: joint {name} is free within the object")
+        raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
     rest = float(model.qpos0[model.jnt_qposadr[j]])
     lower, upper = (float(v) - rest for v in model.jnt_range[j])
     if slide and not limited:
-        raise SpecError(f"{path}: joint {name} slides and states no limits")
+        raise SpecError(f"{path}: joint {name} is a slide joint without limits")
     if limited and not lower < upper:
         raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (

@@ -297,9 +297,9 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
         if limit is not None and limit.lower is not None and limit.upper is not None:
             lower, upper = float(limit.lower), float(limit.upper)
         elif kind == "prismatic":
-            raise SpecError(f"{path}: joint {joint.name} is prismatic and states no limits")
+            raise SpecError(f"{path}: joint {joint.name} is prismatic and has no limits")
         else:
-            notes.append(f"joint {joint.name} states no limits: imported as continuous")
+            notes.append(f"joint {joint.name} has no limits: imported as continuous")
             kind = "continuous"
         if lower > upper:
             raise SpecError(f"{path}: joint {joint.name}: lower {lower:g} is above upper {upper:g}")

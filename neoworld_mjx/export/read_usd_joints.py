@@ -179,7 +179,7 @@ class JointReader:
         lower, upper = _limits(joint.prim, slide, token)
         limited = math.isfinite(lower) and math.isfinite(upper) and lower <= upper
         if slide and not limited:
-            raise SpecError(f"{self.path}: joint {joint.name} slides and states no limits")
+            raise SpecError(f"{self.path}: joint {joint.name} is prismatic and has no limits")
         if limited and lower == upper:
             self.notes.append(f"joint {joint.name} has no range: imported as fixed")
             return unchecked_joint(**common, type="fixed")
@@ -348,7 +348,7 @@ def _number(prim: Usd.Prim, *names: str) -> float | None:
 
 
 def _first(prim: Usd.Prim, *names: str) -> float:
-    """Return the first of the named attributes that is a finite number; 0 if none or negative."""
+    """Return the result of `_number`, or 0 if the result is None or negative."""
     return max(_number(prim, *names) or 0.0, 0.0)
 
 

@@ -56,7 +56,7 @@ def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
         result.camera_transform = Y_UP @ transform(scene.camera.pose())
     content = result.export(file_type="glb")
     if not isinstance(content, bytes):
-        raise ExportError("trimesh does not return binary glTF")
+        raise ExportError("trimesh did not return binary glTF")
     return content
 
 

@@ -8,7 +8,7 @@ from ..options import Options, option
 
 
 class FileOptions(Options):
-    """Limits for input files. A file that exceeds a limit is rejected with an error message."""
+    """Options that limit input files. A file that exceeds a limit is rejected with an error."""
 
     max_text_mib: int = option(
         64,
@@ -39,8 +39,8 @@ class FileOptions(Options):
     )
     memory_mib: int = option(
         500,
-        "Memory limit of the worker process: the address space that it may allocate after it is "
-        "forked.",
+        "Memory limit of the worker process on Linux: the address space that it may allocate after "
+        "it is forked.",
         unit="MiB",
         ge=64,
         le=65536,

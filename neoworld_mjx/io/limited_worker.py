@@ -39,7 +39,7 @@ from .names import plain_text
 R = TypeVar("R")
 _LINUX = sys.platform == "linux"
 _WALL_FACTOR = 4.0
-"""Ratio of the wall time limit to the processor time limit; the former ends workers that wait."""
+"""Ratio of the wall time limit, which ends workers that wait, to the processor time limit."""
 _RESULT, _ERROR, _DEATH = range(3)
 _OUT_OF_MEMORY = 97
 """Exit status of a worker that ran out of memory."""

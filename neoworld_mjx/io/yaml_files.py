@@ -15,7 +15,7 @@ _KIB = 1024
 class _BoundedLoader(yaml.SafeLoader):
     """Loader of plain values that rejects deep nesting and aliases.
 
-    Aliases of aliases expand exponentially: a few lines can exhaust memory.
+    Aliases of aliases expand exponentially, so a few lines can exhaust the memory.
     """
 
     max_depth = FileOptions().max_depth

@@ -1,4 +1,4 @@
-"""Tasks on a Ray cluster (Moritz et al., arXiv:1712.05889; extra `ray`)."""
+"""Runs tasks on a Ray cluster (Moritz et al., arXiv:1712.05889; extra `ray`)."""
 
 import contextlib
 import os
@@ -103,8 +103,8 @@ def run_on_ray(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> I
         except ray.exceptions.RayError as error:
             first = str(error).strip().split("\n", 1)[0]
             raise RunError(
-                f"--ray {place.ray}: a task lost its workers {RETRIES + 1} times, or the cluster "
-                f"is gone ({first}); finished tasks are kept"
+                f"--ray {place.ray}: the worker of a task was lost {RETRIES + 1} times, or the "
+                f"cluster is gone ({first}); finished tasks are kept"
             ) from None
         finally:
             with contextlib.suppress(Exception):

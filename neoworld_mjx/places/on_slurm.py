@@ -1,4 +1,4 @@
-"""Tasks as Slurm jobs, submitted by submitit (extra `slurm`)."""
+"""Runs tasks as Slurm jobs that submitit submits (extra `slurm`)."""
 
 import contextlib
 import shutil
@@ -114,8 +114,8 @@ def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) ->
                 except submitit.core.utils.UncompletedJobError:  # The worker is lost.
                     if tries == RETRIES:
                         raise RunError(
-                            f"--slurm {place.slurm}: a task lost its workers {tries + 1} times, "
-                            f"see {job.paths.stderr}; finished tasks are kept"
+                            f"--slurm {place.slurm}: the worker of a task was lost {tries + 1} "
+                            f"times, see {job.paths.stderr}; finished tasks are kept"
                         ) from None
                     queue.append((task, tries + 1))
                 else:

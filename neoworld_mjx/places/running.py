@@ -20,7 +20,7 @@ def check_place(place: Place) -> None:
         EngineError: the package of the cluster is missing, or the cluster does not answer.
     """
     if place.ray is not None and place.slurm is not None:
-        raise ConfigError("--ray and --slurm exclude each other: give one of them")
+        raise ConfigError("--ray and --slurm cannot be combined: give one of them")
     if place.workers < 0 or place.task_cores < 1 or place.task_gpus < 0:
         raise ConfigError("--workers and --task-gpus take 0 or more, and --task-cores 1 or more")
     if place.ray is not None:
@@ -47,7 +47,7 @@ def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE
         place: where the tasks run.
 
     Raises:
-        RunError: a process died, the workers of a task were lost repeatedly, or a worker has
+        RunError: a process died, the worker of a task was lost repeatedly, or a worker has
             different versions of the packages.
         NeoWorldError: a task raised this error.
     """
