@@ -81,7 +81,7 @@ def lost(described: Described, kind: Format) -> list[str]:
         "sdf": [
             textures,
             ("armature of joints", with_field("armature")),
-            ("joint states; the joints are at 0", moved),
+            ("joint positions; all joints are at zero", moved),
         ],
         "mjcf": [("velocity limits", with_field("velocity"))],
         "usd": [

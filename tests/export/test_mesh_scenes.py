@@ -119,7 +119,7 @@ def test_photograph_is_cropped_about_its_principal_point():
         ({"fx": 3.0}, "must be given together"),
         ({"fovy": 0.5, "fx": 3, "fy": 3, "cx": 1, "cy": 1}, "not both"),
         ({"fx": 3, "fy": 4, "cx": 1, "cy": 1}, "square"),
-        ({"pose": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "no rigid"),
+        ({"pose": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "not a rigid"),
         ({"fov": 0.5}, "fov"),
     ],
 )
