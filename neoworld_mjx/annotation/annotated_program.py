@@ -1,4 +1,4 @@
-"""Programs of annotated objects, from templates and simple shapes."""
+"""Programs of annotated objects, made from templates and simple shapes."""
 
 from ..templates import template
 from .annotation import KEPT, MODEL, SHAPES, AnnotatedObject
@@ -12,14 +12,14 @@ _CALLS = {
     "bowl": ("lathe", _LATHE),
     "cup": ("lathe", _LATHE),
 }
-"""SDK function that creates each shape, and the program line that calls it."""
+"""SDK function that creates a shape, and the program line that calls the function, by kind."""
 
 
 def program_of(obj: AnnotatedObject, size: tuple[float, float, float], rgb: RGB) -> str | None:
     """Return the program of an annotated object.
 
-    The result is None for a support of the environment, an object that keeps its program, and an
-    object whose program a model writes.
+    The result is None if the object is a support of the environment, if it keeps its existing
+    program, or if a model writes its program.
 
     Args:
         obj: the object.

@@ -1,8 +1,8 @@
 """Scene tree of an annotation.
 
-The camera, the 2D box of an object and the height of its support do not determine the depth of the
-object along the view. The kind of the object does: a template fixes the ratio of depth to width, a
-shape is as deep as it is wide, and a known size is used unchanged.
+The camera, the 2D box of an object and the height of its support do not determine the object's
+depth (its extent along the view). The depth follows from the kind of the object: a template fixes
+the ratio of depth to width, and a shape is as deep as it is wide. A known size is used unchanged.
 """
 
 import math
@@ -31,7 +31,7 @@ def annotated_tree(annotation: Annotation) -> SceneTree:
         SpecError: there are no objects, a box lies above the horizon, or the tree is invalid.
     """
     if not annotation.objects:
-        raise SpecError("the annotation has no object: draw a box first")
+        raise SpecError("the annotation has no objects: draw a box first")
     camera = annotation.camera
     by_name = {obj.name: obj for obj in annotation.objects}
     boxes: dict[str, Box3D] = {}
@@ -66,7 +66,7 @@ def annotated_tree(annotation: Annotation) -> SceneTree:
 
 
 def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
-    """Return the 3D box of an object whose projection fills its 2D box.
+    """Return a 3D box for an object such that the object's projection fills its 2D box.
 
     Args:
         obj: the object.
@@ -110,7 +110,7 @@ def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
             return np.full(len(u), 1e4)
         projected = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
         error = (projected - target) / max(right - left, bottom - top)
-        # Unknowns: the position, and also width and height unless the size is known.
+        # The unknowns are the position and, unless the size is known, the width and the height.
         return error if known is None else np.array([error[[0, 2]].sum(), error[3]])
 
     center = foot[:2] + direction * width / 2
@@ -163,7 +163,7 @@ def _depth_ratio(obj: AnnotatedObject) -> float:
 
 
 def _outline(kind: str, size: NDArray, yaw: float) -> NDArray:
-    """Return points [n, 3] on the silhouette of an object at the origin."""
+    """Return points that bound the silhouette of an object at the origin [m], shape [n, 3]."""
     if kind in ("cylinder", "ball", "bowl", "cup"):
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = np.column_stack([np.cos(angle), np.sin(angle)]) * size[:2] / 2
@@ -180,7 +180,7 @@ def _outline(kind: str, size: NDArray, yaw: float) -> NDArray:
 
 
 def _ground(annotation: Annotation, boxes: list[Box3D]) -> TreeNode:
-    """Return the support at z = 0, sized to the objects on it."""
+    """Return the ground, whose top is at z = 0 and extends beyond all objects."""
     camera = annotation.camera
     corners = np.concatenate([box.corners()[:, :2] for box in boxes])
     low, high = corners.min(axis=0), corners.max(axis=0)

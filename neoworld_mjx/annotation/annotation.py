@@ -24,27 +24,27 @@ SHAPES = ("box", "cylinder", "ball", "bowl", "cup")
 
 
 class AnnotatedObject(Spec):
-    """One object as drawn and named by a person."""
+    """Object that a person has marked with a 2D box and named."""
 
     name: Name
     label: str = Field(default="", max_length=100)
     kind: str = "box"
     """A template, one of `SHAPES`, `MODEL` or `KEPT`."""
     box: Box2D
-    """2D box in pixels of the upright original."""
+    """2D box in the upright photograph at its original size [px]."""
     parent: Name = GROUND
     relation: Relation = "on"
     support: bool = False
-    """True if the object is a support of the environment, such as a shelf, which never moves."""
+    """If True, the object is a support of the environment, such as a shelf, and never moves."""
     fixed_base: bool = False
     size: tuple[Length, Length, Length] | None = None
-    """Known edge lengths along the object's x axis (back to front), y and z [m]."""
+    """Edge lengths along the object's x (back to front), y and z axes [m]; None if unknown."""
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 180.0
-    """Heading of the object's front, seen from above [deg]; 180 faces the camera."""
+    """Heading of the object's front, seen from above [deg]; at 180, the front faces the camera."""
     material: str = "plastic"
-    """Material of a shape."""
+    """Material of the object if its kind is one of `SHAPES`."""
     parts: tuple[PartState, ...] = ()
-    """Moving parts and how far each is open."""
+    """Movable parts, each with its opening in the photograph."""
 
     @model_validator(mode="after")
     def _check_kind_and_material(self) -> "AnnotatedObject":
@@ -74,9 +74,9 @@ class Annotation(Spec):
                 raise ValueError(f"object {obj.name}: parent: {choices(obj.parent, names)}")
         on_cycle = name_on_cycle(self.parents())
         if on_cycle is not None:
-            raise ValueError(f"objects support each other in a circle through {on_cycle}")
+            raise ValueError(f"objects support each other in a cycle through {on_cycle}")
         return self
 
     def parents(self) -> dict[str, str | None]:
-        """Return the parent of each object by name; None is the ground."""
+        """Return the name of each object's parent, by object name; None stands for the ground."""
         return {obj.name: None if obj.parent == GROUND else obj.parent for obj in self.objects}

@@ -10,27 +10,27 @@ from .annotation import GROUND, AnnotatedObject, Annotation
 
 
 def find_object(annotation: Annotation, name: str) -> AnnotatedObject | None:
-    """Return the object with a name, or None."""
+    """Return the object with the given name, or None if there is none."""
     return next((obj for obj in annotation.objects if obj.name == name), None)
 
 
 def with_box(annotation: Annotation, box: Box2D) -> tuple[Annotation, str]:
-    """Add an object with a box and default values; return the annotation and its name."""
+    """Add an object with a box and default values; return the annotation and the object's name."""
     names = {obj.name for obj in annotation.objects}
     name = next(f"object_{k}" for k in range(1, len(names) + 2) if f"object_{k}" not in names)
     return _checked(annotation, (*annotation.objects, AnnotatedObject(name=name, box=box))), name
 
 
 def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> Annotation:
-    """Change fields of one object; if its name changes, its children refer to the new one.
+    """Change fields of one object; if its name changes, update the parent of its children.
 
     Args:
         annotation: the current annotation.
         name: name of the object.
-        change: values by field of `AnnotatedObject`.
+        change: new values, by field name of `AnnotatedObject`.
 
     Raises:
-        SpecError: a value is invalid, or objects would support each other in a circle.
+        SpecError: a value is invalid, or objects would support each other in a cycle.
     """
     new = change.get("name", name)
     objects = []

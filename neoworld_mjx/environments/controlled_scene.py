@@ -1,4 +1,4 @@
-"""Scenes with actuators: actions, observed joints and initial states."""
+"""Scenes with actuators: their actions, observed joints and initial states."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,9 +24,9 @@ from ..spec import SceneSpec, read_scene
 from .facing import facing
 
 FREE_TARGET = np.pi
-"""Largest target of joints without limits, in both directions [rad]."""
+"""Largest absolute target position of a joint without limits [rad]."""
 REACH_M = 1.0
-"""Largest distance of a gripper's target from its initial position, along each axis [m]."""
+"""Largest displacement of the gripper's target from its initial position along each axis [m]."""
 
 
 @dataclass(frozen=True)
@@ -34,36 +34,38 @@ class ResetNoise:
     """Standard deviations of the noise that every reset adds to the scene."""
 
     xy: float = 0.0
-    """Position of every movable object [m]."""
+    """Standard deviation of the x and y position of each movable object [m]."""
     yaw: float = 0.0
-    """Yaw of every movable object [rad]."""
+    """Standard deviation of the yaw of each movable object [rad]."""
     joints: float = 0.0
-    """Value of every joint, relative to its range, or to a full turn for a joint without limits."""
+    """Standard deviation of each joint position, as a fraction of the joint's range (of a full turn
+    for a joint without limits)."""
     photo: float = 0.0
-    """Position and yaw of every aligned object, in units of the deviations that the photograph
-    leaves, `SceneObject.uncertainty`: 1 draws scenes that could be the photograph's."""
+    """Factor of additional noise of the position and yaw of each aligned object. At 1, the noise
+    has the standard deviations that the photograph leaves (`SceneObject.uncertainty`), so the
+    sampled scenes are consistent with the photograph."""
 
 
 @dataclass(frozen=True)
 class ControlledScene:
-    """A scene with drives of its joints, a gripper, or both."""
+    """Scene whose joints have drives, to which a gripper is added, or both."""
 
     scene: SceneModel
     model: mujoco.MjModel
     start: NDArray
-    """qpos of the scene [nq]."""
+    """Initial qpos of the model, without reset noise, shape [nq]."""
     drives: tuple[Drive, ...]
-    """Drives in the order of actions, before the seven numbers of the gripper."""
+    """Drives, in the order of their targets in an action; the gripper's seven targets follow."""
     gripper: Gripper | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the objects, in the order of observed poses."""
+        """Names of the objects, in the order of the observed poses."""
         return self.scene.names
 
     @cached_property
     def bodies(self) -> NDArray:
-        """Root bodies of the objects [object]."""
+        """Indices of the objects' root bodies, shape [object]."""
         return np.array([self.model.body(name).id for name in self.names])
 
     @cached_property
@@ -79,28 +81,29 @@ class ControlledScene:
 
     @cached_property
     def qpos_of_joints(self) -> NDArray:
-        """Indices of the observed joints in qpos [joint]."""
+        """Indices of the observed joints in qpos, shape [joint]."""
         return np.array([self.model.joint(n).qposadr[0] for n in self.joints], int)
 
     @cached_property
     def dof_of_joints(self) -> NDArray:
-        """Indices of the observed joints in qvel [joint]."""
+        """Indices of the observed joints in qvel, shape [joint]."""
         return np.array([self.model.joint(n).dofadr[0] for n in self.joints], int)
 
     @cached_property
     def photo_deviations(
         self,
     ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, " object"]]:
-        """Deviations that the photograph leaves; see `physics.photo_deviations`.
+        """Standard deviations that the photograph leaves; see `physics.photo_deviations`.
 
-        The second are those of the yaw [rad].
+        The first array contains the deviations of the position [m], the second those of the yaw
+        [rad].
         """
         axes, others = photo_deviations(self.scene.spec)
         return axes, others[:, 0]
 
     @cached_property
     def action_bounds(self) -> tuple[NDArray, NDArray]:
-        """Lower and upper bounds of actions [action]."""
+        """Lower and upper bounds of actions, each of shape [action]."""
         ranges = [drive.range or (-FREE_TARGET, FREE_TARGET) for drive in self.drives]
         if self.gripper is not None:
             ranges += [(-REACH_M, REACH_M)] * 3 + [(-np.pi, np.pi)] * 3 + [(0.0, OPENING_M)]
@@ -109,15 +112,15 @@ class ControlledScene:
 
     @cached_property
     def hold(self) -> NDArray:
-        """Action that holds the nominal initial state, the one without reset noise [action]."""
+        """Action whose targets are the initial state without reset noise, shape [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
         return np.array([drive.held for drive in self.drives] + tail, np.float32)
 
     def controls(self, action: Any, xp: Any = np) -> Any:
-        """Convert an action [action], clipped to its bounds, to targets of the actuators [nu].
+        """Clip an action to its bounds and convert it to actuator targets, shape [nu].
 
         Args:
-            action: targets of the drives, then the seven numbers of the gripper.
+            action: targets of the drives, then the seven targets of the gripper, shape [action].
             xp: `numpy`, or `jax.numpy` for traced arrays.
         """
         low, high = self.action_bounds
@@ -128,10 +131,10 @@ class ControlledScene:
         return xp.concatenate([a[:-1], half[None], half[None]])
 
     def reset_state(self, key: Array, noise: ResetNoise) -> Float[Array, " nq"]:
-        """Sample the initial qpos of an episode. Traceable.
+        """Sample the initial qpos of an episode, shape [nq]. JAX can trace this method.
 
-        Objects move in the frames of their parents, together with the objects on them, and are
-        placed at the height of their support; joint values are clipped to their ranges.
+        Each object moves in the frame of its parent, together with the objects on it, and is
+        placed at the height of its support. Joint positions are clipped to the joints' ranges.
         """
         start = jnp.asarray(self.start, jnp.float32)
         keys = jax.random.split(key, 3)
@@ -169,21 +172,23 @@ def controlled_scene(
 
     Args:
         run: a run folder, a scene.json or a scene.
-        gripper: initial pose of a free gripper, or the name of a handle, <object>-<frame>, that it
-            faces; None adds no gripper.
-        drive_joints: True to add position actuators to the joints; None adds them only without a
-            gripper, since they resist pulling.
-        mjx: True for a model that `mjx_step` can simulate.
+        gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
+            that the gripper faces. If None, no gripper is added.
+        drive_joints: if True, add position actuators to the joints. If None, add them only if there
+            is no gripper, because position actuators resist the gripper's pull.
+        mjx: if True, compile a model that `mjx_step` can simulate.
 
     Raises:
-        SpecError: there is no scene, no such handle, nothing to actuate, or an object has the name
-            of the gripper.
+        SpecError: there is no scene, the handle does not exist, there is nothing to actuate, or an
+            object has the name of the gripper.
     """
     spec = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     timestep = 0.004 if mjx else 0.002
     compiled = compile_scene(spec, timestep=timestep)
     if any(item.name == PREFIX for item in spec.objects):
-        raise SpecError(f"scene {spec.name}: {PREFIX} is the gripper's name, not an object's")
+        raise SpecError(
+            f"scene {spec.name}: an object has the name {PREFIX}, which the gripper needs"
+        )
     model = to_mjspec(spec, timestep=timestep)
     for key in list(model.keys):
         model.delete(key)

@@ -1,4 +1,4 @@
-"""Initial poses of a gripper in front of a handle, with the fingers across it."""
+"""Initial pose of a gripper in front of a handle, with one finger on each side of the handle."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ AWAY_M = 0.10
 
 
 def handles(scene: SceneSpec) -> dict[str, tuple[SceneObject, Frame]]:
-    """Return the handles of a scene by name, <object>-<frame>."""
+    """Return the object and the frame of each handle of a scene, by name <object>-<frame>."""
     return {
         f"{item.name}-{frame.name}": (item, frame)
         for item in scene.objects
@@ -24,10 +24,10 @@ def handles(scene: SceneSpec) -> dict[str, tuple[SceneObject, Frame]]:
 
 
 def facing(scene: SceneSpec, name: str) -> Gripper:
-    """Return a gripper in front of a handle, pointing opposite to its opening direction.
+    """Return a gripper in front of a handle that points against the handle's opening direction.
 
     Raises:
-        SpecError: the scene has no handle of that name.
+        SpecError: the scene has no handle with this name.
     """
     by_name = handles(scene)
     if name not in by_name:
@@ -53,7 +53,7 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
 
 
 def _across(opens: NDArray, half: NDArray) -> NDArray:
-    """Return the direction normal to the opening direction in which a handle is thinnest."""
+    """Return the unit vector normal to the opening direction along which a handle is thinnest."""
     best, thinnest = np.zeros(3), np.inf
     for k in range(3):
         axis = np.eye(3)[k] - opens[k] * opens

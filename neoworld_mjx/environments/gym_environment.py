@@ -27,18 +27,19 @@ except ImportError:
 Observation = dict[str, NDArray]
 """Observations by name:
 
-poses [object, 7]: position [m] and quaternion (w, x, y, z) of the root of every object;
-joints, joint_velocities [joint]: joint positions [rad or m] and velocities;
-gripper [8], if there is one: pose of the tool and distance between the pads [m];
-picture [height, width, 3], if requested.
+- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
+- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
+- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m];
+- picture [height, width, 3], if images are requested.
 """
 Reward = Callable[[Observation], float]
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
-    """Environment whose actions are targets of the drives, then the seven numbers of the gripper.
+    """Environment whose actions are the drives' targets, followed by the gripper's seven targets.
 
-    The reward is 0 without a `reward` function. An episode terminates only if it diverges.
+    The reward is 0 if no `reward` function is given. An episode terminates only if the simulation
+    diverges.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -92,11 +93,11 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return self._observe(), {}
 
     def step(self, action: NDArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Apply targets for one control interval."""
+        """Apply an action, clipped to its bounds, for one control interval."""
         self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32))
         mujoco.mj_step(self.model, self.data, self._substeps)
         self._steps += 1
-        # MuJoCo resets a state that is not finite, and counts a warning.
+        # If the state is not finite, MuJoCo resets it and counts a warning.
         diverged = bool(self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
         diverged = diverged or not np.isfinite(self.data.qpos).all()
         observation = self._observe()
@@ -104,7 +105,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return observation, reward, diverged, self._steps >= self._horizon, {"diverged": diverged}
 
     def render(self) -> NDArray:
-        """Return a rendered image of the current state [height, width, 3], without the gripper."""
+        """Return an image of the current state, without the gripper, shape [height, width, 3]."""
         height, width = self._picture or (320, 480)
         return np.asarray(render_scene(self.posed(), width=width, height=height).color)
 
@@ -170,16 +171,19 @@ def gym_env(
 
     Args:
         run: the folder, file or scene.
-        gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
-        drive_joints: True if actions include targets of joints; None only without a gripper.
-        reward: function of an observation.
-        noise: noise that every reset adds to the scene; none by default.
-        picture: height and width of images in observations; each takes about a second.
+        gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
+            that the gripper faces. If None, there is no gripper.
+        drive_joints: if True, actions include targets of the joints. If None, they do so only if
+            there is no gripper.
+        reward: function that maps an observation to the reward; if None, the reward is 0.
+        noise: noise that each reset adds to the scene; if None, no noise.
+        picture: height and width of the images in observations [px]; rendering an image takes about
+            a second. If None, observations contain no image.
         control_s: duration of each action [s].
         horizon: number of steps after which an episode is truncated.
 
     Raises:
-        SpecError: there is no scene, no such handle, or nothing to actuate.
+        SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: gymnasium is not installed.
     """
     controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints)

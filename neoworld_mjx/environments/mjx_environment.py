@@ -18,9 +18,9 @@ from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 Observation = dict[str, Array]
 """Observations by name:
 
-poses [object, 7]: position [m] and quaternion (w, x, y, z) of the root of every object;
-joints, joint_velocities [joint]: joint positions [rad or m] and velocities;
-gripper [8], if there is one: pose of the tool and distance between the pads [m].
+- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
+- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
+- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m].
 """
 Reward = Callable[[Observation], Float[Array, ""]]
 
@@ -32,14 +32,14 @@ class EnvState(eqx.Module):
     obs: Observation
     reward: Float[Array, ""]
     done: Float[Array, ""]
-    """1 if the simulation has diverged."""
+    """1 if the simulation has diverged, otherwise 0."""
     metrics: dict[str, Array]
     info: dict[str, Array]
-    """step: number of steps of the episode."""
+    """The entry `step` is the number of steps since the last reset."""
 
 
 class MjxEnv:
-    """Environment whose reset and step are pure functions that can be jitted and vmapped."""
+    """Environment whose methods `reset` and `step` are pure: they can be jitted and vmapped."""
 
     def __init__(
         self,
@@ -57,11 +57,11 @@ class MjxEnv:
 
     @property
     def action_size(self) -> int:
-        """Length of an action: targets of the driven joints, then seven numbers of the gripper."""
+        """Length of an action: the drives' targets, followed by the gripper's seven targets."""
         return len(self.controlled.hold)
 
     def reset(self, key: Array) -> EnvState:
-        """Start an episode with noise from a random key. Traceable."""
+        """Start an episode, with noise that depends on a random key. JAX can trace this method."""
         qpos = self.controlled.reset_state(key, self._noise)
         hold = self.controlled.controls(self.controlled.hold, jnp)
         data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
@@ -69,7 +69,10 @@ class MjxEnv:
         return self._state(data, jnp.zeros((), jnp.int32))
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:
-        """Apply targets, clipped to their bounds, for one control interval. Traceable."""
+        """Apply an action, clipped to its bounds, for one control interval.
+
+        JAX can trace this method.
+        """
         data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
         data = mjx_step(self.mjx_model, data, self.n_substeps)
         # Body poses in the data lag one time step behind qpos.
@@ -108,18 +111,21 @@ def mjx_env(
     noise: ResetNoise | None = None,
     control_s: float = 0.02,
 ) -> MjxEnv:
-    """Return an environment for `jax.vmap` of a run folder, a scene.json or a scene.
+    """Return an environment of a run folder, a scene.json or a scene, for use with `jax.vmap`.
 
     Args:
         run: the folder, file or scene.
-        gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
-        drive_joints: True if actions include targets of joints; None only without a gripper.
-        reward: traceable function of an observation.
-        noise: noise that every reset adds to the scene; none by default.
+        gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
+            that the gripper faces. If None, there is no gripper.
+        drive_joints: if True, actions include targets of the joints. If None, they do so only if
+            there is no gripper.
+        reward: function that maps an observation to the reward and that JAX can trace; if None, the
+            reward is 0.
+        noise: noise that each reset adds to the scene; if None, no noise.
         control_s: duration of each action [s].
 
     Raises:
-        SpecError: there is no scene, no such handle, or nothing to actuate.
+        SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: MJX cannot simulate the scene.
     """
     controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints, mjx=True)

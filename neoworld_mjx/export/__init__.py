@@ -1,4 +1,4 @@
-"""Export of objects and scenes to URDF, USD and MJCF, and import from these formats."""
+"""Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import from all but SDF."""
 
 from .handles import Frame, frames
 from .importing import Imported, import_mjcf, import_urdf, import_usd

@@ -1,7 +1,7 @@
-"""Open USD files from other programs whose layers all lie in their folder.
+"""Opens untrusted USD files, provided that all of their layers are in the folder of the file.
 
-Composition reads every layer that a file names, wherever it lies, so the layers are opened and
-checked one by one before it.
+When USD composes a stage, it reads every layer that a file refers to, in any folder. Therefore the
+layers are opened and checked one by one before the stage is composed.
 """
 
 from pathlib import Path
@@ -18,11 +18,11 @@ MAX_LAYERS, MAX_PRIMS, MAX_BODIES = 500, 200_000, 2000
 
 
 def open_usd(path: Path) -> Usd.Stage:
-    """Open a USD file whose layers all lie in its folder.
+    """Open a USD file after checking that all of its layers are in the folder of the file.
 
     Raises:
-        SpecError: it is not a USD file, has value clips, is too large, or names a layer that is
-            missing or lies outside.
+        SpecError: the file is not a USD file, has value clips, is too large, or refers to a layer
+            that is missing or outside the folder.
     """
     _check_file(path)
     home = path.resolve().parent
@@ -61,11 +61,11 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
     if not head.startswith((b"#usda", b"#sdf", b"PXR-USDC", b"PK")):
-        raise SpecError(f"{path} is not valid USD: its first bytes are not those of a USD file")
+        raise SpecError(f"{path} is not valid USD: it does not begin like a USD file")
 
 
 def _inside(path: Path, home: Path, layer: Sdf.Layer, named: str) -> str:
-    """Return the identifier of a layer that another layer names."""
+    """Return the identifier of a layer that another layer refers to, if it is in the folder."""
     target = Sdf.ComputeAssetPathRelativeToLayer(layer, named)
     file = target
     if Ar.IsPackageRelativePath(target):
@@ -82,7 +82,7 @@ def _inside(path: Path, home: Path, layer: Sdf.Layer, named: str) -> str:
 
 
 def _check_prims(path: Path, layer: Sdf.Layer) -> None:
-    """Refuse too many bodies, and value clips, whose layers are read wherever they lie."""
+    """Refuse a layer that has too many bodies, or value clips, which USD reads from any folder."""
     waiting, bodies = list(layer.rootPrims), 0
     while waiting:
         prim = waiting.pop()

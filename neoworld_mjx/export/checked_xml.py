@@ -1,4 +1,4 @@
-"""Check the XML of untrusted files before a library parses it."""
+"""Checks the XML of untrusted files before a library parses it."""
 
 import os
 import re
@@ -24,7 +24,7 @@ MAX_VALUES = {
         for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
     },
 }
-"""Largest values of the attributes that set how much memory a reader allocates."""
+"""Maximum values of the attributes that determine how much memory a reader allocates."""
 MAX_COUNTS = {
     "link": 400,
     "body": 1000,
@@ -37,22 +37,22 @@ MAX_COUNTS = {
     "origin": 25_000,
     **dict.fromkeys(("spatial", "fixed", "motor", "position", "velocity"), 1000),
 }
-"""Largest number of elements by tag: far above the needs of an object; more can take minutes."""
+"""Maximum number of elements by tag. Objects need far fewer, and more can take minutes to read."""
 
 
 def read_xml(path: Path) -> ET.Element:
     """Read an XML file that may be hostile or broken.
 
     Raises:
-        SpecError: it cannot be read, is truncated, declares entities, is nested too deeply, or has
-            a number that is not finite or is too large.
+        SpecError: the file cannot be read, is truncated, declares entities, is nested too deeply,
+            has too many elements, or contains a number that is not finite or is too large.
     """
     bounds = file_bounds()
     try:
         data = read_bytes(path, bounds.max_text_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 separates the letters by zeros.
+    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 has a zero byte per letter.
         if _DECLARED.search(text):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
     parser, depth, count = ET.XMLPullParser(("start", "end")), 0, 0
@@ -75,7 +75,7 @@ def read_xml(path: Path) -> ET.Element:
         raise SpecError(f"{path} is empty")
     counts = _repeated(root)
     if counts.total() > MAX_ELEMENTS:
-        raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
+        raise SpecError(f"{path} expands to more than {MAX_ELEMENTS} elements")
     for tag, limit in MAX_COUNTS.items():
         if counts[tag] > limit:
             raise SpecError(f"{path} has more than {limit} elements <{tag}>")
@@ -93,7 +93,7 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def _number(word: str) -> float:
-    """Return the value of a word; 0 if it is not a number."""
+    """Return the value of a word, or 0 if the word is not a number."""
     try:
         return float(word)
     except ValueError:
@@ -101,7 +101,7 @@ def _number(word: str) -> float:
 
 
 def _repeated(root: ET.Element) -> Counter[str]:
-    """Return the number of elements by tag after <replicate> has repeated them."""
+    """Return the number of elements by tag after every <replicate> is expanded."""
     counts: Counter[str] = Counter()
     waiting = [(root, 1.0)]
     while waiting:
@@ -119,37 +119,37 @@ def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
 
 
 def inside(path: Path, named: str) -> Path:
-    """Return the path of a file that an XML file names.
+    """Return the path of a file that an XML file refers to.
 
     Args:
         path: the XML file.
-        named: the name or URI in it.
+        named: name or URI of the other file, as written in the XML file.
 
     Raises:
-        SpecError: the named file lies outside the XML file's folder, or does not exist.
+        SpecError: the other file is outside the XML file's folder, or does not exist.
     """
     home = path.resolve().parent
     plain = re.sub(r"^(package|model|file)://", "", named.strip())
     if plain != named.strip() and named.strip().startswith(("package://", "model://")):
-        # The name of the package may or may not be a folder.
+        # The name of the package may, but need not, be the name of a folder.
         rest = plain.split("/", 1)[-1]
         plain = plain if (home / plain).exists() else rest
     return inside_any(path, [plain], named)
 
 
 def inside_any(path: Path, candidates: Sequence[str], named: str) -> Path:
-    """Return the first existing file of those that a name in an XML file may refer to.
+    """Return the first existing file among the files that a name in an XML file may refer to.
 
     Args:
         path: the XML file.
-        candidates: paths relative to its folder.
+        candidates: paths relative to the XML file's folder.
         named: the name, for messages.
 
     Raises:
-        SpecError: a candidate lies outside the XML file's folder, or none exists.
+        SpecError: a candidate is outside the XML file's folder, or no candidate exists.
     """
     home = path.resolve().parent
-    # Not `home / candidate`: an absolute one would replace the folder.
+    # An absolute candidate replaces the folder, and is refused unless it is below the folder.
     targets = [Path(os.path.join(home, candidate)).resolve() for candidate in candidates]
     if not all(target.is_relative_to(home) for target in targets):
         raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")

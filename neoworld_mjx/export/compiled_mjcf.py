@@ -1,4 +1,4 @@
-"""Check MJCF files and all that they include, and compile them with MuJoCo."""
+"""Checks MJCF files and all files that they include, and compiles them with MuJoCo."""
 
 import itertools
 import os
@@ -15,20 +15,23 @@ from ..errors import SpecError
 from .checked_xml import inside, inside_any, read_xml
 
 _FOLDERS = {"texture": ("assetdir", "texturedir")}
-"""Attributes of <compiler> that name the folder of a kind of file."""
+"""Attributes of <compiler> that name the folder of an element's files, by tag of the element."""
 _OTHER_FOLDERS = ("assetdir", "meshdir")
+"""Attributes of <compiler> that name the folder of the files of all other elements."""
 
 
 def checked_roots(path: Path) -> list[ET.Element]:
-    """Check a file and all that it includes; return their root elements, that of `path` first.
+    """Check an MJCF file and all files that it includes, and return their root elements.
+
+    The first element is the root of `path`.
 
     Raises:
-        SpecError: a file is broken or hostile, names a file that is missing or lies outside the
+        SpecError: a file is broken or hostile, refers to a file that is missing or outside the
             folder of `path`, or includes itself.
     """
     roots = _included(path, path, set())
     elements = [element for root in roots for element in root.iter()]
-    # Which of several settings applies to a file is for MuJoCo to decide: all must stay inside.
+    # MuJoCo decides which of several <compiler> elements applies, so all paths are checked.
     compilers = [element for element in elements if element.tag == "compiler"]
     stripped = any(compiler.get("strippath") == "true" for compiler in compilers)
     for element in elements:
@@ -62,14 +65,14 @@ def _included(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
 def compiled_mjcf(
     path: Path, notes: list[str]
 ) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]], set[str]]:
-    """Compile a file; replace inertias that MuJoCo refuses.
+    """Compile an MJCF file; if MuJoCo refuses its inertias, replace them and add a note.
 
     Returns:
-        The model, the stated mass and moments of inertia of the bodies where they were replaced,
-        and the names of the bodies whose only mass is the compiler's lower bound.
+        The model; the stated mass and moments of inertia of each body whose inertia was replaced,
+        by body name; and the names of the bodies whose only mass is the compiler's lower bound.
 
     Raises:
-        SpecError: MuJoCo refuses the file.
+        SpecError: MuJoCo refuses the file for another reason.
     """
     with _refusals(path):
         spec = mujoco.MjSpec.from_file(str(path))
@@ -101,7 +104,7 @@ def compiled_mjcf(
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """Raise MuJoCo's errors as SpecErrors that name the file."""
+    """Convert errors of MuJoCo to SpecErrors that name the file."""
     try:
         yield
     except (ValueError, mujoco.FatalError) as error:

@@ -1,9 +1,10 @@
-"""Drake's own elements of URDF and SDF: hydroelastic contact and collision filters.
+"""Drake's extensions of URDF and SDF: hydroelastic contact and collision filters.
 
-By default Drake uses point contact with 1e6 N/m, one point for each pair of colliders: a cup turns
-by degrees within seconds, and a cupboard sinks by centimeters. Compliant colliders have a pressure
-over the area of overlap instead. Against a collider that is neither compliant nor rigid Drake falls
-back to point contact, so a user's floor has to be declared as one of the two.
+By default, Drake uses point contact with a stiffness of 1e6 N/m and one point for each pair of
+colliders. With point contact, a cup rotates by degrees within seconds, and a cupboard sinks by
+centimeters. Compliant hydroelastic colliders instead exert a pressure over the area of overlap. If
+the other collider is neither compliant nor rigid, Drake falls back to point contact, so users must
+declare their floor to be compliant or rigid.
 """
 
 import math
@@ -18,15 +19,18 @@ from .meshes import number
 DRAKE = "http://drake.mit.edu"
 """XML namespace of Drake's elements."""
 MODULUS_PA = 1e8
-"""Pressure at the innermost points of a collider [Pa]; at rest objects overlap by micrometers."""
+"""Hydroelastic modulus: the pressure at the innermost points of a collider [Pa].
+
+With this value, settled objects overlap by micrometers.
+"""
 SIDES = 32
-"""Number of sides of the polygon that approximates a circle in contact surfaces."""
+"""Number of sides of the polygon that approximates a circle in a contact surface."""
 Format = Literal["urdf", "sdf"]
-"""URDF stores values in attributes, SDF in text."""
+"""File format: URDF stores a value in an attribute, SDF in the text of an element."""
 
 
 def add_contact(collision: ET.Element, form: Format, piece: Piece, friction: float) -> None:
-    """Add compliance and friction to the element of a collider."""
+    """Add the compliance and the friction of a collider to its <collision> element."""
     properties = ET.SubElement(collision, "drake:proximity_properties")
     ET.SubElement(properties, "drake:compliant_hydroelastic")
     values = {"hydroelastic_modulus": MODULUS_PA, "mu_static": friction, "mu_dynamic": friction}
@@ -38,18 +42,20 @@ def add_contact(collision: ET.Element, form: Format, piece: Piece, friction: flo
 
 
 def declare_convex(mesh: ET.Element) -> None:
-    """Declare the mesh of a collider convex."""
+    """Declare that the mesh of a collider is convex."""
     ET.SubElement(mesh, "drake:declare_convex")
 
 
 def add_filters(model: ET.Element, form: Format, spec: ObjectSpec, links: dict[str, str]) -> None:
-    """Add collision filters for pairs of links that a joint does not already exempt.
+    """Add collision filters for pairs of links that never collide and that no joint connects.
+
+    Drake itself filters pairs that a joint connects.
 
     Args:
-        model: element of the robot or model.
+        model: the <robot> or <model> element.
         form: format of the file.
         spec: the object.
-        links: link name of each part.
+        links: link name of each part, by part name.
     """
     ignored: dict[str, list[str]] = {}
     for one, other in unjoined_pairs(spec):

@@ -1,4 +1,4 @@
-"""The camera of a photograph, as the file of a scene or a camera.json states it."""
+"""Camera of a photograph, as stated in the file of a scene or in a camera.json."""
 
 import math
 from pathlib import Path
@@ -16,23 +16,25 @@ from ..spec.pose import Pose, from_yaw, pose, rotate
 
 Row = tuple[Number, Number, Number, Number]
 OFF_CENTER = 0.005
-"""Distance of the principal point from the middle of the image, over its size, that is no crop."""
+"""Largest distance of the principal point from the center of an image that is not cropped,
+relative to the size of the image."""
 SAME_FOCAL = 0.02
-"""Largest relative difference of fx and fy."""
+"""Largest accepted relative difference between fx and fy."""
 VERTICAL = 1e-6
-"""Horizontal part of a view below which it looks straight down or up."""
+"""A camera looks straight down or up if the horizontal component of its unit viewing direction is
+at most this value."""
 
 
 class FileCamera(Spec):
-    """A pinhole camera: its pose, and its intrinsics by fovy or by fx, fy, cx and cy."""
+    """Pinhole camera: its pose, and its intrinsics, given as fovy or as fx, fy, cx and cy."""
 
     pose: tuple[Row, Row, Row, Row] | None = None
-    """Rigid transform of the camera's frame (OpenCV: x right, y down, z ahead) to the world of the
-    scene (Z up) [m]; None if the scene's file states it."""
+    """Rigid transform from the camera's frame (OpenCV: x right, y down, z ahead) to the scene's
+    world frame (Z up) [m]; None if the pose is not stated."""
     fovy: float | None = Field(default=None, gt=0.01, lt=math.pi - 0.01)
     """Vertical field of view [rad]."""
     fx: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    """Focal lengths and principal point in pixels of the photograph, as in BOP's camera.json."""
+    """Focal lengths (fx, fy) and principal point (cx, cy) [px], as in BOP's camera.json."""
     fy: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     cx: Number | None = None
     cy: Number | None = None
@@ -41,7 +43,7 @@ class FileCamera(Spec):
     def _complete(self) -> "FileCamera":
         stated = [value is not None for value in (self.fx, self.fy, self.cx, self.cy)]
         if any(stated) and not all(stated):
-            raise ValueError("fx, fy, cx and cy belong together")
+            raise ValueError("fx, fy, cx and cy must be given together")
         if self.fx is not None and self.fy is not None and self.fovy is not None:
             raise ValueError("give fovy, or fx, fy, cx and cy, not both")
         if self.fx and self.fy and abs(self.fx / self.fy - 1) > SAME_FOCAL:
@@ -50,11 +52,11 @@ class FileCamera(Spec):
             turn = np.array(self.pose)[:3, :3]
             rigid = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
             if not rigid or not np.allclose(self.pose[3], (0, 0, 0, 1)):
-                raise ValueError("pose is no rigid transform of 4 x 4 numbers")
+                raise ValueError("pose is not a rigid transform (a 4 x 4 matrix)")
         return self
 
     def completed_by(self, other: "FileCamera | None") -> "FileCamera":
-        """Return this camera with what it leaves open from another."""
+        """Return a copy whose missing pose or intrinsics are taken from another camera."""
         if other is None:
             return self
         update: dict[str, object] = {}
@@ -66,38 +68,40 @@ class FileCamera(Spec):
 
 
 class Viewpoint(NamedTuple):
-    """A camera before a scene."""
+    """Camera of a photograph, and the transform that moves the scene in front of the camera."""
 
     camera: Camera
     placed: Pose
-    """Motion, about the vertical, that brings the scene before the camera: below it is the origin,
-    and it looks along +x."""
+    """Horizontal translation and rotation about the vertical that are applied to the scene, so that
+    the camera is above the origin and heads along +x."""
     left: int
-    """First column and row of the photograph that the camera's image shows."""
+    """First column of the photograph that the camera's image shows [px]."""
     top: int
+    """First row of the photograph that the camera's image shows [px]."""
 
 
 def read_camera(path: Path) -> FileCamera:
     """Read a camera.json.
 
     Raises:
-        SpecError: the file is missing, or is no camera.
+        SpecError: the file is missing, or is not a camera.
     """
     return read_model(path, FileCamera, SpecError, "a camera")
 
 
 def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
-    """Return the camera of a photograph.
+    """Return the camera of a photograph, and the transform of the scene to the camera.
 
-    The image is cropped so that its center is the principal point.
+    The camera's image is the photograph, cropped so that its center is the principal point.
 
     Args:
-        camera: with pose and intrinsics.
+        camera: the camera, with pose and intrinsics.
         width: width of the photograph [px].
-        height: its height.
+        height: height of the photograph [px].
 
     Raises:
-        PhotoError: the camera states no pose or no intrinsics, or they are not of this photograph.
+        PhotoError: the camera has no pose or no intrinsics, or the intrinsics do not fit the size
+            of the photograph.
     """
     if camera.pose is None or (camera.fovy is None and camera.fx is None):
         missing = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
@@ -111,7 +115,7 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
         if min(half[0] / width, half[1] / height) < 0.25:
             raise PhotoError(
                 f"the principal point ({camera.cx:g}, {camera.cy:g}) is not near the middle of a "
-                f"photograph of {width} x {height} pixels: give the intrinsics at its size"
+                f"photograph of {width} x {height} pixels: give the intrinsics for this size"
             )
         crop = [abs(h - s / 2) > OFF_CENTER * s for h, s in zip(half, (width, height), strict=True)]
         if crop[0]:
@@ -135,14 +139,14 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
 
 WHERE = (
     'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
-    '"pose": [[4x4]]} '
-    "with the pose of the camera (OpenCV) in the scene's world, Z up; or in the scene's file "
-    "(docs/how-to/rescue-meshes.md)"
+    '"pose": [[4x4]]}, '
+    "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
+    "it in the scene's file (docs/how-to/rescue-meshes.md)"
 )
 
 
 def _angles(axes: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
-    """Return heading, downward pitch and roll [rad] of a camera's axes in the world."""
+    """Return the heading, downward pitch and roll of a camera [rad], given its axes as columns."""
     right, down, ahead = axes.T
     level = ahead if np.hypot(*ahead[:2]) > VERTICAL else -down * np.sign(-ahead[2])
     heading = math.atan2(level[1], level[0])
@@ -153,15 +157,16 @@ def _angles(axes: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
 
 
 def leveled(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """Return the transform of a camera's frame (OpenCV) to a world with a level floor.
+    """Return the transform from a camera's frame (OpenCV) to a world frame with a level floor.
 
-    The world has its origin in the camera, z up, and x horizontal ahead.
+    The origin of the world frame is the camera, its z axis points up, and its x axis is the
+    horizontal viewing direction.
 
     Args:
-        up: the vertical in the camera's frame, of any length.
+        up: vector of any length that points up, in the camera's frame.
 
     Raises:
-        SpecError: it is zero.
+        SpecError: `up` is zero.
     """
     size = float(np.linalg.norm(up))
     if size < 1e-6:
@@ -169,7 +174,7 @@ def leveled(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     z = np.asarray(up, float) / size
     ahead = np.array([0.0, 0.0, 1.0])
     x = ahead - (ahead @ z) * z
-    if np.linalg.norm(x) < VERTICAL:  # It looks straight down or up: ahead is the image's top.
+    if np.linalg.norm(x) < VERTICAL:  # x is the image's top (looking down) or bottom (looking up).
         x = np.array([0.0, -1.0, 0.0]) * -np.sign(ahead @ z)
     x /= np.linalg.norm(x)
     result = np.eye(4)

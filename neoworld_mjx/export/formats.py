@@ -31,27 +31,27 @@ Described = SceneSpec | ObjectSpec
 LAYERS: dict[Simulator, Callable[[Described, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
-"""USD layers with the settings of one simulator."""
+"""Functions that return a USD layer with the settings of a simulator, by simulator."""
 
 
 def format_files(
     described: Described, kind: Format, *, mjx: bool = False, floor: bool = False
 ) -> dict[str, bytes]:
-    """Return the files of a scene or an object in a format: path in its folder, and content.
+    """Return the files of a scene or an object in a format, as contents by relative path.
 
-    A scene's objects are in objects/<name>/.
+    The files of a scene's objects are in objects/<name>/.
 
     Args:
         described: the scene or object.
         kind: the format; USD is written in its binary form.
-        mjx: True if MJCF may have only colliders that MJX supports.
-        floor: True if MJCF gets an infinite floor below everything.
+        mjx: if True, MJCF contains only colliders that MJX supports.
+        floor: if True, MJCF contains an infinite floor at the height of the lowest collider.
     """
     return _Writer(described, mjx, floor).files(kind)
 
 
 def lost(described: Described, kind: Format) -> list[str]:
-    """Describe the data of a scene or an object that a format cannot store."""
+    """Return descriptions of the data of a scene or an object that a format cannot store."""
     objects = _objects(described)
     joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
     balls = [name for name, joint in joints if joint.type == "ball"]
@@ -81,7 +81,7 @@ def lost(described: Described, kind: Format) -> list[str]:
         "sdf": [
             textures,
             ("armature of joints", with_field("armature")),
-            ("joint states; the joints are at 0", moved),
+            ("joint positions; all joints are at zero", moved),
         ],
         "mjcf": [("velocity limits", with_field("velocity"))],
         "usd": [
@@ -93,13 +93,14 @@ def lost(described: Described, kind: Format) -> list[str]:
     }
     general: dict[Format, list[str]] = {
         "glb": [
-            "joints; colliders, densities and friction for readers that do not know its extras"
+            "joints; colliders, densities and friction for readers that ignore the file's extras"
         ],
         "urdf": [
             "metallic and roughness of materials",
-            "0.5 mm on each side of the colliders of moving parts; ellipsoids become meshes",
+            "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
+            "become meshes",
         ],
-        "usd": ["colliders that are ellipsoids become meshes"],
+        "usd": ["ellipsoid colliders, written as meshes"],
     }
     stored: Format = "usd" if kind == "usdz" else kind
     listed = [f"{content}: {', '.join(names)}" for content, names in named.get(stored, []) if names]
@@ -107,7 +108,7 @@ def lost(described: Described, kind: Format) -> list[str]:
 
 
 def collider_error(described: Described) -> float:
-    """Return the largest distance [m] between colliders for MJX and the surfaces they replace."""
+    """Return the largest distance between a collider for MJX and the surface it replaces [m]."""
     return max(
         (
             polyhedron_error(piece.kind, piece.size)
@@ -127,15 +128,15 @@ def write_formats(
     simulator: Simulator | None = None,
     floor: bool = False,
 ) -> list[str]:
-    """Write formats into a folder and return the paths, relative to it.
+    """Write a scene or an object in several formats; return paths relative to the folder.
 
     Args:
         described: the scene or object.
         out: the folder.
         kinds: the formats.
-        simulator: target of the files: mjx restricts MJCF to colliders that MJX supports; newton
-            and isaac add a USD layer, newton.usda or isaac.usda.
-        floor: True if MJCF gets an infinite floor below everything.
+        simulator: simulator that will load the files: "mjx" restricts MJCF to colliders that MJX
+            supports; "newton" and "isaac" add a USD layer, newton.usda or isaac.usda.
+        floor: if True, MJCF contains an infinite floor at the height of the lowest collider.
 
     Raises:
         ExportError: a file cannot be written.
@@ -163,7 +164,7 @@ def _stem(described: Described) -> str:
 
 @dataclass(frozen=True)
 class _Writer:
-    """Writer of one scene or object; files that several formats share are built once."""
+    """Writer of one scene or object, which builds files that several formats share only once."""
 
     described: Described
     mjx: bool
@@ -186,7 +187,7 @@ class _Writer:
         return self._of_objects(texture_files)
 
     def _of_objects(self, files_of: Callable[[ObjectSpec], dict[str, bytes]]) -> dict[str, bytes]:
-        """Return the files of all objects, each below its object's folder."""
+        """Return the files of all objects by path; in a scene, each object has a folder."""
         single = isinstance(self.described, ObjectSpec)
         return {
             f"{'' if single else f'objects/{name}/'}{path}": content
@@ -244,7 +245,7 @@ class _Writer:
 
 
 def _lowest(described: Described) -> float:
-    """Return the height of the lowest collider [m]."""
+    """Return the height of the lowest point of all colliders [m]."""
     if isinstance(described, ObjectSpec):
         return float(bounds(described)[0][2])
     lows = []

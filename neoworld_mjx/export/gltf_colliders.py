@@ -1,7 +1,8 @@
-"""Colliders and masses in the extras of glTF nodes, which has triangles alone.
+"""Colliders and densities in the extras of glTF nodes, because glTF stores only triangles.
 
-A link's node states its colliders and the box of its visible meshes. A file whose meshes were
-edited since has other boxes, and its colliders are derived from the meshes again.
+The extras of a link's node state the link's colliders and the bounding box of its visible meshes.
+If the meshes have been edited, the bounding box no longer matches, and the reader derives the
+colliders from the meshes.
 """
 
 from collections.abc import Sequence
@@ -19,44 +20,47 @@ from .link_frames import transform
 from .mechanism import LinkShape, Triangles
 
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Transform from Z up to glTF's axes; frames of objects and links are Y up, too."""
+"""Transform from Z-up axes to glTF's Y-up axes. Frames of objects and links are also Y-up."""
 KIND, OBJECT = "neoworld", "object"
-"""Key and value in the extras of a node that is an object."""
+"""Key and value that mark a node as an object, in the node's extras."""
 COLLIDERS = "colliders"
-"""Key in the extras of the node of a link."""
+"""Key of the colliders in the extras of a link's node."""
 SAME_BOX = 1e-3
-"""Largest difference of two boxes of the same meshes, over their diagonal."""
+"""Largest difference between two bounding boxes of the same meshes, relative to the diagonal."""
 
 
 class StatedCollider(Spec):
-    """A collider in the frame of its link, Z up."""
+    """Collider of a link, in the link's frame with Z up."""
 
     shape: Shape
     pos: Vec3
     quat: Quat
     material: Annotated[str, Field(max_length=100)]
     density: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    """[kg/m^3]"""
+    """Density [kg/m^3]."""
     friction: Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class StatedColliders(Spec):
-    """Extras of a link's node."""
+    """Colliders that the extras of a link's node state."""
 
     box: tuple[Vec3, Vec3]
-    """Lowest and highest corner of the link's visible meshes in its frame [m]."""
+    """Lowest and highest corners of the bounding box of the link's visible meshes, in the link's
+    frame [m]."""
     geoms: tuple[StatedCollider, ...] = Field(min_length=1, max_length=1000)
 
 
 def extras_of(
     spec: ObjectSpec, part: PartSpec, visuals: Sequence[NDArray]
 ) -> dict[str, Any] | None:
-    """Return the extras of a link; None if it has no visible mesh, or a mesh collides.
+    """Return the extras of a link's node.
+
+    The result is None if the link has no visible mesh or no collider, or if a collider is a mesh.
 
     Args:
         spec: the object.
         part: the link.
-        visuals: vertices [n, 3] of its visible meshes, in its frame.
+        visuals: vertices of each visible mesh of the link, in the link's frame [m], shape [n, 3].
     """
     colliders = [geom for geom in part.geoms if geom.role != "visual"]
     if not visuals or not colliders or any(isinstance(geom.shape, Mesh) for geom in colliders):
@@ -82,12 +86,14 @@ def extras_of(
 
 
 def stated_shapes(extras: object, visuals: Sequence[Triangles], frame: NDArray) -> list[LinkShape]:
-    """Return the colliders that a link's node states, or none if its meshes are others.
+    """Return the colliders that a link's node states.
+
+    The list is empty if the extras are missing or invalid, or if the link's meshes have changed.
 
     Args:
-        extras: untrusted entry of the node.
-        visuals: the meshes below it, in its frame.
-        frame: rigid transform [4, 4] of that frame to the object's.
+        extras: untrusted value of the key `COLLIDERS` in the node's extras.
+        visuals: the link's meshes, in the link's frame.
+        frame: rigid transform from the link's frame to the object's frame, shape [4, 4].
     """
     if extras is None or not visuals:
         return []

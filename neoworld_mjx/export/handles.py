@@ -1,4 +1,4 @@
-"""Frames of an object: the sites that its program names, and a handle for every moving part."""
+"""Frames of an object: the sites that its program defines, and a handle for each moving part."""
 
 import re
 from dataclasses import dataclass
@@ -11,32 +11,36 @@ from ..spec.convex import box_around
 from ..spec.kinematics import welded
 
 HANDLE = re.compile(r"handle|knob|pull|grip|lever|finial", re.IGNORECASE)
-"""Names of parts and geoms that are meant to be held."""
+"""Pattern of the names of parts and geoms that serve as handles."""
 MARGIN_M = 0.005
-"""Margin of the box around a held shape in which contacts count [m]."""
+"""Margin of the box around a handle; contacts inside the box are contacts with the handle [m]."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A named point on a part; its axes are those of the object."""
+    """Named point on a part, with the axes of the object."""
 
     name: str
     part: str
     pos: tuple[float, float, float]
-    """Position in the object's frame with all joints at 0 [m]."""
+    """Position in the object's frame with all joints at zero [m]."""
     half: tuple[float, float, float] | None = None
-    """Half the edge lengths of a box around the held shape [m]; None for the sites of programs."""
+    """Half the edge lengths of a box around the handle [m]; None if the frame is a site."""
     joint: str | None = None
-    """Joint that the handle actuates; None for the sites of programs."""
+    """Joint that the handle actuates; None if the frame is a site."""
 
 
 def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
-    """Return an object's sites, and a frame <part>_handle for every part that a joint moves.
+    """Return an object's sites, and a frame <part>_handle for each part that a joint moves.
 
-    A site <part>_handle on the part takes precedence. Otherwise the handle is the center of the
-    geoms whose names match `HANDLE`, on the part or fixed to it, or else the center of the leading
-    side of the part: the side that a slide moves towards, or the side farthest from a hinge or
-    ball; for a continuous joint it is the center of the part. Mimic joints have no handle.
+    No frame is added for a mimic joint, or if the part has a site <part>_handle. Otherwise the
+    handle is, in this order of precedence:
+
+    - the center of the geoms whose names, or whose parts' names, match `HANDLE`, among the geoms of
+      the moved part and of the parts fixed to it;
+    - for a continuous joint, the center of the moved part;
+    - for a prismatic joint, the center of the side toward which the part moves;
+    - for a revolute or ball joint, the center of the side that is farthest from the joint.
     """
     named = [Frame(site.name, site.part, site.pos) for site in spec.sites]
     taken = {site.name for site in spec.sites}
@@ -73,7 +77,10 @@ def _handle(spec: ObjectSpec, joint: JointSpec, name: str) -> Frame:
 
 
 def _leading_side(joint: JointSpec, center: NDArray, half: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the center and half edges of the side of a box by which a part is moved."""
+    """Return the center and the half edge lengths of the side by which a part is moved [m].
+
+    The box around the part is given by its center and its half edge lengths.
+    """
     if joint.type == "continuous":
         return center, half
     best, side = -np.inf, (0, 1.0)

@@ -1,4 +1,4 @@
-"""Convert mechanisms of URDF, MJCF and USD files to ObjectSpecs, with notes on omissions."""
+"""Converts mechanisms from URDF, MJCF and USD files to ObjectSpecs, with notes on omissions."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,35 +36,35 @@ from .read_urdf import read_urdf
 from .read_usd import read_usd
 
 DENSITY = 400.0
-"""Density of links that state no mass, typical of furniture [kg/m^3]."""
+"""Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
 PLACEHOLDER_M = 0.001
 """Radius of the sphere that replaces a link without geometry [m]."""
 MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
-"""Modules that `read_urdf` imports late."""
+"""Modules that `read_urdf` imports when it is called."""
 MAX_DENSITY = 30000.0
-"""Largest density of a material that is imported [kg/m^3]."""
+"""Largest density of an imported material [kg/m^3]; larger densities are ignored."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """An object read from a file of another program."""
+    """Object imported from a file of another program."""
 
     spec: ObjectSpec
     notes: tuple[str, ...]
-    """Omissions and assumptions."""
+    """Notes on data that the import omits, and on assumptions that it makes."""
     origin: Vec3 = (0.0, 0.0, 0.0)
-    """Origin of the object in the frame of the file [m]."""
+    """Origin of the object's frame, in the frame of the file [m]."""
     joints: dict[str, str] = field(default_factory=dict)
-    """Name of each joint of the file in the spec."""
+    """Name of each joint in `spec`, by the joint's name in the file."""
 
 
 def import_urdf(path: Path) -> Imported:
     """Read a URDF file and its meshes as an object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a mesh that is missing or lies outside its
-            folder, or its links do not form a tree.
+        SpecError: the file is broken or hostile, refers to a mesh that is missing or outside the
+            file's folder, or its links do not form a tree.
     """
     return to_object(call_limited(read_urdf, Path(path), needs=MESH_READERS))
 
@@ -73,18 +73,18 @@ def import_mjcf(path: Path) -> Imported:
     """Read an MJCF file with one object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
-            folder, MuJoCo refuses it, or it has several objects.
+        SpecError: the file is broken or hostile, refers to a file that is missing or outside its
+            folder, is refused by MuJoCo, or contains several objects.
     """
     return to_object(call_limited(read_mjcf, Path(path)))
 
 
 def import_usd(path: Path, object_path: str | None = None) -> Imported:
-    """Read a USD file with one object, or one prim of it.
+    """Read a USD file with one object, or the prim `object_path` of a USD file.
 
     Raises:
-        SpecError: the file is broken or hostile, names a layer that is missing or lies outside its
-            folder, the prim does not exist, or it has several objects.
+        SpecError: the file is broken or hostile, or refers to a layer that is missing or outside
+            its folder; or the prim does not exist, or contains several objects.
     """
     return to_object(call_limited(read_usd, Path(path), object_path))
 
@@ -92,15 +92,17 @@ def import_usd(path: Path, object_path: str | None = None) -> Imported:
 def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     """Convert a mechanism to an object.
 
-    Links that have no geometry or are only visible are merged into the links they are fixed to; a
-    moving link without geometry gets a small sphere. Names become valid identifiers.
+    A link that has no geometry, or only visual geometry, is merged into the link to which it is
+    fixed. A moving link without geometry gets a small sphere. Names are converted to valid
+    identifiers.
 
     Args:
-        mechanism: result of a reader; its links and notes are modified.
-        deadline: time until which meshes are split, by default that of `decomposition_deadline`.
+        mechanism: result of a reader; this function modifies the mechanism's links and notes.
+        deadline: time until which meshes are decomposed; by default, `decomposition_deadline()`.
 
     Raises:
-        SpecError: it has too many links, or a number is out of bounds.
+        SpecError: the mechanism has too many links, shapes or sites, its mimic joints form a cycle,
+            or a number is out of bounds.
     """
     deadline = decomposition_deadline() if deadline is None else deadline
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
@@ -124,7 +126,7 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     part_names = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
     leaders = {joint.name: joint.mimic.joint for joint in moving if joint.mimic is not None}
     if (looped := name_on_cycle(leaders)) is not None:
-        raise SpecError(f"joint {looped!r} follows itself through other joints")
+        raise SpecError(f"joint {looped!r} mimics itself through other joints")
     joint_names = {joint.name: names.take(joint.name, "joint") for joint in moving}
     joints = []
     for joint in moving:
@@ -143,7 +145,7 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
         joints.append(joint.model_copy(update=update).model_dump())
     label = _Names().take(name, "object")
     if name in RESERVED:
-        notes.append(f"the object is named {label}, as MuJoCo reserves {name!r}")
+        notes.append(f"the object is named {label} because MuJoCo reserves {name!r}")
     try:
         spec = ObjectSpec(
             name=label,
@@ -171,10 +173,10 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
 def _without_empty(
     links: dict[str, Link], joints: list[JointSpec], notes: list[str]
 ) -> tuple[list[JointSpec], dict[str, str]]:
-    """Merge links without geometry into the links they are fixed to; give the others a sphere.
+    """Merge links without geometry into links to which they are fixed; add a sphere to the others.
 
     Returns:
-        The remaining joints, and for every link the one that it is merged into.
+        The remaining joints, and the name of the link into which each link is merged, by link name.
     """
     changed = True
     owner = {name: name for name in links}
@@ -203,7 +205,7 @@ def _without_empty(
             if link.mass is None or link.mass <= 0:
                 link.mass, link.com, link.inertia = 1e-3, frame[:3, 3], np.eye(3) * 1e-6
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
-            notes.append(f"link {link.name} has no geometry: a sphere of {radius} is used")
+            notes.append(f"link {link.name} has no geometry: a sphere of radius {radius} is used")
     return joints, owner
 
 
@@ -212,7 +214,7 @@ def _merge(into: Link, merged: Link) -> None:
     if merged.mass is None or merged.mass <= 0 or merged.com is None:
         return
     if into.mass is None or into.com is None or into.inertia is None:
-        return  # The mass is derived from geometry later; that of the merged link is negligible.
+        return  # The mass is derived from geometry later; the merged link's mass is neglected.
     total = into.mass + merged.mass
     com = (into.mass * into.com + merged.mass * merged.com) / total
     inertia = np.zeros((3, 3))
@@ -266,7 +268,9 @@ def _part(
     mass, inertia = link.mass, None
     if mass is None:
         if not any(item.density for item in link.shapes if item.role != "visual"):
-            notes.append(f"link {link.name} states no mass: {DENSITY:g} kg/m^3 is assumed")
+            notes.append(
+                f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed"
+            )
     elif mass <= 0:
         notes.append(f"link {link.name} states a mass of {mass:g} kg")
         mass = 1e-9
@@ -281,7 +285,11 @@ def _part(
 
 
 def _mesh(triangles: Triangles, deadline: float | None, link: str, notes: list[str]) -> Mesh | None:
-    """Return a mesh that is split until a deadline; without one, its collider is its hull."""
+    """Return a mesh with the convex pieces of its collider, or None if the mesh has no extent.
+
+    The mesh is decomposed until the deadline. If `deadline` is None, the collider is the convex
+    hull of the mesh.
+    """
     vertices, faces = (np.asarray(v) for v in triangles)
     if not np.isfinite(vertices).all():
         raise SpecError(f"link {link}: a mesh has vertices that are not finite")
@@ -309,7 +317,7 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
     }
     key = (item.rgba, item.friction, helper, item.name, item.density, *gloss.items())
     if key not in materials:
-        # A material keeps its name only if it states a density.
+        # A material keeps its name only if the file states a valid density.
         known = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
         stem = HELPER if helper else item.name if known else UNKNOWN
         materials[key] = Material(
@@ -323,13 +331,13 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
 
 
 class _Names:
-    """Unique identifiers for each kind of element."""
+    """Generator of identifiers that are unique among the elements of a kind."""
 
     def __init__(self) -> None:
         self.taken: dict[str, set[str]] = {}
 
     def take(self, name: str, kind: str) -> str:
-        """Return an unused name of letters, digits and underscores."""
+        """Return an unused identifier that resembles a name."""
         taken = self.taken.setdefault(kind, set())
         label = identifier(name, kind, taken)
         taken.add(label)

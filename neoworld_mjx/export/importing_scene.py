@@ -1,4 +1,4 @@
-"""Import URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
+"""Imports URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,25 +33,25 @@ MAX_OBJECTS = 500
 
 @dataclass(frozen=True)
 class ImportedScene:
-    """A scene imported from a file."""
+    """Scene imported from a file."""
 
     spec: SceneSpec
     notes: tuple[str, ...]
-    """Omissions and assumptions."""
+    """Notes on data that the import omits, and on assumptions that it makes."""
     camera: FileCamera | None = None
-    """Camera of the photograph, if a scene of meshes states one."""
+    """Camera of the photograph; None unless a scene of meshes states one."""
     in_camera: bool = False
-    """True if the file's poses are in the frame of that camera; the scene is leveled."""
+    """True if the poses in the file are relative to `camera`; `spec` is rotated so that z is up."""
 
 
 def import_file(path: Path) -> Imported | ImportedScene:
-    """Read a URDF, MJCF or USD file as an object if it has only one, else as a scene.
+    """Read a URDF, MJCF or USD file: an object if the file contains only one, otherwise a scene.
 
-    A glTF file (`read_gltf`) and a poses.json (`read_mesh_scene`) are always scenes.
+    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
 
     Raises:
-        SpecError: the file has another format, is broken or hostile, names a file that is missing
-            or lies outside its folder, or exceeds the limits on size.
+        SpecError: the format is not supported, or the file is broken or hostile, refers to a file
+            that is missing or outside its folder, or exceeds the limits on size.
     """
     path = Path(path)
     try:
@@ -66,7 +66,7 @@ def import_file(path: Path) -> Imported | ImportedScene:
 
 
 def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
-    """Read all objects of a file, with the camera or the gravity that it states."""
+    """Read all objects of a file, and the camera or the gravity that the file states."""
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:
@@ -86,7 +86,7 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
     if root.tag == "mujoco":
         return read_mjcf_scene(path), None
     raise SpecError(
-        f"{path}: the root element is <{root.tag}>; that of URDF is <robot>, of MJCF <mujoco>"
+        f"{path}: the root element is <{root.tag}>; expected <robot> (URDF) or <mujoco> (MJCF)"
     )
 
 
@@ -101,12 +101,12 @@ def _imported(
 def scene_of_assemblies(
     path: Path, assemblies: list[Assembly], gravity: Vec3 | None
 ) -> ImportedScene:
-    """Return the scene of the objects of a file.
+    """Return a scene of the objects of a file.
 
     Args:
-        path: the file, for its name and for messages.
-        assemblies: objects at their poses in the world.
-        gravity: gravity [m/s^2]; None is the default.
+        path: the file; the scene takes its name, and messages refer to it.
+        assemblies: the objects, with their poses in the world frame.
+        gravity: gravity [m/s^2]; if None, the default of `SceneSpec` is used.
 
     Raises:
         SpecError: there are too many objects, or a number is out of bounds.
@@ -137,7 +137,7 @@ def _is_general(note: str) -> bool:
 
 
 def _placed(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
-    """Return an object at its pose in the file, without a parent."""
+    """Return an object at the pose that the file states, without a parent."""
     spec = imported.spec
     x, y, z, _ = (assembly.frame @ np.array([*imported.origin, 1.0])).tolist()
     quat = from_matrix(assembly.frame[:3, :3])

@@ -1,10 +1,18 @@
-"""A USD layer over a scene or an object with the settings of PhysX, as in Isaac.
+"""USD layer with PhysX settings for Isaac Sim, which is composed over a scene or an object.
 
-The layer sets a contact offset of 2 mm, the maximum as the combination of two frictions (PhysX uses
-the mean), no angular damping (5 % by default), more solver iterations, no thresholds of sleep and
-stabilization, exact hulls, a state of every joint, and an articulation root at the joint that fixes
-an object in the world. `PhysxJointAPI` is for Isaac before 5, and `contactOffset` for versions that
-do not read `newton:contactGap`.
+The layer
+
+- sets a contact offset of 2 mm;
+- combines two friction coefficients by their maximum (the default of PhysX is the mean);
+- disables angular damping (the default is 5 %);
+- increases the number of solver iterations;
+- disables sleeping and stabilization by thresholds of zero;
+- preserves convex hulls of up to 64 vertices exactly;
+- sets the position of each joint;
+- makes the joint that fixes an object in the world the object's articulation root.
+
+`PhysxJointAPI` is for versions of Isaac Sim before 5. `contactOffset` is for versions that do not
+read `newton:contactGap`.
 """
 
 import math
@@ -25,19 +33,20 @@ from .write_scene_usd import fixture_path, physics_path, remove_schemas
 from .write_usd import set_float
 
 POSITION_ITERATIONS, VELOCITY_ITERATIONS = 64, 4
-"""Iterations of the PhysX solver."""
+"""Numbers of position and velocity iterations of the PhysX solver."""
 STEPS_PER_SECOND = 240
 HULL_VERTICES = 64
-"""Largest number of vertices of a hull that PhysX does not simplify."""
+"""Maximum number of vertices of a convex hull; PhysX simplifies larger hulls."""
 _KINDS = {bool: Sdf.ValueTypeNames.Bool, int: Sdf.ValueTypeNames.Int, str: Sdf.ValueTypeNames.Token}
 
 
 def isaac_text(described: SceneSpec | ObjectSpec, file: str) -> str:
-    """Return the layer as text.
+    """Return the layer as USDA text.
 
     Args:
         described: the scene or object.
-        file: name of the USD file below the layer, in the same folder, such as "scene.usdc".
+        file: name of the USD file in the same folder that the layer overrides, for example
+            "scene.usdc".
     """
     stage, base = opened_layer(described)
     if isinstance(described, SceneSpec):
@@ -81,7 +90,7 @@ def _add_object(
     if spec.joints:
         root = stage.OverridePrim(base)
         if fixture is not None:
-            # The root of a fixed articulation is its joint to the world.
+            # The root of a fixed articulation is the joint that fixes it in the world.
             remove_schemas(root, "PhysicsArticulationRootAPI")
             root = stage.OverridePrim(fixture)
             root.AddAppliedSchema("PhysicsArticulationRootAPI")
@@ -108,7 +117,7 @@ def _add_joint(prim: Usd.Prim, joint: JointSpec, value: float) -> None:
     set_float(prim, f"state:{instance}:physics:position", value * unit)
     set_float(prim, f"state:{instance}:physics:velocity", 0.0)
     prim.AddAppliedSchema("PhysxJointAPI")
-    # This is a coefficient of the load; PhysxJointAxisAPI has the dry friction in N.
+    # jointFriction is relative to the joint's load; PhysxJointAxisAPI has dry friction in N.
     set_float(prim, "physxJoint:jointFriction", 0.0)
     set_float(prim, "physxJoint:armature", joint.armature)
     if joint.velocity is not None:

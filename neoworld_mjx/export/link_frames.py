@@ -1,6 +1,7 @@
-"""Frames, names and inertias of an object's links, as every writer needs them.
+"""Frames, names and inertias of an object's links, which all writers use.
 
-The frame of a link has its origin at the anchor of its joint and the orientation of the object.
+The origin of a link's frame is the anchor of the joint that moves the link. The axes of the frame
+are those of the object.
 """
 
 from collections.abc import Set as AbstractSet
@@ -15,16 +16,22 @@ from ..spec.pose import Pose, matrix
 TENSOR_ENTRIES = {
     "ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2),
 }  # fmt: skip
-"""Names of the entries of an inertia tensor in URDF and SDF, with their indices."""
+"""Indices of the entries of an inertia tensor, by the name of the entry in URDF and SDF."""
 
 
 def link_origins(spec: ObjectSpec) -> dict[str, NDArray]:
-    """Return the origin of each part's link in the object's frame with all joints at 0 [m], [3]."""
+    """Return the origin of each part's link, by part name.
+
+    Origins are in the object's frame with all joints at zero [m], shape [3].
+    """
     return {spec.root: np.zeros(3)} | {joint.child: np.array(joint.pos) for joint in spec.joints}
 
 
 def link_names(spec: ObjectSpec) -> dict[str, str]:
-    """Return the name of each part's link in URDF and SDF; the root's is that of the object."""
+    """Return the name of each part's link in URDF and SDF, by part name.
+
+    The root link has the name of the object, and the other links have the names of their parts.
+    """
     names = {part.name: part.name for part in spec.parts}
     root = spec.root
     return names | {root: unused(spec.name, names.keys() - {root})}
@@ -38,7 +45,7 @@ def unused(name: str, taken: AbstractSet[str]) -> str:
 
 
 def unjoined_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
-    """Return the pairs of parts that never collide and are not parent and child of one joint."""
+    """Return the pairs of parts that are excluded from collisions and that no joint connects."""
     joined = {(joint.parent, joint.child) for joint in spec.joints}
     return [pair for pair in excluded_pairs(spec) if pair not in joined]
 

@@ -1,4 +1,4 @@
-"""Read triangles from untrusted mesh files."""
+"""Reads triangles from untrusted mesh files."""
 
 import io
 import json
@@ -19,19 +19,20 @@ from .checked_xml import inside
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _MAX_INSTANCES = 16
-"""Largest number of node instances in a DAE file; each could double its size."""
+"""Maximum number of node instances in a DAE file; each could double the size of the mesh."""
 _MAX_LINE, _MAX_GROUPS = 1 << 16, 10_000
-"""Largest length of a line, and number of groups, of an OBJ file."""
+"""Maximum length of a line [bytes], and maximum number of groups and uses of materials, in an OBJ
+file."""
 _MAX_NODES = 10_000
 _MAX_ELEMENTS = 20 * MAX_VERTICES
-"""Largest number of vertices and indices of a glTF file with all its instances."""
+"""Maximum number of vertices and indices in a glTF file, counted for each instance of a mesh."""
 
 
 def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     """Return the vertices [v, 3] and triangles [f, 3] of a mesh file, in the file's units.
 
     Raises:
-        SpecError: it is not a mesh, has numbers that are not finite, or is too large.
+        SpecError: the file is not a mesh, contains numbers that are not finite, or is too large.
     """
     import trimesh
 
@@ -67,7 +68,7 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
 
 
 def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Merge equal vertices [v, 3] and drop equal triangles [f, 3] and degenerate ones."""
+    """Merge equal vertices [v, 3], and remove duplicate and degenerate triangles [f, 3]."""
     vertices, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
     a, b, c = faces.T
@@ -79,7 +80,7 @@ def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """Return the contents of a mesh file within bounds; errors as for `load_mesh`."""
+    """Read a mesh file of at most `files.max_mesh_mib`; raise a SpecError if it cannot be read."""
     try:
         return read_bytes(path, file_bounds().max_mesh_mib * MIB)
     except OSError as error:
@@ -87,7 +88,7 @@ def mesh_bytes(path: Path) -> bytes:
 
 
 def check_claims(path: Path, kind: str, data: bytes) -> None:
-    """Refuse a file whose header claims more data than it has, or that instances itself."""
+    """Refuse a file that declares more data than it contains, or repeats its data too often."""
     if kind == ".dae":
         if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
@@ -117,11 +118,11 @@ def _check_accessors(path: Path, data: bytes) -> None:
         raise SpecError(f"{path} is not glTF: its JSON cannot be read") from None
     # An accessor without a buffer view stands for any number of zeros.
     if not fits or any("bufferView" not in accessor for accessor in accessors):
-        raise SpecError(f"{path} declares more vertices than it has bytes, or repeats too many")
+        raise SpecError(f"{path} declares more vertices than it contains, or repeats too many")
 
 
 def gltf_document(data: bytes) -> dict[str, Any]:
-    """Return the JSON of a text or binary glTF file, unchecked; errors are those of `json`."""
+    """Return the JSON document of a text or binary glTF file, without checking its contents."""
     if data[:4] == b"glTF" and len(data) >= 20:
         (length,) = struct.unpack_from("<I", data, 12)
         data = data[20 : 20 + length]
@@ -129,7 +130,7 @@ def gltf_document(data: bytes) -> dict[str, Any]:
 
 
 def _instanced(document: dict[str, Any], counts: list[int]) -> int:
-    """Return the number of vertices and indices of all instances in a glTF document."""
+    """Return the number of vertices and indices of all instances of meshes in a glTF document."""
     sizes = []
     for mesh in document.get("meshes", []):
         used = [

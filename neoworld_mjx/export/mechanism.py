@@ -1,7 +1,7 @@
-"""Mechanisms: links with shapes and masses, and joints, as files describe them.
+"""Mechanisms (links with shapes and masses, and joints) as described in files.
 
-Every reader returns mechanisms in the root frame of the file with all joints at 0; `importing`
-converts them to ObjectSpecs.
+Each reader returns mechanisms in the root frame of the file, with all joints at zero. `importing`
+converts mechanisms to ObjectSpecs.
 """
 
 from collections import Counter
@@ -22,26 +22,27 @@ from ..spec.pose import ArrayLike
 from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
-"""Color of shapes whose file states none."""
+"""Color of a shape if the file states no color."""
 Triangles = tuple[NDArray, NDArray]
-"""Vertices [v, 3] m and faces [f, 3] of a mesh."""
+"""Vertices of a mesh [m], shape [v, 3], and faces, shape [f, 3]."""
 
 
 @dataclass
 class LinkShape:
-    """A shape of a link; `frame` [4, 4] is its pose in the root frame with all joints at 0."""
+    """Shape of a link."""
 
     shape: BaseShape | Triangles
     frame: NDArray
+    """Pose of the shape in the root frame with all joints at zero [m], shape [4, 4]."""
     role: Role
     rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
     hull: bool = False
-    """True if the mesh collides as its convex hull."""
+    """If True, the convex hull of the mesh is the collider."""
     name: str = ""
-    """Name of the material; empty if the file states none."""
+    """Name of the material; empty if the file states no name."""
     density: float | None = None
-    """Density of the material [kg/m^3]; None if the file states none."""
+    """Density of the material [kg/m^3]; None if the file states no density."""
     metallic: float | None = None
     """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
@@ -50,25 +51,25 @@ class LinkShape:
 
 @dataclass
 class Link:
-    """A rigid body; positions are in the root frame with all joints at 0."""
+    """Rigid body. Positions are in the root frame, with all joints at zero."""
 
     name: str
     shapes: list[LinkShape] = field(default_factory=list)
     mass: float | None = None
-    """[kg]; None if the file states none."""
+    """Mass [kg]; None if the file states no mass."""
     com: NDArray | None = None
-    """Center of mass [m], [3]."""
+    """Center of mass [m], shape [3]."""
     inertia: NDArray | None = None
-    """Inertia about the center of mass, in the axes of the root frame [kg m^2], [3, 3]."""
+    """Inertia about the center of mass, in the axes of the root frame [kg m^2], shape [3, 3]."""
     origin: NDArray = field(default_factory=lambda: np.zeros(3))
-    """Origin of the link's frame [m], [3]."""
+    """Origin of the link's frame [m], shape [3]."""
     visual_only: bool = False
-    """True if it has neither mass nor colliders."""
+    """True if the link has neither mass nor colliders."""
 
 
 @dataclass
 class Mechanism:
-    """A tree of links; names are those of the file."""
+    """Tree of links, with names as in the file."""
 
     name: str
     links: dict[str, Link]
@@ -76,7 +77,7 @@ class Mechanism:
     sites: list[Site] = field(default_factory=list)
     """Named points of links."""
     notes: list[str] = field(default_factory=list)
-    """Omissions and assumptions of the reader."""
+    """Notes on data that the reader omits, and on assumptions that it makes."""
 
     @property
     def root(self) -> str:
@@ -87,23 +88,24 @@ class Mechanism:
 
 @dataclass
 class Assembly:
-    """One object of a file: its mechanism and its pose."""
+    """Object of a file: its mechanism and its pose."""
 
     path: str
     """Name of the object in the file."""
     mechanism: Mechanism
     frame: NDArray
-    """Rigid transform from the mechanism's frame to the world [4, 4] m, Z up."""
+    """Rigid transform from the mechanism's frame to the world frame (Z up) [m], shape [4, 4]."""
     fixed: bool
-    """True if the root cannot move."""
+    """True if the root link cannot move."""
     state: dict[str, float] = field(default_factory=dict)
-    """Joint values in the file [rad or m]; those of a ball have .x, .y and .z."""
+    """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
+    names end in .x, .y and .z."""
     bare: bool = False
-    """True if it is geometry without a rigid body."""
+    """True if the object is geometry without a rigid body."""
 
 
 def mechanism(spec: ObjectSpec) -> Mechanism:
-    """Describe an object, without its shapes."""
+    """Return the mechanism of an object, without shapes."""
     origins = link_origins(spec)
     links = {}
     for part in spec.parts:
@@ -119,7 +121,12 @@ def mechanism(spec: ObjectSpec) -> Mechanism:
 
 
 def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
-    """Return a mechanism in another frame, to which `into` [4, 4] transforms rigidly."""
+    """Return a mechanism in another frame.
+
+    Args:
+        mechanism: the mechanism.
+        into: rigid transform from the mechanism's frame to the other frame, shape [4, 4].
+    """
     turn, shift = into[:3, :3], into[:3, 3]
 
     def place(point: ArrayLike) -> NDArray:
@@ -146,12 +153,12 @@ def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
 
 
 def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str, str]]) -> str:
-    """Return the root of a tree of links.
+    """Check that links and joints form a tree, and return the name of the root link.
 
     Args:
         path: the file, for messages.
         links: names of the links.
-        joints: name, parent and child of every joint.
+        joints: name, parent and child of each joint.
 
     Raises:
         SpecError: a name is unknown or repeated, a link has two parents, links form a cycle, or
@@ -175,23 +182,23 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SpecError(
-            f"{path}: an object has one root link; the file has {', '.join(roots) or 'none'}"
+            f"{path}: expected one root link, but the file has {', '.join(roots) or 'none'}"
         )
     return roots[0]
 
 
 def unchecked_mimic(joint: str, multiplier: float, offset: float) -> Mimic:
-    """Return an unvalidated mimic of a joint, by its name in the file."""
+    """Return an unvalidated `Mimic` of the joint that has the name `joint` in the file."""
     return Mimic.model_construct(joint=joint, multiplier=multiplier, offset=offset)
 
 
 def unchecked_joint(**fields: Any) -> JointSpec:
-    """Return an unvalidated joint with the names of the file, which `importing` replaces."""
+    """Return an unvalidated joint. Its names are as in the file; `importing` replaces them."""
     return JointSpec.model_construct(**fields)
 
 
 def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
-    """Return an unvalidated site with the names of the file, which `importing` replaces."""
+    """Return an unvalidated site. Its names are as in the file; `importing` replaces them."""
     return Site.model_construct(name=name, part=part, pos=triple(pos))
 
 

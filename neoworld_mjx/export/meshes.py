@@ -1,4 +1,4 @@
-"""Mesh files of an object, and number formatting for all text formats."""
+"""Mesh files of an object, and formatting of numbers for all text formats."""
 
 from collections.abc import Iterable
 
@@ -15,25 +15,25 @@ FOLDER = "meshes"
 
 
 def number(value: float) -> str:
-    """Return the shortest text that reads back as the same number."""
+    """Return the shortest string that parses to the same number."""
     text = repr(float(value))
     text = text.removesuffix(".0")
     return "0" if text == "-0" else text
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Format numbers, separated by spaces."""
+    """Return a string of numbers, separated by spaces."""
     return " ".join(number(value) for value in values)
 
 
 def urdf_primitive(shape: BaseShape) -> Piece | None:
-    """Return the box, sphere or cylinder that a shape is, or None: URDF has no other primitives."""
+    """Return a shape as a primitive of URDF (box, sphere or cylinder), or None if it is not one."""
     piece = shape.primitive()
     return piece if piece is not None and piece.kind in ("box", "sphere", "cylinder") else None
 
 
 def visual_file(geom: GeomSpec) -> str | None:
-    """Return the path of a geom's visual mesh; None if URDF has a primitive for the geom."""
+    """Return the path of a geom's visual mesh, or None if the geom is a primitive of URDF."""
     if urdf_primitive(geom.shape) is not None:
         return None
     return f"{FOLDER}/{geom.name}.obj"
@@ -46,10 +46,10 @@ def collision_file(geom: GeomSpec, k: int) -> str:
 
 
 def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
-    """Return vertices [v, 3] and faces [f, 3] of a piece that needs a mesh, or None.
+    """Return the vertices [v, 3] and faces [f, 3] of a convex piece; None if it needs no mesh.
 
-    URDF and UsdPhysics have no ellipsoids: they become the hull of their tessellated surface, whose
-    facets lie up to 1 % of the radius inside.
+    URDF and UsdPhysics have no ellipsoids. An ellipsoid becomes its tessellated surface, whose
+    facets are inside the ellipsoid by up to 1 % of the radius.
     """
     if piece.kind == "mesh":
         return hull(piece.vertices)
@@ -59,9 +59,9 @@ def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
 
 
 def mesh_files(spec: ObjectSpec) -> dict[str, str]:
-    """Return every mesh file of an object: path relative to the object, and OBJ text.
+    """Return the OBJ text of each mesh file of an object, by path relative to the object's folder.
 
-    Textured geoms always have a mesh, with texture coordinates.
+    A textured geom always has a mesh, with texture coordinates.
     """
     files: dict[str, str] = {}
     for part in spec.parts:
@@ -82,13 +82,14 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
 def obj(
     vertices: NDArray, faces: NDArray, *, smooth: bool = False, uv: NDArray | None = None
 ) -> str:
-    """Write a triangle mesh as Wavefront OBJ.
+    """Return a triangle mesh as Wavefront OBJ text.
 
     Args:
-        vertices: positions [vertex, 3] m.
-        faces: vertex indices [face, 3].
-        smooth: True to write a normal for every corner.
-        uv: texture coordinates of every corner [face, 3, 2], v upwards; needs `smooth`.
+        vertices: positions [m], shape [vertex, 3].
+        faces: vertex indices, shape [face, 3].
+        smooth: if True, write a normal for each corner.
+        uv: texture coordinates of each corner, with v upward, shape [face, 3, 2]; requires
+            `smooth`.
     """
     lines = [f"v {numbers(v)}" for v in np.round(vertices, 9).tolist()]
     corners = (faces + 1).tolist()

@@ -1,7 +1,8 @@
 """Materials and textures of MJCF: visual geoms have materials named <object>-<material>.
 
-MuJoCo multiplies a texture by the color of its material, so textured materials are white. Their
-plain colors are stored in <numeric name="<object>-<material>-rgb">, for readers without textures.
+MuJoCo multiplies a texture by the color of the material, so textured materials are white. The plain
+color of a textured material is stored in <numeric name="<object>-<material>-rgb">, for readers that
+ignore textures.
 """
 
 import xml.etree.ElementTree as ET
@@ -19,7 +20,7 @@ COLOR_SUFFIX = "-rgb"
 
 
 def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
-    """Replace textured primitives by meshes, as MuJoCo does not texture their sides."""
+    """Replace textured primitives by meshes, because MuJoCo does not texture all of their sides."""
     for part in spec.parts:
         for geom in part.geoms:
             if not is_textured(spec, geom) or geom.shape.primitive() is None:
@@ -40,11 +41,11 @@ def add_materials(
     """Replace the colors of an object's visual geoms by materials.
 
     Args:
-        root: the MJCF file.
+        root: root element of the MJCF file.
         owner: name of the object in the file.
         spec: the object.
         folder: folder of the object's files, relative to the MJCF file: "" or "objects/cup/".
-        textured: True if materials may have textures.
+        textured: if True, materials may have textures.
     """
     shown = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
     assets = _section(root, "asset")
@@ -86,7 +87,11 @@ def _add_material(
 
 
 def geom_color(model: mujoco.MjModel, g: int) -> tuple[float, float, float, float]:
-    """Return the color of a geom; for a texture without a stated color, its mean."""
+    """Return the RGBA color of a geom.
+
+    If the geom is textured, the color is the plain color that the file states (`COLOR_SUFFIX`). If
+    the file states none, it is the material's color multiplied by the texture's mean color.
+    """
     material = int(model.geom_matid[g])
     if material < 0:
         red, green, blue, alpha = (float(v) for v in model.geom_rgba[g])

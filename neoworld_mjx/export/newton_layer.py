@@ -1,10 +1,14 @@
-"""A USD layer over a scene or an object with the settings of the Newton simulator.
+"""USD layer with settings for the Newton simulator, which is composed over a scene or an object.
 
-With Newton's defaults a resting cup sinks by millimeters: contacts are detected up to 10 cm away,
-which crowds out those that touch; each pair of convex pieces has one contact point; and friction
-and joint limits are soft. The `mjc:` attributes are for Newton's MuJoCo solver; register them
-before reading by `newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. Newton reads
-joint states only from its own attributes.
+With Newton's default settings, a settled cup sinks by millimeters:
+
+- contacts are detected at distances of up to 10 cm, and they displace contacts that touch;
+- each pair of convex pieces has one contact point;
+- friction and joint limits are soft.
+
+The `mjc:` attributes are for Newton's MuJoCo solver. Before you load the file, register these
+attributes with `newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. Newton reads
+joint positions only from `newton:` attributes.
 """
 
 import math
@@ -21,11 +25,11 @@ from .write_usd import new_stage, set_float
 GAP_M = 0.002
 """Distance below which contacts are detected [m]."""
 SOLREF = (0.02, 1.0)
-"""Time constant [s] and damping ratio of joint limits: MuJoCo's default."""
+"""Time constant [s] and damping ratio of joint limits; the values are MuJoCo's defaults."""
 
 
 def opened_layer(described: SceneSpec | ObjectSpec) -> tuple[Usd.Stage, Sdf.Path]:
-    """Return an empty layer over a scene or object, and the path of its default prim."""
+    """Return an empty layer for a scene or an object, and the path of the layer's default prim."""
     stage = new_stage()
     base = Sdf.Path(f"/{described.name}")
     stage.SetDefaultPrim(stage.OverridePrim(base))
@@ -33,11 +37,12 @@ def opened_layer(described: SceneSpec | ObjectSpec) -> tuple[Usd.Stage, Sdf.Path
 
 
 def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
-    """Return the layer as text.
+    """Return the layer as USDA text.
 
     Args:
         described: the scene or object.
-        file: name of the USD file below the layer, in the same folder, such as "scene.usdc".
+        file: name of the USD file in the same folder that the layer overrides, for example
+            "scene.usdc".
     """
     stage, base = opened_layer(described)
     if isinstance(described, SceneSpec):
@@ -59,19 +64,19 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
 def placed_objects(
     described: SceneSpec | ObjectSpec, base: Sdf.Path
 ) -> list[tuple[Sdf.Path, SceneObject]]:
-    """Return the objects of a scene, or one object alone, with the paths of their prims."""
+    """Return the objects of a scene, or a single object, with the paths of their prims."""
     if isinstance(described, ObjectSpec):
         return [(base, SceneObject(name=described.name, spec=described))]
     return [(base.AppendChild(item.name), item) for item in described.objects]
 
 
 def moves(item: SceneObject) -> bool:
-    """Return True if an object or a part of it can move."""
+    """Return True if an object or one of its parts can move."""
     return not item.static or any(joint.type != "fixed" for joint in item.spec.joints)
 
 
 def laid_over(stage: Usd.Stage, file: str) -> str:
-    """Return the text of a layer of overrides over a file in the same folder."""
+    """Return the USDA text of a layer that overrides a file in the same folder."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     layer.subLayerPaths.append(f"./{file}")
@@ -79,7 +84,7 @@ def laid_over(stage: Usd.Stage, file: str) -> str:
 
 
 def collider_paths(base: Sdf.Path, spec: ObjectSpec) -> Iterator[tuple[Sdf.Path, Piece]]:
-    """Yield the path of every collider of an object at `base`, and its convex piece."""
+    """Yield the path and the convex piece of each collider of the object at `base`."""
     for part in spec.parts:
         folder = base.AppendPath(f"links/{part.name}/collisions")
         for geom in part.geoms:
@@ -89,7 +94,7 @@ def collider_paths(base: Sdf.Path, spec: ObjectSpec) -> Iterator[tuple[Sdf.Path,
 
 
 def add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Set the contact gap of the colliders of an object at `base`."""
+    """Set the contact gap of all colliders of the object at `base`."""
     for path, _ in collider_paths(base, spec):
         prim = stage.OverridePrim(path)
         prim.AddAppliedSchema("NewtonCollisionAPI")
@@ -97,7 +102,7 @@ def add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
 
 
 def _add_stops(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Make joint limits as stiff as in MuJoCo; Newton's own yield by centimeters."""
+    """Make joint limits as stiff as in MuJoCo; Newton's default limits yield by centimeters."""
     for joint in spec.joints:
         if joint.type in ("prismatic", "revolute"):
             prim = stage.OverridePrim(base.AppendPath(f"joints/{joint.name}"))

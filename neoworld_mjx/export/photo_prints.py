@@ -1,4 +1,8 @@
-"""Print the photograph on the objects of a scene, as one material for each part and material."""
+"""Projects the photograph onto the objects of a scene.
+
+A projected image is called a print. Each combination of a part and a material gets a separate
+material with a print.
+"""
 
 from typing import cast
 
@@ -27,43 +31,46 @@ from ..spec.pose import Pose, matrix
 from .link_frames import unused
 
 Alignment = tuple[NDArray, NDArray]
-"""Stretch [2] and shift [2] px: pixel x of the rendered image is at stretch * x + shift in the
-photograph, both in pixels of the camera."""
+"""Stretch, shape [2], and shift [px], shape [2]: pixel x of the rendered image corresponds to pixel
+stretch * x + shift of the photograph. Both pixels are in units of the rendered image's pixels."""
 IDENTICAL: Alignment = (np.ones(2), np.zeros(2))
 PRINTED = "_photo"
 """Suffix of the names of printed materials."""
 LONGEST_PX = 512
-"""Longer side of the image of a print [px]."""
+"""Maximum of the longer side of a print's image [px]."""
 LEAST_PX = 6
-"""Smallest side of a window that is printed [px]."""
+"""Minimum width and height of a window that is printed [px]."""
 MOST_STRETCH = 1.6
-"""Largest ratio of an object's box in the photograph to its box in the rendered image."""
+"""Largest factor by which the sizes of an object's 2D box in the photograph and of its box in the
+rendered image may differ."""
 MOST_PX = 640
-"""Longer side at which the scene and the photograph are compared [px]."""
+"""Maximum of the longer side of the rendered image [px]."""
 FLAT_SHARE = 0.5
-"""Fraction of a material's visible pixels that flat faces cover at least, if only they count."""
+"""Minimum fraction of a material's visible pixels that must be on flat faces, if only flat faces
+are printed."""
 PHOTO_SCALE = 2
-"""Pixels of the photograph for one of the rendered scene, where prints are made by default."""
+"""Ratio of the photograph's size to the rendered image's size, if only flat faces are printed."""
 MARGIN = 0.006
-"""Width of the border around other objects that a print leaves out, over the picture's width."""
+"""Width of the border around other objects that a print excludes, relative to the width of the
+rendered image, if only flat faces are printed."""
 DEPTH_PX = 256
-"""Longer side of the depth image of a print [px]."""
+"""Approximate longer side of the depth image of a print [px]."""
 EDGE_STEPS = 2
-"""Pixels of the depth image by which it is continued beyond the edges of surfaces. Otherwise, the
-last pixels of a surface would have no depth to be compared with, and no print."""
+"""Number of pixels by which the depth image is continued beyond the edges of surfaces. Otherwise,
+the outermost pixels of a surface would have no depth to compare with, and would not be printed."""
 
 
 def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpec:
-    """Return a scene with the photograph printed on the surfaces that its camera saw.
+    """Return a scene with the photograph printed on the surfaces that its camera sees.
 
-    A print on a flat face fits wherever the face is, even where the shape is simplified; a print on
-    a round surface shows what is behind it at its edges.
+    A print on a flat face is correct even if the shape of the object is simplified. A print on a
+    round surface shows the background at the edges of the surface.
 
     Args:
         scene: the scene, with the camera of the photograph.
-        photo: the photograph, uint8 [h, w, 3].
-        flat: True prints on large flat faces only, and only on objects whose place agrees with
-            their 2D box; their materials then have the mean color of the print.
+        photo: the photograph, uint8, shape [h, w, 3].
+        flat: if True, print only on large flat faces, and only on objects whose pose agrees with
+            their 2D box. The printed materials get the mean color of the print.
 
     Raises:
         SpecError: the scene has no camera.
@@ -92,7 +99,7 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
         covered = np.zeros(mask.shape, bool)
         for name, other in alignments.items():
             if name != item.name:
-                # Exclude the pixels where the aligned photograph shows another object.
+                # Exclude pixels at which the aligned photograph shows another object.
                 s, t = other or IDENTICAL
                 covered |= _warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
         if flat and covered.any():
@@ -112,7 +119,7 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
 
 
 def _reduced(camera: Camera) -> tuple[Camera, float]:
-    """Return a camera with a smaller image, and its size relative to the first."""
+    """Return a camera whose image is at most `MOST_PX` wide and high, and its scale factor."""
     scale = min(1.0, MOST_PX / max(camera.width, camera.height_px))
     size = {"width": round(scale * camera.width), "height_px": round(scale * camera.height_px)}
     return camera.model_copy(update=size), scale
@@ -131,11 +138,12 @@ def _printed_object(
     Args:
         spec: the object.
         camera: the camera.
-        filled: the photograph, aligned with the object and filled around it.
-        depth: depths at which the camera saw the object [m], inf elsewhere.
-        places: poses of the parts in the world.
-        printable: pixels of each (part, material) that is printed and takes its mean color there;
-            None prints on all, which keep their colors.
+        filled: the photograph, aligned with the object and filled in around the object.
+        depth: depth of the object in each pixel [m], inf where the camera sees no printable face.
+        places: poses of the parts in the world frame, by part name.
+        printable: mask of the pixels of each (part, material) that is printed; the printed material
+            gets the mean color of these pixels. If None, all materials are printed and keep their
+            colors.
     """
     materials, parts = list(spec.materials), []
     for part in spec.parts:
@@ -172,7 +180,10 @@ def _printed_object(
 def _flat_materials(
     item: SceneObject, view: RenderedImage, faces: NDArray
 ) -> dict[tuple[str, str], NDArray]:
-    """Return the pixels of each (part, material) that the camera sees mostly on flat faces."""
+    """Return a mask of the pixels on flat faces of each (part, material) that is mostly flat.
+
+    A material is mostly flat if more than `FLAT_SHARE` of its visible pixels are on flat faces.
+    """
     index = {name: g for g, name in enumerate(view.geom_names)}
     ids: dict[tuple[str, str], list[int]] = {}
     for part in item.spec.parts:
@@ -189,7 +200,7 @@ def _flat_materials(
 
 
 def _mean_color(photo: NDArray, mask: NDArray) -> tuple[float, float, float]:
-    """Return the mean display color [3] of a mask's pixels, averaged in linear light."""
+    """Return the mean color of a mask's pixels as display RGB, averaged in linear light."""
     size = mask.shape[::-1]
     small = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.BOX))
     red, green, blue = np.round(displayed(linear(small[mask] / 255.0).mean(axis=0)), 4).tolist()
@@ -201,15 +212,17 @@ def _alignment(
 ) -> Alignment | None:
     """Return the alignment of an object's rendered pixels with the photograph.
 
-    It maps the object's box in the rendered image to its box in the photograph, by the sides that
-    lie within the image. It is the identity for objects without a box or cut off by the image along
-    both axes, and None if the sizes of the boxes are very different.
+    The alignment maps the object's box in the rendered image to its 2D box in the photograph; only
+    sides of the boxes that are not at the border of the image are used. The alignment is the
+    identity if the object is not visible, has no 2D box, is a support of the environment, or is cut
+    off by the border along both axes. The result is None if the sizes of the boxes differ by more
+    than the factor `MOST_STRETCH`.
 
     Args:
         mask: pixels of the object in the rendered image.
         item: the object.
         camera: camera of the rendered image.
-        reduced: size of the rendered image relative to that of the object's box.
+        reduced: size of the rendered image relative to the image in which 2D boxes are given.
     """
     box = item.box2d
     if box is None or item.environment or not mask.any():
@@ -235,13 +248,13 @@ def _alignment(
 
 
 def _warped(image: NDArray, alignment: Alignment, scale: NDArray, *, smooth: bool) -> NDArray:
-    """Return an image warped such that pixel stretch * x + shift moves to pixel x.
+    """Return an image that is warped so that pixel stretch * x + shift moves to pixel x.
 
     Args:
-        image: array [h, w] or [h, w, 3].
-        alignment: stretch and shift, in pixels of the camera.
-        scale: pixels of the image for one pixel of the camera [2].
-        smooth: True for bicubic interpolation.
+        image: the image, shape [h, w] or [h, w, 3].
+        alignment: stretch and shift, in pixels of the rendered image.
+        scale: width and height of `image` relative to the rendered image, shape [2].
+        smooth: if True, interpolate bicubically; otherwise, take the nearest pixel.
     """
     (sx, sy), (tx, ty) = alignment[0].tolist(), (alignment[1] * scale).tolist()
     resampling = Image.Resampling.BICUBIC if smooth else Image.Resampling.NEAREST
@@ -253,10 +266,10 @@ def _warped(image: NDArray, alignment: Alignment, scale: NDArray, *, smooth: boo
 
 
 def _filled(photo: NDArray, mask: NDArray) -> NDArray:
-    """Fill pixels outside an object's mask with the nearest pixel inside."""
+    """Replace each pixel outside an object's mask by the nearest pixel inside the mask."""
     height, width = photo.shape[:2]
     mask = np.asarray(Image.fromarray(mask).resize((width, height), Image.Resampling.NEAREST))
-    # Pixels at the edge of the object also show the background.
+    # Pixels at the edge of an object also show the background.
     inner = ndimage.binary_erosion(mask, iterations=max(1, width // 400))
     mask = inner if inner.any() else mask
     _, nearest = cast(
@@ -269,7 +282,10 @@ def _filled(photo: NDArray, mask: NDArray) -> NDArray:
 def _window(
     camera: Camera, spec: ObjectSpec, part: PartSpec, material: str, place: Pose
 ) -> tuple[float, float, float, float] | None:
-    """Return the window (x0, y0, x1, y1) that a material of a part covers in the image [px]."""
+    """Return the window (x0, y0, x1, y1) that a material of a part covers in the image [px].
+
+    The result is None if the window is narrower or lower than `LEAST_PX`.
+    """
     corners = []
     for geom in part.geoms:
         if geom.role != "collision" and geom.material == material:
@@ -329,7 +345,7 @@ def _print(
 
 
 def _widened(levels: NDArray, width: int) -> NDArray:
-    """Continue positive levels by the nearest ones, by a number of pixels."""
+    """Extend the region of positive levels by `width` pixels, with the nearest positive levels."""
     distance, (rows, columns) = cast(
         tuple[NDArray, NDArray],
         ndimage.distance_transform_edt(levels == 0, return_indices=True),

@@ -1,4 +1,4 @@
-"""Read scenes of meshes from glTF 2.0 files: meters, Y up; objects are groups of nodes."""
+"""Reads scenes of meshes from glTF 2.0 files (meters, Y up), whose objects are groups of nodes."""
 
 import io
 from pathlib import Path
@@ -16,13 +16,14 @@ from .read_mesh_scene import MAX_NODES, MeshScene, mesh_object, rows_of
 
 SUFFIXES = (".glb", ".gltf")
 Z_UP = Y_UP.T
-"""Transform from glTF's axes (Y up) to those with Z up."""
+"""Transform from glTF's axes (Y up) to axes with Z up."""
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Transform from OpenCV's camera axes to glTF's (x right, y up, z back), and back."""
+"""Transform from OpenCV's camera axes to glTF's camera axes (x right, y up, z back). The inverse is
+the same matrix."""
 
 
 def read_gltf(path: Path) -> MeshScene:
-    """Read a glTF file, text or binary: its objects, and the first perspective camera.
+    """Read the objects and the first perspective camera of a text or binary glTF file.
 
     Raises:
         SpecError: the file is broken or hostile.
@@ -42,9 +43,7 @@ def read_gltf(path: Path) -> MeshScene:
         )
         count = len(loaded.graph.nodes_geometry)
         if not 0 < count <= MAX_NODES:
-            raise SpecError(
-                f"{path} has {count} meshes in its nodes; expected are 1 to {MAX_NODES}"
-            )
+            raise SpecError(f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}")
         posed = [_parts_below(loaded, node) for node in _object_nodes(loaded.graph)]
         camera = _gltf_camera(gltf_document(data))
     except SpecError:
@@ -60,10 +59,11 @@ def read_gltf(path: Path) -> MeshScene:
 
 
 def _object_nodes(graph: Any) -> list[Any]:
-    """Return the nodes of a glTF scene that are objects, with all meshes below them.
+    """Return the nodes of a glTF scene that represent objects.
 
-    From the file's roots, the search descends while a level has a single node with meshes in or
-    below it, and that node has none of its own and does not say in its extras that it is an object.
+    An object consists of all meshes in and below its node. The search for objects begins at the
+    root of the scene. It descends by a level as long as the current level has a single node with
+    meshes in or below it, this node has no mesh, and the node's extras do not mark it as an object.
     """
     meshed, tree = set(graph.nodes_geometry), graph.transforms
     level = [graph.base_frame]
@@ -76,18 +76,19 @@ def _object_nodes(graph: Any) -> list[Any]:
 
 
 class NodeParts(NamedTuple):
-    """Content of the nodes below one, in its frame with Z up."""
+    """Meshes and colliders in and below a node, in the node's frame with Z up."""
 
     name: str
     transform: NDArray
-    """Affine transform [4, 4] to the world."""
+    """Affine transform from the node's frame to the world frame, shape [4, 4]."""
     meshes: list[Triangles]
+    """Meshes of the nodes that are not in `shapes`."""
     shapes: list[LinkShape]
-    """Colliders that links state, and the meshes of those links."""
+    """Colliders that the nodes of links state, and the meshes of these links."""
 
 
 def _parts_below(loaded: Any, node: Any) -> NodeParts:
-    """Return the meshes of a node of a trimesh scene, and the colliders stated below it."""
+    """Return the meshes and the stated colliders in and below a node of a trimesh scene."""
     tree = loaded.graph.transforms
     transform = Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
     parts = NodeParts(str(node), transform, [], [])
@@ -106,13 +107,13 @@ def _parts_below(loaded: Any, node: Any) -> NodeParts:
 
 
 def _meshes(loaded: Any, frame: Any, nodes: set[Any]) -> list[Triangles]:
-    """Return the meshes of some nodes in the frame of another, with Z up."""
+    """Return the meshes of `nodes` in the frame of the node `frame`, with Z up."""
     meshes = []
     for node in (n for n in loaded.graph.nodes_geometry if n in nodes):
         transform, key = loaded.graph.get(node, frame_from=frame)
         mesh = loaded.geometry[key]
-        if hasattr(mesh, "faces"):  # Points and lines are no objects.
-            # A copy, as several nodes may have the same mesh; one that mirrors turns its faces.
+        if hasattr(mesh, "faces"):  # Points and lines are skipped.
+            # Copy, because nodes may share a mesh, and a mirroring transform reverses its faces.
             placed = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
             meshes.append(
                 merged_vertices(np.array(placed.vertices, float), np.array(placed.faces, np.int64))
@@ -126,9 +127,11 @@ def _is_rigid(transform: NDArray) -> bool:
 
 
 def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
-    """Return the first perspective camera of a glTF file, if its node neither mirrors nor is flat.
+    """Return the first perspective camera of a glTF file.
 
-    trimesh reads only cameras that are children of the root and state their aspect ratio.
+    The result is None if there is no such camera, or if the transform of its node mirrors or is
+    singular. trimesh itself reads only cameras that are children of the root and state their aspect
+    ratio.
     """
     nodes = document.get("nodes", [])
     parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
@@ -143,14 +146,14 @@ def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
         u, scales, v = np.linalg.svd(pose[:3, :3])
         if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
             return None
-        # Scales of the nodes above the camera have no effect on what it sees.
+        # Scales of the nodes above the camera do not change the camera's image.
         pose[:3, :3] = u @ v
         return FileCamera(pose=rows_of(pose), fovy=float(lens["yfov"]))
     return None
 
 
 def _local(node: dict[str, Any]) -> NDArray:
-    """Return the transform [4, 4] of a glTF node to its parent: a matrix, or T R S."""
+    """Return the transform from a glTF node (with a matrix, or T R S) to its parent, [4, 4]."""
     from trimesh import transformations
 
     if "matrix" in node:

@@ -1,11 +1,13 @@
-"""Read scenes of posed meshes: files of poses next to meshes or models.
+"""Reads scenes of posed meshes or models from a file that lists their poses.
 
     poses.json               {"frame": "world", "objects": {"mug": {"file": "mug.obj",
                               "pose": [[4x4]], "fixed": false}}, "camera": {...}}
 
-Poses map the frame of an object's file to the world (Z up), or with "frame": "camera" to that of a
-camera (OpenCV: x right, y down, z ahead); "up" then gives the vertical in it, by which the scene is
-leveled. The camera of the photograph is that frame, or "camera" (`FileCamera`).
+A pose is the transform from the frame of an object's file to the world frame (Z up). With "frame":
+"camera", it is the transform to the frame of the photograph's camera (OpenCV: x right, y down, z
+ahead). In this case, "up" states the vertical in the camera's frame, the scene is rotated so that
+"up" becomes z, and "camera" (`FileCamera`) states only intrinsics. Otherwise, "camera" states the
+pose and the intrinsics of the photograph's camera.
 """
 
 from collections.abc import Sequence
@@ -33,24 +35,26 @@ MAX_NODES = 500
 
 
 class MeshScene(NamedTuple):
-    """Objects of a scene file, at their poses in its world, Z up."""
+    """Objects of a scene file, with their poses in the world frame (Z up)."""
 
     objects: list[Assembly]
     camera: FileCamera | None = None
-    """Camera of the photograph, if the file states one."""
+    """Camera of the photograph; None if the file states no camera."""
     in_camera: bool = False
-    """True if the poses were in the camera's frame: the world is that of the leveled camera."""
+    """True if the poses in the file are in the camera's frame. The world frame is then the result
+    of `file_camera.leveled`."""
 
 
 class PosedFile(Spec):
-    """An object of a poses.json."""
+    """Object in a poses.json."""
 
     file: Annotated[str, Field(max_length=400)]
     """Mesh, URDF, MJCF or USD file below the folder of poses.json."""
     pose: tuple[Row, Row, Row, Row]
-    """Transform of the file's frame, row by row; it may scale a mesh."""
+    """Rows of the transform from the file's frame, [4, 4]; it must be rigid unless the file is a
+    mesh."""
     fixed: bool = False
-    """True if the object cannot move."""
+    """If True, the object cannot move."""
 
 
 class PosedFiles(Spec):
@@ -58,7 +62,7 @@ class PosedFiles(Spec):
 
     frame: Literal["world", "camera"] = "world"
     up: Vec3 = (0.0, -1.0, 0.0)
-    """The vertical in the camera's frame; of no effect in the world."""
+    """Vector that points up in the camera's frame; ignored if `frame` is "world"."""
     camera: FileCamera | None = None
     objects: dict[str, PosedFile] = Field(min_length=1, max_length=MAX_NODES)
 
@@ -67,14 +71,14 @@ def read_mesh_scene(path: Path) -> MeshScene:
     """Read a poses.json.
 
     Raises:
-        SpecError: the file is broken or hostile, or names a file that is missing or lies outside
+        SpecError: the file is broken or hostile, or refers to a file that is missing or outside
             its folder.
     """
     posed = read_model(path, PosedFiles, SpecError, "a list of posed files")
     in_camera, camera, into = posed.frame == "camera", posed.camera, np.eye(4)
     if in_camera:
         if camera is not None and camera.pose is not None:
-            raise SpecError(f'{path}: poses with "frame": "camera" leave the camera no "pose"')
+            raise SpecError(f'{path}: with "frame": "camera", "camera" cannot have a "pose"')
         try:
             into = leveled(np.array(posed.up))
         except SpecError as error:
@@ -85,7 +89,7 @@ def read_mesh_scene(path: Path) -> MeshScene:
 
 
 def rows_of(matrix: NDArray) -> tuple[Row, Row, Row, Row]:
-    """Return a matrix [4, 4] row by row."""
+    """Return the rows of a 4 x 4 matrix as tuples."""
     a, b, c, d = (tuple(row) for row in np.asarray(matrix, float).tolist())
     return a, b, c, d
 
@@ -98,14 +102,15 @@ def mesh_object(
     fixed: bool = False,
     shapes: Sequence[LinkShape] = (),
 ) -> Assembly:
-    """Return meshes at a pose as one rigid object; its colliders are derived from them.
+    """Return meshes at a pose as one rigid object, whose colliders are derived from the meshes.
 
     Args:
-        name: of the object.
-        meshes: vertices and faces in the object's own frame.
-        transform: affine transform [4, 4] to the world; its scale is applied to the meshes.
-        fixed: True if the object cannot move.
-        shapes: further shapes in its own frame; the transform is rigid then.
+        name: name of the object.
+        meshes: vertices and faces of each mesh, in the object's frame.
+        transform: affine transform from the object's frame to the world frame, shape [4, 4]; its
+            scale is applied to the meshes.
+        fixed: if True, the object cannot move.
+        shapes: further shapes in the object's frame; they require a rigid transform.
 
     Raises:
         SpecError: the transform is singular or not affine.
@@ -113,16 +118,16 @@ def mesh_object(
     linear = transform[:3, :3]
     u, scales, v = np.linalg.svd(linear)
     if not np.isfinite(transform).all() or not np.allclose(transform[3], [0, 0, 0, 1]):
-        raise SpecError(f"object {name[:40]}: its pose is no affine transform")
+        raise SpecError(f"object {name[:40]}: its pose is not an affine transform")
     if scales[-1] < 1e-6 * max(scales[0], 1e-6):
         raise SpecError(f"object {name[:40]}: its pose is singular")
-    # A pose that mirrors keeps the rotation's handedness; the mesh is mirrored.
+    # If the transform mirrors, the mesh is mirrored, and the rotation remains proper.
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
     turn = 1 if np.linalg.det(linear) > 0 else -1
     local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
-    # Beside stated shapes, meshes without colliders collide themselves.
+    # If there are other shapes, colliders are not derived, so the meshes themselves collide.
     role = "both" if shapes else "visual"
     visuals = [LinkShape(triangles, np.eye(4), role) for triangles in local]
     link = Link("body", [*shapes, *visuals], visual_only=not shapes)

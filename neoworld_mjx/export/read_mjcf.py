@@ -1,6 +1,7 @@
-"""Read the mechanisms of an MJCF file with MuJoCo's compiler.
+"""Reads the mechanisms of an MJCF file with MuJoCo's compiler.
 
-MuJoCo resolves defaults, classes, includes and units; the compiled model is read at qpos0.
+MuJoCo resolves defaults, classes, includes and units. The mechanisms are those of the compiled
+model at qpos0.
 """
 
 import os
@@ -41,7 +42,7 @@ _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
     _G.mjGEOM_CYLINDER: lambda x, y, z: Cylinder(radius=x, height=2 * y),
     _G.mjGEOM_ELLIPSOID: lambda x, y, z: Ellipsoid(radii=(x, y, z)),
 }
-"""Shapes by type of geom, from the three numbers of geom_size."""
+"""Function that returns a shape from the three numbers of geom_size, by type of geom."""
 LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
 """Sections that are not imported, except for the keyframe "start"."""
 
@@ -50,25 +51,25 @@ def read_mjcf(path: Path) -> Mechanism:
     """Read an MJCF file with one object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
-            folder, MuJoCo refuses it, or it has several objects.
+        SpecError: the file is broken or hostile, refers to a file that is missing or outside its
+            folder, is refused by MuJoCo, or contains several objects.
     """
     assemblies = read_mjcf_scene(path)
     if len(assemblies) != 1:
         names = ", ".join(assembly.path for assembly in assemblies)
-        raise SpecError(f"{path}: an object is one body of the world; the file has {names}")
+        raise SpecError(f"{path}: expected one child of the world body; the file has {names}")
     return transformed(assemblies[0].mechanism, assemblies[0].frame)
 
 
 def read_mjcf_scene(path: Path) -> list[Assembly]:
-    """Read all child bodies of the world of an MJCF file, each in the frame of its root body.
+    """Read each child of the world body of an MJCF file as an object, in the frame of the child.
 
-    Joint values are those of the keyframe "start", which exported scenes have. Geoms of the world
-    body, such as a floor, are skipped.
+    If the file has a keyframe "start", as exported scenes do, poses and joint positions are those
+    of the keyframe. Geoms of the world body, such as a floor, are skipped.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
-            folder, MuJoCo refuses it, or no body has geometry.
+        SpecError: the file is broken or hostile, refers to a file that is missing or outside its
+            folder, or is refused by MuJoCo, or no body has geometry.
     """
     path = Path(path)
     notes: list[str] = []
@@ -99,7 +100,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         assembly = Assembly(_name(model, top), local, frame, fixed)
         result.append(_without_prefix(_with_start_state(model, top, assembly)))
     if not result:
-        raise SpecError(f"{path}: an object is one body of the world; the file has none")
+        raise SpecError(f"{path}: the world body has no child with geometry")
     return result
 
 
@@ -113,7 +114,7 @@ def _mechanism(
     massless: set[str],
     notes: list[str],
 ) -> Mechanism:
-    """Describe a body and its descendants in the frame of the world."""
+    """Return the mechanism of a body and its descendants, in the world frame."""
     bodies = [top]
     for b in range(top + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
@@ -161,7 +162,7 @@ def _body_joints(model: mujoco.MjModel, body: int) -> range:
 
 
 def _with_start_state(model: mujoco.MjModel, top: int, assembly: Assembly) -> Assembly:
-    """Set the pose and joint state of an object to those of the keyframe "start"."""
+    """Set the pose and joint positions of an object to those of the keyframe "start", if any."""
     keys = [k for k in range(model.nkey) if model.key(k).name == START]
     if not keys:
         return assembly
@@ -174,7 +175,7 @@ def _with_start_state(model: mujoco.MjModel, top: int, assembly: Assembly) -> As
         if joint.type == "ball":
             vector = np.zeros(3)
             mujoco.mju_quat2Vel(vector, qpos[address : address + 4], 1.0)
-            # The axes of the body at rest are those of the object.
+            # With all joints at zero, the axes of the body are those of the object.
             values = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", vector, strict=True)}
         else:
             values = {joint.name: float(qpos[address] - model.qpos0[address])}
@@ -211,7 +212,7 @@ def _link(
         if link.name in stated:
             mass, moments = stated[link.name]
         link.mass, link.com = mass, data.xipos[b].copy()
-        with np.errstate(invalid="ignore", over="ignore"):  # ObjectSpec refuses such values.
+        with np.errstate(invalid="ignore", over="ignore"):  # ObjectSpec refuses NaN and inf.
             link.inertia = turn @ np.diag(moments) @ turn.T
     return link
 
@@ -253,7 +254,7 @@ def _shape(
 def _joints(
     path: Path, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], notes: list[str]
 ) -> tuple[list[JointSpec], list[Link]]:
-    """Return the joints of bodies, and links between the joints of bodies that have several."""
+    """Return the joints of bodies, and the links that separate several joints of one body."""
     mimics = _mimics(model, notes)
     joints: list[JointSpec] = []
     inner: list[Link] = []
@@ -301,12 +302,12 @@ def _joint(
         upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
         return unchecked_joint(**common, **losses, type="ball", upper=upper)
     if kind == _J.mjJNT_FREE:
-        raise SpecError(f"{path}: joint {name} is free within the object")
+        raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
     rest = float(model.qpos0[model.jnt_qposadr[j]])
     lower, upper = (float(v) - rest for v in model.jnt_range[j])
     if slide and not limited:
-        raise SpecError(f"{path}: joint {name} slides and states no limits")
+        raise SpecError(f"{path}: joint {name} is a slide joint without limits")
     if limited and not lower < upper:
         raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (
@@ -328,7 +329,7 @@ def _joint(
 
 
 def _mimics(model: mujoco.MjModel, notes: list[str]) -> dict[int, Mimic]:
-    """Return the mimics of joints by index, from joint equalities."""
+    """Return the `Mimic` of each joint that a joint equality constrains, by joint index."""
     mimics: dict[int, Mimic] = {}
     for e in range(model.neq):
         if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or model.eq_obj2id[e] < 0:

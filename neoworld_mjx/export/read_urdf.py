@@ -1,4 +1,4 @@
-"""Read the mechanism of a URDF file with yourdfpy."""
+"""Reads the mechanism of a URDF file with yourdfpy."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -42,8 +42,8 @@ def read_urdf(path: Path) -> Mechanism:
     """Read a URDF file and its meshes.
 
     Raises:
-        SpecError: the file is broken or hostile, names a mesh that is missing or lies outside its
-            folder, or its links do not form a tree.
+        SpecError: the file is broken or hostile, refers to a mesh that is missing or outside the
+            file's folder, or its links do not form a tree.
     """
     import yourdfpy
 
@@ -104,7 +104,7 @@ def read_urdf(path: Path) -> Mechanism:
 
 
 def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
-    """Convert fixed links without shape, mass or child to sites."""
+    """Convert each fixed link that has no shape, mass or child to a site."""
     parents = {joint.parent for joint in joints}
     sites = []
     for joint in [joint for joint in joints if joint.type == "fixed"]:
@@ -118,7 +118,10 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
 
 
 def _frictions(root: ET.Element) -> dict[str, list[float]]:
-    """Return the friction of the collisions of each link: Drake's, else PyBullet's, else 0.5."""
+    """Return the friction coefficient of each <collision> of each link, by link name.
+
+    The coefficient is Drake's, if the file states it; otherwise PyBullet's; otherwise 0.5.
+    """
     result = {}
     for link in root.findall("link"):
         of_link = link.find("contact/lateral_friction")
@@ -161,7 +164,11 @@ def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: lis
 
 
 def _is_ball(*hinges: JointSpec) -> bool:
-    """Return True if three hinges form a ball: one anchor, axes x, y, z, equal losses, limits."""
+    """Return True if three hinges are those that `write_urdf` writes for a ball joint.
+
+    The hinges have the same anchor, damping and friction, the axes x, y and z, and symmetric limits
+    that follow from the limit of the first hinge.
+    """
     first, middle, _ = hinges
     same = all(
         h.type == first.type
@@ -180,7 +187,7 @@ def _is_ball(*hinges: JointSpec) -> bool:
 
 
 def _check_names(path: Path, root: ET.Element) -> None:
-    """Refuse missing names, on which yourdfpy fails without a useful message."""
+    """Refuse a file with missing names, for which yourdfpy raises no useful error."""
     for joint in root.findall("joint"):
         for end in ("parent", "child"):
             element = joint.find(end)
@@ -244,7 +251,10 @@ def _color(material: Any, colors: dict[str, Any]) -> tuple[float, float, float, 
 def _shapes(
     path: Path, item: Any, link: str, frame: NDArray, clearance: float, notes: list[str]
 ) -> list[tuple[BaseShape | Triangles, NDArray]]:
-    """Return the unshrunk shapes of a visual or collision, and their poses in the root frame."""
+    """Return the shapes of a visual or a collision, and their poses in the root frame.
+
+    If `clearance` is not 0, the shapes are enlarged to the size before `write_urdf` shrank them.
+    """
     placed = frame if item.origin is None else frame @ item.origin
     geometry = item.geometry
 
@@ -287,9 +297,9 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
         if limit is not None and limit.lower is not None and limit.upper is not None:
             lower, upper = float(limit.lower), float(limit.upper)
         elif kind == "prismatic":
-            raise SpecError(f"{path}: joint {joint.name} is prismatic and states no limits")
+            raise SpecError(f"{path}: joint {joint.name} is prismatic and has no limits")
         else:
-            notes.append(f"joint {joint.name} states no limits: imported as continuous")
+            notes.append(f"joint {joint.name} has no limits: imported as continuous")
             kind = "continuous"
         if lower > upper:
             raise SpecError(f"{path}: joint {joint.name}: lower {lower:g} is above upper {upper:g}")
@@ -329,6 +339,6 @@ def _not_negative(source: Any, name: str, joint: str, notes: list[str]) -> float
 
 
 def _positive(source: Any, name: str) -> float | None:
-    """Return a limit, or None: some files write 0 for a limit that they do not state."""
+    """Return a limit, or None if it is missing or 0, as some files write for no limit."""
     value = getattr(source, name, None)
     return float(value) if value and value > 0 and math.isfinite(value) else None

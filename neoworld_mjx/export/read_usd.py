@@ -1,7 +1,8 @@
-"""Read the mechanisms of a USD file, from UsdGeom, UsdShade and UsdPhysics.
+"""Reads the mechanisms of a USD file that uses UsdGeom, UsdShade and UsdPhysics.
 
-A file may hold several objects, in any unit and with Y or Z up. Rigid bodies that joints connect
-form one object, which is read with its joints at 0 whatever the state of the stage.
+A file may contain several objects, in any unit and with Y or Z up. Rigid bodies that are connected
+by joints form one object. The mechanism of an object has all joints at zero, independent of the
+joint positions in the stage.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,9 +22,9 @@ from .read_usd_joints import JointReader, StageJoint, is_joint, rotation_matrix,
 from .read_usd_shapes import shapes_of, unscaled
 
 WORLD = "world"
-"""Name of the link that represents the world, in an object that a joint attaches to it."""
+"""Name of the link that represents the world if a movable joint attaches an object to the world."""
 MAX_NUMBER = 1e6
-"""Largest coordinate [m] and scale."""
+"""Largest absolute value of the entries of a transform: coordinates [m] and scales."""
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _LEFT_OUT = ("PointInstancer", "BasisCurves", "NurbsPatch", "Points", "Skeleton", "Volume", "Plane")
 
@@ -32,30 +33,31 @@ _LEFT_OUT = ("PointInstancer", "BasisCurves", "NurbsPatch", "Points", "Skeleton"
 class _Body:
     prim: Usd.Prim
     raw: NDArray
-    """Transform of the prim to the world, with scale [4, 4] m."""
+    """Transform from the prim's frame to the world frame, with scale [m], shape [4, 4]."""
     rigid: NDArray
-    """The same without scale."""
+    """Transform from the prim's frame to the world frame, without scale [m], shape [4, 4]."""
     dynamic: bool
     shapes: list[tuple[Usd.Prim, NDArray]] = field(default_factory=list)
 
 
 def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
-    """Read a USD file with one object, or the object of one prim.
+    """Read the only object in a USD file, or the only object in a prim of the file.
 
     Args:
         path: the file.
-        object_path: prim of the object, whose frame is used; None reads the default prim or the
-            whole stage in the frame of the world.
+        object_path: path of the prim; the mechanism is in the frame of the prim. If None, the
+            default prim (the whole stage if there is none) is read, and the mechanism is in the
+            world frame.
 
     Raises:
-        SpecError: the file is broken or hostile, the prim does not exist, or it has several
+        SpecError: the file is broken or hostile, the prim does not exist, or there are several
             objects.
     """
     return one_object(path, open_usd(Path(path)), object_path)
 
 
 def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> Mechanism:
-    """Read the one object of a stage; see `read_usd`."""
+    """Read the only object of a stage; see `read_usd`."""
     assemblies = read_assemblies(path, stage, object_path, apart=False)
     objects = [assembly for assembly in assemblies if not assembly.bare]
     if len(objects) > 1:
@@ -70,15 +72,17 @@ def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> 
 def read_assemblies(
     path: Path, stage: Usd.Stage, object_path: str | None = None, *, apart: bool
 ) -> list[Assembly]:
-    """Read all objects of a stage with their poses.
+    """Read all objects of a stage, with their poses.
 
     Args:
         path: the stage's file, for messages.
         stage: the stage.
-        object_path: prim whose descendants are read; None reads the default prim or all.
-        apart: True to use the frame of each object's prim, and to read geometry without a rigid
-            body as one static object for each child of the top prim; False to use the frame of
-            `object_path`, or of the world, and to read such geometry as one object.
+        object_path: path of the top prim, whose descendants are read. If None, the top prim is the
+            default prim, or the root of the stage if there is no default prim.
+        apart: if True, each object is in the frame of the object's prim, and geometry without a
+            rigid body becomes one static object for each child of the top prim. If False, objects
+            are in the frame of `object_path` (the world frame if it is None), and geometry without
+            a rigid body becomes a single static object.
 
     Raises:
         SpecError: the prim does not exist, no geometry is visible or collides, or a mesh is
@@ -87,7 +91,7 @@ def read_assemblies(
     try:
         return _assemblies(path, stage, object_path, apart)
     except (Tf.ErrorException, TypeError, ValueError, AttributeError, OverflowError) as error:
-        # An attribute can have another type in the file than in its schema.
+        # The type of an attribute in the file may differ from the type in the schema.
         message = " ".join(str(error).split())[:200]
         raise SpecError(f"{path} has a value that USD's schemas do not allow: {message}") from None
 
@@ -154,7 +158,7 @@ def _assemblies(
 
 
 def gravity_of(stage: Usd.Stage) -> Vec3 | None:
-    """Return the gravity that a stage states [m/s^2], Z up, or None."""
+    """Return the gravity of a stage in axes with Z up [m/s^2], or None if it states no gravity."""
     upright, _ = _world(stage)
     for prim in stage.Traverse():
         if prim.IsA(UsdPhysics.Scene):
@@ -170,14 +174,18 @@ def gravity_of(stage: Usd.Stage) -> Vec3 | None:
 
 
 def _world(stage: Usd.Stage) -> tuple[NDArray, NDArray]:
-    """Return the rotation of the stage's axes to Z up, and the transform to meters [4, 4]."""
+    """Return the transform from the stage's axes to axes with Z up, without and with units.
+
+    The first transform is a rotation; the second one also converts lengths to meters. Both have
+    shape [4, 4].
+    """
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     upright = _Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
     return upright, upright @ np.diag([unit, unit, unit, 1.0])
 
 
 def _rigid(raw: NDArray) -> NDArray:
-    """Return a transform without its scale."""
+    """Return the rigid part of a transform."""
     rigid, scale = unscaled(raw, even=True)
     if scale is None:
         u, _, v = np.linalg.svd(raw[:3, :3])
@@ -186,7 +194,7 @@ def _rigid(raw: NDArray) -> NDArray:
 
 
 def _bodies(prims: list[Usd.Prim], placed: Callable[[Usd.Prim], NDArray]) -> dict[str, _Body]:
-    """Return rigid bodies by path, including the static links that `write_scene_usd` writes."""
+    """Return the rigid bodies by path, including static links as `write_scene_usd` writes them."""
     result = {}
     for prim in prims:
         dynamic = prim.HasAPI(UsdPhysics.RigidBodyAPI)
@@ -210,7 +218,7 @@ def _owner(prim: Usd.Prim, bodies: dict[str, _Body]) -> _Body | None:
 
 
 def _group(prim: Usd.Prim, top: Usd.Prim) -> Usd.Prim:
-    """Return the child of the top prim that is or contains a prim."""
+    """Return the child of the top prim that is the given prim or contains it."""
     while prim != top and prim.GetParent() != top and not prim.GetParent().IsPseudoRoot():
         prim = prim.GetParent()
     return prim
@@ -219,7 +227,7 @@ def _group(prim: Usd.Prim, top: Usd.Prim) -> Usd.Prim:
 def _components(
     bodies: dict[str, _Body], stage_joints: list[StageJoint]
 ) -> Iterator[tuple[list[str], list[StageJoint]]]:
-    """Yield the connected components of bodies, with the joints of each."""
+    """Yield the bodies and the joints of each object, that is, of each connected component."""
     group = {name: name for name in bodies}
 
     def head(name: str) -> str:
@@ -254,7 +262,7 @@ def _assembly(
     frame: NDArray,
     reader: JointReader,
 ) -> Assembly:
-    """Describe the bodies of one object, with all joints at 0, in its frame."""
+    """Return the object that bodies form, in the frame `frame` with all joints at zero."""
     into = np.linalg.inv(frame)
     moved = next((joint for joint in world_joints if not joint.fixed), None)
     root = _root(bodies, names, stage_joints, world_joints)
@@ -263,7 +271,7 @@ def _assembly(
     links: dict[str, Link] = {}
     used: list[StageJoint] = []
     if moved is not None:
-        # A joint that moves in the world makes the world the base link.
+        # If a movable joint attaches the object to the world, the world is the base link.
         rest = {"": np.eye(4), moved.child: moved.parent_frame @ np.linalg.inv(moved.child_frame)}
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
         used.append(moved)
@@ -338,7 +346,7 @@ def _title(prim: Usd.Prim, names: list[str]) -> str:
 
 
 def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
-    """Return unique link names, after the prims, by path."""
+    """Return a unique link name for each prim, derived from the prim's name, by path."""
     result: dict[str, str] = {}
     for prim in prims:
         taken = set(result.values()) | {WORLD}
@@ -347,7 +355,11 @@ def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
 
 
 def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
-    """Describe a body; `into` [4, 4] transforms the world to the mechanism's frame at rest."""
+    """Return the link of a body.
+
+    The transform `into`, shape [4, 4], moves the body from its pose in the world frame to its pose
+    in the mechanism's frame with all joints at zero.
+    """
     link = Link(name, origin=(into @ body.rigid)[:3, 3])
     for prim, raw in body.shapes:
         link.shapes += shapes_of(prim, into @ raw, notes)
@@ -368,7 +380,8 @@ def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[s
     if (link.com is None) != (link.inertia is None):
         stated = "center of mass" if link.inertia is None else "inertia"
         notes.append(
-            f"{body.prim.GetPath()} states only its {stated}: both are derived from its colliders"
+            f"{body.prim.GetPath()} states only its {stated}: center of mass and inertia are "
+            "derived from its colliders"
         )
     return link
 
@@ -378,7 +391,7 @@ _READ_FULLY = ("GeomModelAPI", "CollectionAPI", "NodeDefAPI", "ShadowAPI")
 
 
 def _unread(prims: list[Usd.Prim]) -> list[str]:
-    """Describe the data of prims that are not imported."""
+    """Return notes on the cameras, textures and schemas that are not imported."""
     notes = []
     if any(prim.IsA(UsdGeom.Camera) for prim in prims):
         notes.append("cameras are not imported")

@@ -1,7 +1,7 @@
-"""Read joints of USD stages: their frames, and attributes of UsdPhysics, Newton, PhysX and MuJoCo.
+"""Reads joints of USD stages: frames, and attributes of UsdPhysics, Newton, PhysX and MuJoCo.
 
-The axis of a joint is the axis of its token, rotated by its local rotation. Limits and drives use
-degrees.
+The axis of a joint is the coordinate axis that the joint's axis token names, rotated by the joint's
+local rotation. Limits and drives of angular joints are in degrees.
 """
 
 import math
@@ -24,17 +24,17 @@ _FREEDOMS = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class StageJoint:
-    """A joint between two bodies, given by their paths; an empty parent is the world."""
+    """Joint between two bodies, which are given by their paths. An empty parent is the world."""
 
     prim: Usd.Prim
     parent: str
     child: str
     parent_frame: NDArray
-    """Frame of the joint in its parent [4, 4] m."""
+    """Pose of the joint's frame in the parent's frame [m], shape [4, 4]."""
     child_frame: NDArray
-    """Frame of the joint in its child [4, 4] m."""
+    """Pose of the joint's frame in the child's frame [m], shape [4, 4]."""
     reversed: bool = False
-    """True if the file names the parent as body 1."""
+    """True if the parent is body 1 in the file."""
 
     @property
     def name(self) -> str:
@@ -60,7 +60,7 @@ def is_joint(prim: Usd.Prim) -> bool:
 
 
 def kind_of(prim: Usd.Prim) -> tuple[str, str]:
-    """Return the type of a joint and its axis token.
+    """Return the type and the axis token of a joint.
 
     The type is "prismatic", "revolute" (with or without limits), "ball", "fixed" or "other".
     """
@@ -95,13 +95,14 @@ class JointReader:
     path: Path
     stage: Usd.Stage
     placed: Callable[[Usd.Prim], NDArray]
-    """Returns the transform of a prim to the world, with scale [4, 4] m."""
+    """Function that returns the transform from a prim's frame to the world frame, with scale [m],
+    shape [4, 4]."""
     bodies: dict[str, NDArray]
-    """Rigid transforms of the bodies to the world [4, 4] m, by path."""
+    """Rigid transform from each body's frame to the world frame [m], shape [4, 4], by path."""
     notes: list[str]
 
     def stage_joints(self, prims: list[Usd.Prim]) -> list[StageJoint]:
-        """Return the joints that connect a body to another or to the world, in file order."""
+        """Return the joints that connect a body to another body or to the world, in file order."""
         result = []
         for prim in prims:
             schema = UsdPhysics.Joint(prim)
@@ -117,7 +118,9 @@ class JointReader:
             joint = joint if second else joint.flipped()
             if kind_of(prim)[0] == "other":
                 outcome = "imported as fixed" if joint.parent else "skipped"
-                self.notes.append(f"joint {prim.GetName()} has several freedoms: {outcome}")
+                self.notes.append(
+                    f"joint {prim.GetName()} has several degrees of freedom: {outcome}"
+                )
                 if not joint.parent:
                     continue
             result.append(joint)
@@ -126,7 +129,7 @@ class JointReader:
     def _side(
         self, body: Usd.Relationship, position: Usd.Attribute, rotation: Usd.Attribute
     ) -> tuple[str, NDArray]:
-        """Return the body at one side of a joint, and the frame of the joint in it."""
+        """Return the path of the body on one side of a joint, and the joint's frame in the body."""
         targets = body.GetTargets()
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if targets and not prim:
@@ -149,15 +152,16 @@ class JointReader:
         return name, np.linalg.inv(self.bodies[name]) @ frame
 
     def joint(self, joint: StageJoint, frame: NDArray, labels: dict[str, str]) -> JointSpec:
-        """Convert a joint of the stage.
+        """Convert a joint of the stage to a `JointSpec`.
 
         Args:
             joint: the joint in the stage.
-            frame: frame of the joint at rest, in that of the mechanism [4, 4] m.
-            labels: link names by path of the body.
+            frame: pose of the joint's frame in the mechanism's frame, with all joints at zero [m],
+                shape [4, 4].
+            labels: link name of each body, by path of the body.
 
         Raises:
-            SpecError: it is a slide without limits.
+            SpecError: the joint is prismatic and has no limits.
         """
         kind, token = kind_of(joint.prim)
         common: dict[str, Any] = {
@@ -175,7 +179,7 @@ class JointReader:
         lower, upper = _limits(joint.prim, slide, token)
         limited = math.isfinite(lower) and math.isfinite(upper) and lower <= upper
         if slide and not limited:
-            raise SpecError(f"{self.path}: joint {joint.name} slides and states no limits")
+            raise SpecError(f"{self.path}: joint {joint.name} is prismatic and has no limits")
         if limited and lower == upper:
             self.notes.append(f"joint {joint.name} has no range: imported as fixed")
             return unchecked_joint(**common, type="fixed")
@@ -203,7 +207,10 @@ class JointReader:
     def _drive_fields(
         self, joint: StageJoint, units: "_Units", instance: str
     ) -> dict[str, float | None]:
-        """Return damping, stiffness and effort: those of the drive, else MuJoCo's attributes."""
+        """Return the damping, stiffness and effort of a joint's drive.
+
+        If the drive states no damping or stiffness, MuJoCo's attribute is used.
+        """
         drive = UsdPhysics.DriveAPI.Get(joint.prim, instance)
         applied = bool(drive) and joint.prim.HasAPI(UsdPhysics.DriveAPI, instance)
         damping = _value(drive.GetDampingAttr()) if applied else 0.0
@@ -220,7 +227,7 @@ class JointReader:
         }
 
     def _mimic(self, prim: Usd.Prim, unit: float, reversed_: bool) -> Mimic | None:
-        """Return the mimic of a joint from Newton's attributes, else from PhysX's."""
+        """Return the `Mimic` of a joint from Newton's attributes or, without them, from PhysX's."""
         sign = -1.0 if reversed_ else 1.0
         leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
         factor, offset = _number(prim, "newton:mimicCoef1"), _number(prim, "newton:mimicCoef0")
@@ -245,17 +252,18 @@ class _Units:
     """Factors that convert a stage's joint quantities to SI units."""
 
     position: float
-    """[m] or [rad]."""
+    """Factor of positions, limits and velocities: the unit of length [m], or a degree [rad]."""
     per: float
-    """Divisor of damping and stiffness: 1 for a slide, which states them per meter of the stage."""
+    """Divisor of damping and stiffness: a degree [rad] for a hinge. It is 1 for a slide, because
+    the unit of length cancels."""
     strength: float
     """Factor of damping, stiffness and effort."""
     length: float
-    """Factor of effort: the unit of length for a slide, else 1."""
+    """Further factor of effort: the unit of length for a slide, otherwise 1."""
 
 
 def _ball_fields(prim: Usd.Prim) -> dict[str, float]:
-    """Return the upper limit and the losses of a ball joint."""
+    """Return the upper limit, damping, stiffness, armature and friction of a ball joint."""
     cone = UsdPhysics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get()
     upper = math.radians(min(max(cone, 0.0), 180.0)) if math.isfinite(cone) else 0.0
     fields = ("damping", "stiffness", "armature", "friction")
@@ -267,7 +275,7 @@ def _ball_fields(prim: Usd.Prim) -> dict[str, float]:
 
 
 def _passive_fields(prim: Usd.Prim, instance: str) -> dict[str, float]:
-    """Return armature and dry friction, which UsdPhysics has no attributes for."""
+    """Return the armature and dry friction of a joint, for which UsdPhysics has no attributes."""
     physx = f"physxJointAxis:{instance}"
     return {
         "armature": _first(
@@ -290,7 +298,13 @@ def _velocity(prim: Usd.Prim, instance: str, unit: float) -> float | None:
 
 
 def state_of(joint: JointSpec, motion: NDArray) -> dict[str, float]:
-    """Return the values of a joint, given the displacement [4, 4] m of its child from rest."""
+    """Return the position of a joint by name; components below 1e-7 are omitted.
+
+    Args:
+        joint: the joint.
+        motion: rigid displacement of the child, relative to the parent, from the pose with all
+            joints at zero, in the mechanism's frame [m], shape [4, 4].
+    """
     if joint.type == "fixed":
         return {}
     if joint.type == "prismatic":
@@ -309,7 +323,7 @@ def state_of(joint: JointSpec, motion: NDArray) -> dict[str, float]:
 
 
 def _limits(prim: Usd.Prim, slide: bool, token: str) -> tuple[float, float]:
-    """Return the limits of a joint, in degrees or the stage's unit of length."""
+    """Return the limits of a joint, in degrees or in the stage's unit of length."""
     if prim.IsA(UsdPhysics.PrismaticJoint) or prim.IsA(UsdPhysics.RevoluteJoint):
         typed = UsdPhysics.PrismaticJoint(prim) if slide else UsdPhysics.RevoluteJoint(prim)
         low, high = typed.GetLowerLimitAttr().Get(), typed.GetUpperLimitAttr().Get()
@@ -325,7 +339,7 @@ def _value(attribute: Usd.Attribute) -> float:
 
 
 def _number(prim: Usd.Prim, *names: str) -> float | None:
-    """Return the value of the first named attribute that is a finite number."""
+    """Return the first of the named attributes that is a finite number; None if there is none."""
     for name in names:
         value = prim.GetAttribute(name).Get()
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
@@ -334,12 +348,12 @@ def _number(prim: Usd.Prim, *names: str) -> float | None:
 
 
 def _first(prim: Usd.Prim, *names: str) -> float:
-    """Return the value of the first named attribute that is a finite number, at least 0."""
+    """Return the result of `_number`, or 0 if the result is None or negative."""
     return max(_number(prim, *names) or 0.0, 0.0)
 
 
 def rotation_matrix(quat: Gf.Quatf | None) -> NDArray:
-    """Return a quaternion of USD as a matrix [3, 3]; the identity if it is missing or zero."""
+    """Return the rotation matrix [3, 3] of a USD quaternion, or the identity if None or zero."""
     if quat is None or quat.GetLength() < 1e-6:
         return np.eye(3)
     return np.array(Gf.Matrix3d(Gf.Quatd(quat.GetNormalized()))).T

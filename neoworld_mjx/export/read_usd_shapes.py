@@ -1,4 +1,4 @@
-"""Read shapes and materials of USD prims."""
+"""Reads shapes and materials of USD prims."""
 
 import math
 from collections.abc import Iterator
@@ -17,18 +17,18 @@ from .load_mesh import merged_vertices
 from .mechanism import GRAY, LinkShape, Triangles
 
 SECTORS = 32
-"""Number of sides of the prism that approximates a cone, or a cylinder that is not round."""
+"""Number of sides of the prism that approximates a cone or an elliptic cylinder."""
 _TURNS = {
     "X": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
     "Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "Z": np.eye(3),
 }
-"""Rotations of z to an axis token."""
+"""Rotation from the z axis to the axis that a token names, by token."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Appearance and friction of a prim, and name and density of its material."""
+    """Appearance and friction of a prim, and the name and density of its material."""
 
     rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
@@ -39,12 +39,13 @@ class Look:
 
 
 def shapes_of(prim: Usd.Prim, frame: NDArray, notes: list[str]) -> Iterator[LinkShape]:
-    """Yield the shape of a prim if it is visible or collides.
+    """Yield the shape of a prim if the prim is visible or collides.
 
     Args:
         prim: a geometric prim.
-        frame: transform of the prim, with scale, to the mechanism's frame [4, 4] m.
-        notes: list to which notes of omissions are added.
+        frame: transform from the prim's frame, with scale, to the mechanism's frame [m], shape
+            [4, 4].
+        notes: list to which notes on omissions are appended.
 
     Raises:
         SpecError: a mesh is broken or too large.
@@ -72,10 +73,13 @@ def shapes_of(prim: Usd.Prim, frame: NDArray, notes: list[str]) -> Iterator[Link
 
 
 def _collision(prim: Usd.Prim) -> tuple[bool, bool, str]:
-    """Return True if a prim collides, True if as its hull, and its bounding approximation or ""."""
+    """Return whether a prim collides, whether its hull is the collider, and its bounding shape.
+
+    The bounding shape is "boundingCube", "boundingSphere" or, for any other approximation, "".
+    """
     holder = prim
     while holder and not holder.HasAPI(UsdPhysics.CollisionAPI):
-        # The collision API may be on a group above the mesh.
+        # CollisionAPI may be applied to a group above the mesh.
         holder = holder.GetParent()
         if (
             holder
@@ -139,7 +143,7 @@ def _shape(
 
 
 def _prism(low: float, height: float, high: float, turn: NDArray, scale: NDArray) -> Triangles:
-    """Return the scaled triangles of a cone or cylinder about the origin of its prim."""
+    """Return the triangles of a scaled cone or cylinder whose center is the prim's origin."""
     angle = np.arange(SECTORS) * 2 * np.pi / SECTORS
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     rows = [np.column_stack([r * ring, np.full(SECTORS, z)])
@@ -180,9 +184,9 @@ def _mesh(prim: Usd.Prim, frame: NDArray) -> tuple[Triangles, NDArray] | None:
 
 
 def _triangles(name: str, counts: NDArray, index: NDArray, vertices: int) -> NDArray:
-    """Split polygons into fans of triangles [f, 3]."""
+    """Split polygons into fans of triangles, shape [f, 3]."""
     if counts.min() < 0 or counts.sum() != len(index):
-        raise SpecError(f"{name}: its faces have {len(index)} indices and count {counts.sum()}")
+        raise SpecError(f"{name}: its faces need {counts.sum()} indices, but it has {len(index)}")
     if index.min() < 0 or index.max() >= vertices:
         raise SpecError(f"{name}: a face refers to a missing vertex")
     first = np.cumsum(counts) - counts
@@ -192,11 +196,14 @@ def _triangles(name: str, counts: NDArray, index: NDArray, vertices: int) -> NDA
 
 
 def unscaled(frame: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | None]:
-    """Split a transform [4, 4] into a rigid one and scales along its axes [3]; None if sheared.
+    """Split a transform into a rigid transform, shape [4, 4], and scales along its axes, shape [3].
+
+    The scales are None if the transform is sheared or singular.
 
     Args:
-        frame: the transform.
-        even: True for shapes with mirror symmetry; else mirrored transforms count as sheared.
+        frame: the transform, shape [4, 4].
+        even: if True, the shape has mirror symmetry, so the transform may mirror. If False, a
+            transform that mirrors is treated as sheared.
     """
     linear = frame[:3, :3]
     scale = np.linalg.norm(linear, axis=0)
@@ -215,7 +222,7 @@ def unscaled(frame: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | 
 
 
 def _bounding_shape(mesh: Triangles, place: NDArray, kind: str) -> tuple[BaseShape, NDArray]:
-    """Return the bounding box or sphere of a mesh."""
+    """Return the bounding box or sphere of a mesh, and the pose of this shape."""
     low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
     shift = np.eye(4)
     shift[:3, 3] = (low + high) / 2
@@ -245,7 +252,7 @@ def _look(prim: Usd.Prim, collides: bool) -> Look:
 
 
 def _stated(material: UsdShade.Material | None, name: str) -> float | None:
-    """Return an unconnected numeric input of a material's surface, or None."""
+    """Return a numeric input of a material's surface; None if it is missing or connected."""
     surface = material.ComputeSurfaceSource()[0] if material else None
     stated = surface.GetInput(name) if surface else None
     value = stated.Get() if stated and not stated.HasConnectedSource() else None
@@ -261,7 +268,7 @@ def _own_color(prim: Usd.Prim) -> tuple[float, float, float, float]:
 
 
 def _bound_color(material: UsdShade.Material | None) -> tuple[float, float, float, float] | None:
-    """Return the unconnected color of a material's surface, or None."""
+    """Return the display color of a material's surface; None if it is missing or connected."""
     if not material:
         return None
     surface = material.ComputeSurfaceSource()[0] or material.ComputeSurfaceSource(["mdl"])[0]
@@ -277,7 +284,7 @@ def _bound_color(material: UsdShade.Material | None) -> tuple[float, float, floa
 
 
 def _displayed(linear: object, alpha: float) -> tuple[float, float, float, float]:
-    """Return a linear color as a display color with alpha."""
+    """Convert a linear color to a display color with alpha."""
     color = displayed(np.array(list(linear), float))  # pyright: ignore[reportArgumentType]
     red, green, blue = (round(float(v), 5) for v in color)
     return red, green, blue, min(max(alpha, 0.0), 1.0)

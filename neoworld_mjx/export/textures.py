@@ -1,7 +1,8 @@
-"""Textures of an object and their coordinates on its surfaces.
+"""Textures of an object, and texture coordinates on the object's surfaces.
 
-Tiles of a pattern are projected along the axis nearest to a triangle's normal, in the part's frame,
-as in rendered images. Prints of the photograph are projected from its camera.
+As in rendered images, the tiles of a pattern are projected onto a triangle along the axis of the
+part's frame that is nearest to the triangle's normal. Prints of the photograph are projected from
+the photograph's camera.
 """
 
 import numpy as np
@@ -16,9 +17,9 @@ from .link_frames import link_origins
 from .load_mesh import merged_vertices
 
 TEXTURES = "textures"
-"""Folder of the textures, relative to the object."""
+"""Folder of the textures, relative to the object's folder."""
 PRINT_CUTS = 24
-"""Least ratio of a printed surface's bounding-box diagonal to its longest triangle edge."""
+"""Minimum ratio of a printed surface's bounding-box diagonal to its longest triangle edge."""
 
 
 def is_textured(spec: ObjectSpec, geom: GeomSpec) -> bool:
@@ -32,12 +33,12 @@ def has_texture(material: Material) -> bool:
 
 
 def texture_file(material: Material) -> str:
-    """Return the path of a material's texture, relative to the object."""
+    """Return the path of a material's texture, relative to the object's folder."""
     return f"{TEXTURES}/{material.name}.png"
 
 
 def texture_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the textures of an object's visible geoms: path relative to the object, and PNG."""
+    """Return the PNG textures of an object's visible geoms, by path relative to its folder."""
     textured = [
         spec.material(geom.material)
         for part in spec.parts
@@ -51,17 +52,18 @@ def texture_files(spec: ObjectSpec) -> dict[str, bytes]:
 def visible_surface(
     spec: ObjectSpec, part: str, geom: GeomSpec
 ) -> tuple[NDArray, NDArray, NDArray | None]:
-    """Return the visible surface of a geom, in its own frame.
+    """Return the visible surface of a geom, in the geom's frame.
 
     Args:
         spec: the object.
-        part: the part that the geom belongs to.
+        part: name of the part that the geom belongs to.
         geom: the geom.
 
     Returns:
-        Vertices [vertex, 3] m, faces [face, 3], and texture coordinates of every corner
-        [face, 3, 2], v upwards, or None without a texture. Printed faces are subdivided, as texture
-        coordinates follow the photograph's perspective only at corners.
+        Vertices [m], shape [vertex, 3]; faces, shape [face, 3]; and texture coordinates of each
+        corner, with v upward, shape [face, 3, 2], or None if the geom has no texture. Printed faces
+        are subdivided, because texture coordinates follow the photograph's perspective only at
+        corners.
     """
     vertices, faces = geom.shape.surface()
     if not is_textured(spec, geom):
@@ -80,7 +82,7 @@ def visible_surface(
 
 
 def _subdivided(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Subdivide triangles until no edge is longer than a fraction of the diagonal."""
+    """Subdivide triangles until no edge is longer than the diagonal divided by `PRINT_CUTS`."""
     from trimesh.remesh import subdivide_to_size
 
     longest = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PRINT_CUTS
@@ -103,7 +105,7 @@ def _tiled(
     wide, tall = tile_size(pattern)
     u = corners[rows, :, first] / wide
     v = corners[rows, :, second] / tall
-    # Offsets by whole tiles change nothing, and small numbers keep more digits in renderers.
+    # Offsets by whole tiles have no effect, and renderers represent small numbers more precisely.
     u = u - np.floor(u.min(axis=1, keepdims=True))
     v = v - np.floor(v.min(axis=1, keepdims=True))
     return np.round(np.stack([u, v], axis=-1), 6)

@@ -1,6 +1,6 @@
-"""USD materials: UsdPreviewSurface, UsdUVTexture for textured ones, and friction.
+"""USD materials: a UsdPreviewSurface, a UsdUVTexture if the material is textured, and friction.
 
-Textured materials also state their plain color, which the connection to the texture overrides.
+A textured material also states its plain color, which the connection to the texture overrides.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ PRINT_NOTE = "window of the photograph, with its light, projected on what faced 
 
 
 def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material, *, textured: bool) -> None:
-    """Define a material, for rendering and for physics, below an object's looks.
+    """Define a material, for rendering and for physics, below the prim `looks` of an object.
 
     Args:
         stage: the stage.
         base: path of the object.
         material: the material.
-        textured: True if the object has a texture file of the material.
+        textured: if True, the object has a texture file for the material.
     """
     path = base.AppendChild("looks").AppendChild(material.name)
     look = UsdShade.Material.Define(stage, path)
@@ -54,7 +54,7 @@ def add_label(prim: Usd.Prim, kind: str, *labels: str) -> None:
 def _add_texture(
     stage: Usd.Stage, path: Sdf.Path, diffuse: UsdShade.Input, material: Material
 ) -> None:
-    """Connect a color to a texture, which repeats if it is a pattern."""
+    """Connect the input of a color to a material's texture, which repeats if it is a pattern."""
     reader = UsdShade.Shader.Define(stage, path.AppendChild("coordinates"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -75,7 +75,7 @@ def _add_texture(
 def bind_material(
     stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
 ) -> None:
-    """Bind a material to a prim, for physics only if it is a collider."""
+    """Bind a material to a prim; if `physical`, bind the material only for physics."""
     prim = stage.GetPrimAtPath(path)
     look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
     UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_color(material)]))

@@ -1,6 +1,6 @@
-"""Write Drake model directives of a scene: the URDF files of its objects, posed.
+"""Writes Drake model directives of a scene, which add the URDF file of each object at its pose.
 
-They refer to files by a package, whose package.xml is in the same folder:
+The directives refer to files by the name of a package, whose package.xml is in the same folder:
 
     parser.package_map().AddPackageXml("out/package.xml")
     parser.AddModels("out/scene.dmd.yaml")
@@ -24,7 +24,7 @@ def directives_text(scene: SceneSpec) -> str:
 
 
 def package_text(scene: SceneSpec) -> str:
-    """Return the package.xml that names the folder of a scene."""
+    """Return the text of package.xml, which declares the folder of a scene as a package."""
     return (
         '<?xml version="1.0"?>\n<package format="2">\n'
         f" <name>{scene.name}</name>\n <version>0.0.0</version>\n"

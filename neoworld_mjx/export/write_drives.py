@@ -1,7 +1,7 @@
-"""Write drives.xml: MJCF that includes a scene or object and adds position actuators to its joints.
+"""Writes drives.xml, an MJCF file that includes a scene or an object and adds position actuators.
 
-The actuators are in a separate file since they resist motion: a drawer without them can be pulled
-out by its handle.
+The actuators are in a separate file because they resist motion. Without actuators, a gripper can
+pull a drawer open by the drawer's handle.
 """
 
 import xml.etree.ElementTree as ET
@@ -15,35 +15,35 @@ from ..spec import ObjectSpec, SceneSpec
 from .meshes import numbers
 
 RATE = 20.0
-"""Natural frequency of a drive [rad/s], at critical damping."""
+"""Natural frequency of a critically damped drive [rad/s]."""
 GROUP = 1
 """Actuator group of the drives; <option actuatorgroupdisable="1"/> disables them."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A position actuator of a joint, critically damped."""
+    """Critically damped position actuator of a joint, or of one axis of a ball joint."""
 
     name: str
-    """Name of the joint in the model, followed by -x, -y or -z for one axis of a ball."""
+    """Name of the joint in the model, followed by -x, -y or -z for an axis of a ball joint."""
     joint: str
     """Name of the joint in the model."""
     axis: str
-    """x, y or z for a ball joint, else empty."""
+    """x, y or z for a ball joint, otherwise empty."""
     stiffness: float
-    """[N m/rad or N/m]"""
+    """Stiffness [N m/rad or N/m]."""
     damping: float
-    """[N m s/rad or N s/m]"""
+    """Damping [N m s/rad or N s/m]."""
     range: tuple[float, float] | None
     """Range of targets [rad or m]; None if unlimited."""
     effort: float | None
-    """Largest force [N m or N]; None if unlimited."""
+    """Maximum torque or force [N m or N]; None if unlimited."""
     held: float
-    """Target that holds the joint at its position in the scene."""
+    """Target that holds the joint at its position in the scene [rad or m]."""
 
 
 def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
-    """Return the drives of all joints: three for a ball, none for a mimic joint."""
+    """Return the drives of all joints: three for a ball joint, none for a fixed or mimic joint."""
     if isinstance(scene, SceneSpec):
         objects = [(item.name, item.spec) for item in scene.objects]
     else:
@@ -79,9 +79,9 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
 
 
 def drives_text(scene: SceneSpec | ObjectSpec, file: str) -> str | None:
-    """Return MJCF that includes a file and adds position actuators, or None without joints.
+    """Return MJCF that includes a file and adds position actuators; None if there are no drives.
 
-    The keyframe "held" has the joint state of the scene and the targets that hold it.
+    The keyframe "held" contains the state of the scene and the targets that hold this state.
 
     Args:
         scene: the scene or object in the included file.
@@ -130,7 +130,7 @@ def _add_drive(actuators: ET.Element, drive: Drive) -> None:
 
 
 def _held(qpos: np.ndarray, axis: str) -> float:
-    """Return the target that holds a joint at its position."""
+    """Return the target that holds a joint, or one axis of a ball joint, at its position."""
     if not axis:
         return float(qpos[0])
     vector = np.zeros(3)
@@ -139,5 +139,5 @@ def _held(qpos: np.ndarray, axis: str) -> float:
 
 
 def round_to(value: float, digits: int) -> float:
-    """Round to significant digits."""
+    """Round a value to `digits` significant digits."""
     return float(f"{value:.{digits}g}")

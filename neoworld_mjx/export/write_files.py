@@ -1,4 +1,4 @@
-"""Write objects and scenes in every format of a run folder."""
+"""Writes objects and scenes in all formats that a run folder contains."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from .write_usd import usd_text
 
 
 def object_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the files of one object: path relative to its folder, and content."""
+    """Return the contents of an object's files, by path relative to the object's folder."""
     return {
         **encoded(
             {
@@ -35,7 +35,7 @@ def object_files(spec: ObjectSpec) -> dict[str, bytes]:
 
 
 def scene_files(scene: SceneSpec) -> dict[str, bytes]:
-    """Return the files of a scene and its objects: path relative to its folder, and content."""
+    """Return the contents of the files of a scene and its objects, by relative path."""
     result = encoded(
         {
             "scene.json": scene.to_json(),
@@ -56,7 +56,7 @@ def scene_files(scene: SceneSpec) -> dict[str, bytes]:
 def export_object(spec: ObjectSpec, out: Path) -> None:
     """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml, meshes/, textures/ into a folder.
 
-    Existing files are replaced; the same object gives the same bytes.
+    Existing files are replaced. The same object always gives the same bytes.
 
     Raises:
         ExportError: a file cannot be written.
@@ -67,9 +67,9 @@ def export_object(spec: ObjectSpec, out: Path) -> None:
 def export_scene(scene: SceneSpec, out: Path) -> None:
     """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
 
-    scene.xml refers to the meshes and textures of the objects, scene.usda to their USD files.
-    drives.xml, written if there are joints, adds actuators to scene.xml. Objects are written at
-    their final size.
+    scene.xml refers to the meshes and textures of the objects, and scene.usda refers to the USD
+    files of the objects. If there are joints to drive, drives.xml is also written; it adds
+    actuators to scene.xml. Objects are written at their final size.
 
     Raises:
         ExportError: a file cannot be written.
@@ -78,12 +78,12 @@ def export_scene(scene: SceneSpec, out: Path) -> None:
 
 
 def encoded(files: dict[str, str | None]) -> dict[str, bytes]:
-    """Encode texts as UTF-8; skip those that are None."""
+    """Encode contents as UTF-8, and omit files whose content is None."""
     return {path: text.encode() for path, text in files.items() if text is not None}
 
 
 def write_all(files: dict[str, bytes], out: Path) -> None:
-    """Write files, given by their paths relative to a folder, through no link.
+    """Write files, given by paths relative to a folder, without following symbolic links.
 
     Raises:
         ExportError: a file cannot be written.

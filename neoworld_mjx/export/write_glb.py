@@ -1,6 +1,7 @@
-"""Write glTF of the visible surfaces of objects and scenes, and the photograph's camera.
+"""Writes glTF files of the visible surfaces of objects and scenes, and of the photograph's camera.
 
-The roots are the objects, each above its links, those above their geoms, and the camera.
+The root nodes are the objects and the camera. The children of an object's node are its links, and
+the children of a link's node are its geoms.
 """
 
 from io import BytesIO
@@ -32,9 +33,9 @@ if TYPE_CHECKING:
 
 
 def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
-    """Return a binary glTF file, Y up, in meters, with colors, gloss and textures.
+    """Return a binary glTF file (Y up, meters) with colors, metallic, roughness and textures.
 
-    A scene's camera becomes a node that looks along its -z, x right, y up, as glTF has it.
+    A scene's camera becomes a node with glTF's camera axes (x right, y up, z back).
     """
     import trimesh
     from trimesh.scene import Camera
@@ -55,7 +56,7 @@ def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
         result.camera_transform = Y_UP @ transform(scene.camera.pose())
     content = result.export(file_type="glb")
     if not isinstance(content, bytes):
-        raise ExportError("trimesh does not return binary glTF")
+        raise ExportError("trimesh did not return binary glTF")
     return content
 
 
@@ -92,7 +93,7 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
         for geom in visible or part.geoms:
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
             visuals.append(geom.pose().apply(vertices))
-            # Separate vertices for every corner keep edges sharp.
+            # Separate vertices for each corner keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
                 np.arange(faces.size).reshape(-1, 3),

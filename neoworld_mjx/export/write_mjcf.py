@@ -1,11 +1,12 @@
-"""Write MJCF of a scene or one object that compiles to exactly the same model.
+"""Writes MJCF of a scene or one object, with full precision.
 
-MuJoCo's writer rounds to six digits. This moves bodies by micrometers and can violate the triangle
-inequality of the inertia of thin plates, so this module writes every number again in full. Meshes
-are the files that URDF uses, as other readers of MJCF do not support inline vertices.
+MuJoCo's writer rounds numbers to six digits. Rounding moves bodies by micrometers, and can violate
+the triangle inequality of the inertia of thin plates. Therefore this module replaces all rounded
+numbers, so that the file compiles to exactly the same model. Meshes are the files that URDF also
+uses, because other readers of MJCF do not support inline vertices.
 
-The files can be included or attached alongside a robot: they have no settings that would conflict.
-The physics is that of the search and of the final check (`physics.mjcf`).
+The file can be included in, or attached to, the MJCF of a robot, because it has no settings that
+would conflict. The physics is that of the search and of the final check (`physics.mjcf`).
 """
 
 import math
@@ -27,10 +28,10 @@ from .mjcf_looks import add_materials, add_surfaces
 HIDDEN_GROUP = 3
 """Geom group of colliders in exported files; viewers show only groups 0 to 2 by default."""
 FLOOR_M = 5.0
-"""Half the edge of the visible floor [m]; the collider is infinite."""
+"""Half the edge length of the visible floor [m]; the floor's collider is infinite."""
 SITE_RADIUS_M = 0.005
 BACKDROP_SIZE = 2.0
-"""Half the edge of the exported backdrop, relative to its distance."""
+"""Half the edge length of the exported backdrop, relative to the distance of the backdrop."""
 
 
 def mjcf_text(
@@ -40,16 +41,17 @@ def mjcf_text(
     target: Literal["mujoco", "mjx"] = "mujoco",
     floor: float | None = None,
 ) -> str:
-    """Return the MJCF of a scene or one free object, with visual geoms; meshes are separate files.
+    """Return the MJCF of a scene or a free object, with visual geoms. Meshes are separate files.
 
-    Every joint has position and velocity sensors; every handle has a site and a touch sensor.
+    Each movable joint has position and velocity sensors, and each handle has a site and a touch
+    sensor.
 
     Args:
         scene: the scene or object.
         timestep: time step of the simulation [s].
-        target: "mjx" writes only what MJX supports: polyhedra, stored in the file, instead of
-            cylinders and ellipsoids, pyramidal contacts, and no textures.
-        floor: height of an infinite floor [m]; None omits it.
+        target: if "mjx", write only features that MJX supports: polyhedra (stored in the file)
+            instead of cylinders and ellipsoids, pyramidal friction cones, and no textures.
+        floor: height of an infinite floor [m]; if None, there is no floor.
     """
     model = to_mjspec(scene, visual=True, timestep=timestep)
     if isinstance(scene, SceneSpec):
@@ -110,7 +112,7 @@ def mjcf_text(
 
 
 def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
-    """Add sites of handles, and sensors of handles and joints."""
+    """Add sites for handles, and sensors for handles and joints."""
     existing = {site.name for site in spec.sites}
     origins = link_origins(spec)
     sensor = mujoco.mjtSensor
@@ -152,7 +154,7 @@ def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
 def _remove_settings(root: ET.Element) -> None:
     """Remove settings that could conflict with a file that includes this one."""
     for compiler in root.iter("compiler"):
-        # Every body states its inertia.
+        # All bodies state their inertia.
         compiler.attrib.pop("inertiafromgeom", None)
     for size in root.findall("size"):
         size.attrib.pop("nkey", None)
@@ -161,7 +163,7 @@ def _remove_settings(root: ET.Element) -> None:
 
 
 def _name_file(mesh: ET.Element, name: str, folders: dict[str, str]) -> None:
-    """Replace the inline data of a mesh by its file."""
+    """Replace the inline data of a mesh by the path of the mesh's file."""
     owner, geom, piece = name.split("-")
     for attribute in ("vertex", "normal", "face", "texcoord"):
         mesh.attrib.pop(attribute, None)
@@ -170,7 +172,7 @@ def _name_file(mesh: ET.Element, name: str, folders: dict[str, str]) -> None:
 
 
 def _restore_precision(root: ET.Element, model: mujoco.MjSpec) -> None:
-    """Replace the rounded numbers of an XML tree by those of its specification."""
+    """Replace the rounded numbers in an XML tree by the exact numbers of the specification."""
     option = root.find("option")
     if option is not None:
         _exact(option, model.option, {"timestep": "timestep", "gravity": "gravity"})

@@ -1,12 +1,13 @@
-"""Write USD of a scene, with posed references to its objects.
+"""Writes USD of a scene, with a posed reference to the file of each object.
 
     /<scene>/physics   gravity            /<scene>/<object>    reference to the object's file
     /<scene>/photo     the camera         /<scene>/fixtures    joints that fix objects in the world
     /<scene>/lights
 
-Static objects have colliders and no rigid bodies. Joints that are not at 0 state their position in
-PhysicsJointStateAPI, which PhysX and Newton read. If an object has a name of this list, underscores
-are appended to the latter.
+A static object without movable joints has colliders but no rigid bodies; a static object with
+movable joints is fixed in the world by a joint. A joint that is not at zero states its position in
+PhysicsJointStateAPI, which PhysX reads. If an object has the name of a prim in this list,
+underscores are appended to the name of this prim.
 """
 
 import math
@@ -21,12 +22,12 @@ from .write_usd import new_stage, quatd, quatf, set_float, set_pose
 
 
 def scene_usd_text(scene: SceneSpec) -> str:
-    """Return a scene as a USD layer in text form; objects are references to ./objects/<name>/."""
+    """Return a scene as USDA text, with references to ./objects/<name>/object.usda."""
     return scene_usd_layer(scene).ExportToString()
 
 
 def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
-    """Return a scene as a USD layer; its references are to ./objects/<name>/object.<suffix>."""
+    """Return a scene as a USD layer, with references to ./objects/<name>/object.<suffix>."""
     stage = new_stage()
     root = UsdGeom.Xform.Define(stage, f"/{scene.name}")
     stage.SetDefaultPrim(root.GetPrim())
@@ -43,7 +44,7 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
         if fixture is not None:
             UsdGeom.Scope.Define(stage, fixture.GetParentPath())
             _fasten(stage, fixture, base, item, poses[item.name])
-    # References are added to a layer without a stage, as their files do not exist yet.
+    # References are added to a layer without a stage, because the files do not exist yet.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     for item in scene.objects:
@@ -53,12 +54,15 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
 
 
 def physics_path(scene: SceneSpec) -> Sdf.Path:
-    """Return the path of the prim that holds gravity."""
+    """Return the path of the prim that states gravity."""
     return _free(scene, "physics")
 
 
 def fixture_path(scene: SceneSpec, item: SceneObject) -> Sdf.Path | None:
-    """Return the path of the joint that fixes an articulated object in the world, or None."""
+    """Return the path of the joint that fixes a static, articulated object in the world, or None.
+
+    The result is None if the object is not static or has no movable joints.
+    """
     if not (item.static and _articulated(item)):
         return None
     return _free(scene, "fixtures").AppendChild(item.name)
@@ -143,7 +147,7 @@ def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, world: Pose
 
 
 def remove_schemas(prim: Usd.Prim, *names: str) -> None:
-    """Remove applied schemas of a prim in a weaker layer."""
+    """Remove API schemas that a weaker layer applies to a prim."""
     removed = Sdf.TokenListOp()
     removed.deletedItems = list(names)
     prim.SetMetadata("apiSchemas", removed)
@@ -156,7 +160,7 @@ def _override(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName, value: object)
 def _fasten(
     stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, item: SceneObject, world: Pose
 ) -> None:
-    """Fix the root of an articulated object in the world."""
+    """Fix the root link of an articulated object in the world."""
     joint = UsdPhysics.FixedJoint.Define(stage, path)
     link = base.AppendChild(item.name).AppendChild("links").AppendChild(item.spec.root)
     joint.CreateBody1Rel().SetTargets([link])

@@ -1,8 +1,8 @@
-"""Write SDF of an object or a scene, for Gazebo and Drake.
+"""Writes SDF of an object or a scene, for Gazebo and Drake.
 
-Link frames are those of `link_frames`. All joints are at 0, as SDF can store neither joint states
-nor armature. Links, joints and frames of a model share one namespace, so a joint with the name of a
-link gets an underscore.
+Link frames are those of `link_frames`. SDF can store neither joint positions nor armature, so all
+joints are at zero. The links, joints and frames of a model share one namespace, so an underscore is
+appended to the name of a joint if a link has the same name.
 """
 
 import xml.etree.ElementTree as ET
@@ -30,7 +30,7 @@ from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origin
 from .meshes import collision_file, number, numbers, visual_file
 
 VERSION = "1.11"
-"""First SDF version with mimic joints."""
+"""First SDF version that supports mimic joints."""
 
 
 def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
@@ -79,7 +79,7 @@ def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> 
     for part, _ in spec.ordered:
         link = ET.SubElement(model, "link", name=links[part.name])
         _fill_link(link, spec, part, origins[part.name], folder)
-    # A joint's name differs from those of all links and other joints.
+    # The name of a joint must differ from the names of all links and other joints.
     names, taken = {joint.name: joint.name for joint in spec.joints}, set(links.values())
     for name in names.keys() & taken:
         names[name] = unused(f"{name}_", taken | names.keys())

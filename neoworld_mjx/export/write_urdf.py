@@ -1,18 +1,19 @@
-"""Write the URDF and SRDF of one object.
+"""Writes the URDF and SRDF of one object.
 
-Link frames are those of `link_frames`, so joint origins are plain offsets. Sites and handles are
-links without geometry. Surface friction is written for PyBullet (<contact>) and for Drake
-(`drake_contact`). URDF has no joint stiffness and armature, so these are omitted.
+Link frames are those of `link_frames`, so joint origins are offsets without rotation. Sites and
+handles are links without geometry. Surface friction is written for PyBullet (<contact>) and for
+Drake (`drake_contact`). The stiffness and armature of joints are omitted, because URDF cannot store
+them.
 
-Capsules become a cylinder and two spheres, ellipsoids become meshes. A ball joint becomes three
-hinges <joint>_x, _y, _z through one point with two links of tiny mass between them; the middle
-hinge turns at most a quarter turn. An element <neoworld>, which other readers ignore, lists the
-ball joints, the shrunk links and the limits that the object does not state, so that `read_urdf`
-restores them.
+A capsule becomes a cylinder and two spheres, and an ellipsoid becomes a mesh. A ball joint becomes
+three hinges <joint>_x, <joint>_y and <joint>_z through one point, with two links of tiny mass
+between them; the middle hinge turns by at most a quarter turn in each direction. The element
+<neoworld>, which other readers ignore, lists the ball joints, the shrunk links and the limits that
+the object does not state. `read_urdf` uses this element to restore the object.
 
-Parts that a joint connects may touch, as they never collide in MuJoCo. URDF cannot express that,
-and in some simulators a drawer jams in its case: the colliders of moving parts are shrunk by 0.5 mm
-on every side, and the SRDF lists the pairs for motion planners.
+Parts that a joint connects may touch, because they never collide in MuJoCo. URDF cannot exclude
+collisions, so in some simulators a drawer would jam in its case. Therefore the colliders of moving
+parts are shrunk by 0.5 mm on each side, and the SRDF lists the pairs for motion planners.
 """
 
 import xml.etree.ElementTree as ET
@@ -32,18 +33,18 @@ from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origin
 from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
-"""Limits that are written if the object states none, as URDF requires both."""
+"""Limits that are written if the object states none, because URDF requires both."""
 BALL_LINK = 1e-6
-"""Mass and inertia of the links within a ball joint, relative to those of its child."""
+"""Mass and inertia of the links within a ball joint, relative to those of the joint's child."""
 CLEARANCE_M, MAX_SHRINKAGE = 0.0005, 0.1
-"""Shrinkage of the colliders of moving parts on every side [m], and its limit relative to half a
-size."""
+"""Shrinkage of the colliders of moving parts on each side [m], and the maximum of this shrinkage
+relative to half the size."""
 
 
 def urdf_text(spec: ObjectSpec) -> str:
-    """Return the URDF of an object; mesh paths are relative to its folder."""
+    """Return the URDF of an object; mesh paths are relative to the object's folder."""
     robot = ET.Element("robot", {"name": spec.name, "xmlns:drake": DRAKE})
-    # By default MuJoCo drops visuals, fuses fixed links and ignores the folder of meshes.
+    # By default, MuJoCo discards visuals, fuses fixed links and ignores the folder of meshes.
     ET.SubElement(
         ET.SubElement(robot, "mujoco"),
         "compiler",
@@ -91,7 +92,7 @@ def urdf_text(spec: ObjectSpec) -> str:
 
 
 def srdf_text(spec: ObjectSpec) -> str:
-    """Return the SRDF with the pairs of links that never collide, for MoveIt and Pinocchio."""
+    """Return the SRDF, which lists pairs of links that never collide, for MoveIt and Pinocchio."""
     robot = ET.Element("robot", name=spec.name)
     links = link_names(spec)
     for one, other in excluded_pairs(spec):
@@ -104,13 +105,13 @@ def srdf_text(spec: ObjectSpec) -> str:
 def _add_frame(
     robot: ET.Element, parent: str, frame: Frame, origin: NDArray, taken: set[str]
 ) -> None:
-    """Add a site or handle: a link that has only a pose."""
+    """Add a site or a handle as a link without geometry and mass."""
     name = frame.name
     while name in taken or f"{name}_mount" in taken:
         name += "_"
     taken |= {name, f"{name}_mount"}
     inertia = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
-    # PyBullet assumes 1 kg where no mass is stated.
+    # PyBullet assumes 1 kg if no mass is stated.
     ET.SubElement(inertia, "mass", value="0")
     ET.SubElement(inertia, "inertia", dict.fromkeys(TENSOR_ENTRIES, "0"))
     joint = ET.SubElement(robot, "joint", name=f"{name}_mount", type="fixed")
@@ -163,7 +164,7 @@ def _primitive(geometry: ET.Element, piece: Piece) -> None:
 def _add_collision(
     link: ET.Element, geom: GeomSpec, k: int, piece: Piece, local: Pose, clearance: float
 ) -> list[ET.Element]:
-    """Add the elements of a piece, shrunk on every side by `clearance` [m], and return them."""
+    """Add and return the elements of a piece that is shrunk by `clearance` on each side [m]."""
     collisions: list[ET.Element] = []
 
     def geometry(name: str, origin: Pose) -> ET.Element:
@@ -198,7 +199,7 @@ def _add_collision(
 
 
 def shrunk(half: float, clearance: float) -> float:
-    """Shrink half a size [m] by a clearance, at most by a fraction of itself."""
+    """Reduce half a size by a clearance [m], but by at most a fraction `MAX_SHRINKAGE`."""
     return half - min(clearance, MAX_SHRINKAGE * half)
 
 
@@ -237,7 +238,7 @@ def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> N
 
 
 def _unstated(joint: JointSpec) -> str:
-    """Return the names of the limits that URDF requires and the object does not state."""
+    """Return the names of limits that URDF requires but the object does not state."""
     if joint.type not in ("revolute", "prismatic", "continuous"):
         return ""
     names = [name for name in ("effort", "velocity") if getattr(joint, name) is None]

@@ -1,17 +1,20 @@
-"""Write USD of one object, with UsdPhysics.
+"""Writes USD of one object, with UsdPhysics.
 
     /<object>                the object's frame; articulation root if it has joints
-    /<object>/links/<part>   rigid body, in its frame of `link_frames`
+    /<object>/links/<part>   rigid body, with the link frame of `link_frames`
         visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site or handle>
     /<object>/joints/<joint>   /<object>/looks/<material>
 
 A joint axis other than +X, +Y or +Z is written as +X with local rotations, so readers must not use
 the axis token alone. UsdPhysics uses degrees in limits and in the stiffness and damping of drives.
-Armature, dry friction, velocity limits and mimics are written in two equivalent schemas: Newton's
-(newton-usd-schemas) and PhysX's, for Isaac; both use degrees. A ball becomes a spherical joint with
-a cone limit; its damping and stiffness are custom attributes, in radians.
-Semantic labels give the class and category of the object, its parts and materials, and the purpose
-of its joints.
+
+Armature, dry friction, velocity limits and mimic joints are written in two equivalent schemas:
+Newton's (newton-usd-schemas) and PhysX's (for Isaac Sim). Both schemas use degrees. A ball joint
+becomes a spherical joint with a cone limit; the damping and stiffness of the ball joint are custom
+attributes, in radians.
+
+Semantic labels state the class and category of the object, the names of its parts and materials,
+and the purpose of its joints.
 """
 
 import math
@@ -33,16 +36,16 @@ from .usd_looks import add_label, add_material, bind_material
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 FLAT = 1e-3
-"""Angle [rad] between faces of colliders above which normals are split at their edge."""
+"""Angle between two faces of a collider above which normals are split at the common edge [rad]."""
 
 
 def usd_text(spec: ObjectSpec) -> str:
-    """Return an object, all joints at 0, as a USD layer in text form."""
+    """Return an object with all joints at zero as USDA text."""
     return usd_layer(spec).ExportToString()
 
 
 def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
-    """Return an object, all joints at 0, as a USD layer."""
+    """Return an object with all joints at zero as a USD layer."""
     stage = new_stage()
     root = UsdGeom.Xform.Define(stage, f"/{spec.name}")
     stage.SetDefaultPrim(root.GetPrim())
@@ -68,14 +71,14 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     for joint in spec.joints:
         _add_joint(stage, base, spec, joint, origins[joint.parent])
     _filter_pairs(stage, base, spec)
-    # The root layer expires with its stage.
+    # The root layer expires with the stage, so its content is copied.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     return layer
 
 
 def new_stage() -> Usd.Stage:
-    """Return an empty stage in meters and kilograms, Z up."""
+    """Return an empty stage with units of meters and kilograms and with Z up."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -91,13 +94,13 @@ def set_pose(xform: UsdGeom.Xformable, local: Pose) -> None:
 
 
 def quatd(quat: NDArray | tuple[float, ...]) -> Gf.Quatd:
-    """Convert a quaternion (w, x, y, z) to USD's in double precision."""
+    """Convert a quaternion (w, x, y, z) to a USD quaternion in double precision."""
     w, x, y, z = map(float, quat)
     return Gf.Quatd(w, x, y, z)
 
 
 def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
-    """Convert a quaternion (w, x, y, z) to USD's in single precision."""
+    """Convert a quaternion (w, x, y, z) to a USD quaternion in single precision."""
     return Gf.Quatf(quatd(quat))
 
 
@@ -180,7 +183,7 @@ def _add_collider(
         prim = _gprim(stage, path, piece, local).GetPrim()
     else:
         mesh = _mesh(stage, path, *triangles, local)
-        # Validators require normals of every mesh.
+        # USD validators require normals for each mesh.
         _shade(mesh, corner_normals(*triangles, crease=FLAT))
         prim = mesh.GetPrim()
         hull = UsdPhysics.MeshCollisionAPI.Apply(prim)
@@ -265,7 +268,7 @@ def _add_joint(
         usd_joint.CreateUpperLimitAttr(joint.upper * unit)
     prim = usd_joint.GetPrim()
     if joint.stiffness or joint.damping or joint.effort is not None:
-        # UsdPhysics models the spring and damper of a joint as a drive towards 0.
+        # UsdPhysics models the spring and damper of a joint as a drive whose target is 0.
         drive = UsdPhysics.DriveAPI.Apply(prim, "angular" if turning else "linear")
         drive.CreateTypeAttr(UsdPhysics.Tokens.force)
         drive.CreateTargetPositionAttr(0.0)
@@ -280,7 +283,7 @@ def _add_joint(
 
 
 def _add_losses(prim: Usd.Prim, joint: JointSpec, instance: str, unit: float) -> None:
-    """Write armature, dry friction and velocity limits in the schemas of Newton and PhysX."""
+    """Write a joint's armature, dry friction and velocity limit in Newton's and PhysX's schemas."""
     newton = {"armature": joint.armature, "friction": joint.friction}
     physx = {
         "armature": joint.armature,
@@ -309,7 +312,7 @@ def _add_mimic(prim: Usd.Prim, base: Sdf.Path, spec: ObjectSpec, joint: JointSpe
     )
     target = base.AppendChild("joints").AppendChild(leader.name)
     offset, factor = joint.mimic.offset * unit, joint.mimic.multiplier * unit / leader_unit
-    # Neither supports mimics between hinges and slides; the coefficients stay for other readers.
+    # Neither supports mimics between hinges and slides; other readers may use the coefficients.
     alike = unit == leader_unit
     prim.AddAppliedSchema("NewtonMimicAPI")
     prim.CreateRelationship("newton:mimicJoint", custom=False).SetTargets([target])
@@ -330,7 +333,7 @@ def _add_mimic(prim: Usd.Prim, base: Sdf.Path, spec: ObjectSpec, joint: JointSpe
 
 
 def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
-    """Write the cone of a ball joint; USD has no limit on its twist about +X."""
+    """Write the cone limit of a ball joint; USD cannot limit the joint's twist about +X."""
     usd_joint.CreateAxisAttr("X")
     cone = math.degrees(joint.upper) if joint.upper > 0 else -1.0
     usd_joint.CreateConeAngle0LimitAttr(cone)
@@ -338,7 +341,7 @@ def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
     prim = usd_joint.GetPrim()
     if joint.armature or joint.friction:
         prim.AddAppliedSchema("NewtonJointAPI")
-    # UsdPhysics has no drive of spherical joints: damping and stiffness are custom [N m, rad].
+    # UsdPhysics has no drives for spherical joints, so these attributes are custom [N m, rad].
     for name in ("newton:armature", "newton:friction", "neoworld:damping", "neoworld:stiffness"):
         if value := getattr(joint, name.partition(":")[2]):
             set_float(prim, name, value)
@@ -350,7 +353,7 @@ def set_float(prim: Usd.Prim, name: str, value: float) -> None:
 
 
 def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
-    """Return an axis token of UsdPhysics and the quaternion that rotates it to `axis`."""
+    """Return a UsdPhysics axis token and the quaternion that rotates the token's axis to `axis`."""
     token = _AXES.get((float(axis[0]), float(axis[1]), float(axis[2])))
     if token is not None:
         return token, IDENTITY
@@ -363,7 +366,7 @@ def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]
 
 
 def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Filter collisions between the parts welded to either side of a joint, as in MJCF."""
+    """Filter collisions between parts that are welded to the two sides of a joint, as in MJCF."""
     links = base.AppendChild("links")
     for one, other in unjoined_pairs(spec):
         prim = stage.GetPrimAtPath(links.AppendChild(one))

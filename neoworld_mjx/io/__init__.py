@@ -1,8 +1,8 @@
 """Bounded readers of untrusted files, atomic writes, and names that are safe in paths and markup.
 
-Each kind of file has one reader: text, JSON, YAML, Parquet, arrays and images here; XML and meshes
-in `export`. All of them open files by `files.read_bytes`, keep to the bounds of `FileOptions`, and
-report a file that they cannot read in a single message.
+This package has one reader for each kind of file: text, JSON, YAML, Parquet, arrays and images. The
+readers of XML and meshes are in `export`. All readers open files with `files.read_bytes`, enforce
+the limits of `FileOptions`, and report a file that they cannot read in a single message.
 """
 
 from .array_files import read_arrays

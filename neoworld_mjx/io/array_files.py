@@ -25,8 +25,8 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
         error: class of the error to raise.
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, does not hold plain arrays, or
-            unpacks to more than `files.max_array_mib`.
+        NeoWorldError: of the class `error`: the file cannot be read, contains something other than
+            plain arrays, or unpacks to more than `files.max_array_mib`.
     """
     limit = file_bounds().max_array_mib * MIB
     try:

@@ -1,4 +1,4 @@
-"""Bounds of untrusted files, and the bounds that are active in the current context."""
+"""Limits for untrusted files, and the limits that are active in the current context."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from ..options import Options, option
 
 
 class FileOptions(Options):
-    """Bounds of input files; a file that exceeds one is rejected with an error message."""
+    """Options that limit input files. A file that exceeds a limit is rejected with an error."""
 
     max_text_mib: int = option(
         64,
@@ -31,22 +31,24 @@ class FileOptions(Options):
     )
     timeout_s: float = option(
         8.0,
-        "Processor time limit of the process that reads an asset, a large image or a table.",
+        "Processor time limit of the worker process that reads an asset, a large image or a "
+        "Parquet table.",
         unit="s",
         gt=0,
         le=86400,
     )
     memory_mib: int = option(
         500,
-        "Address space that this process may add to that of the idle process.",
+        "Memory limit of the worker process on Linux: the address space that it may allocate after "
+        "it is forked.",
         unit="MiB",
         ge=64,
         le=65536,
     )
     decompose_s: float = option(
         120.0,
-        "Time limit for splitting all meshes of an asset into convex pieces, within `memory_mib`; "
-        "the meshes that remain become their convex hulls.",
+        "Time limit for decomposing all meshes of an asset into convex pieces, within "
+        "`memory_mib`; the remaining meshes are replaced by their convex hulls.",
         unit="s",
         gt=0,
         le=86400,
@@ -56,7 +58,7 @@ class FileOptions(Options):
     max_picture_mpx: int = option(
         134,
         "Maximum number of pixels of a photograph; common phone cameras reach 108 megapixels. "
-        "Large ones other than JPEG are limited by `memory_mib` first.",
+        "A large photograph in a format other than JPEG reaches the limit `memory_mib` first.",
         unit="MP",
         ge=1,
         le=1000,
@@ -68,18 +70,18 @@ _active: ContextVar[FileOptions] = ContextVar("file_bounds", default=_DEFAULTS)
 
 
 def file_bounds() -> FileOptions:
-    """Return the active bounds: those of the run, or the defaults."""
+    """Return the active limits: the limits of the current run, or the defaults."""
     return _active.get()
 
 
 def set_file_bounds(options: FileOptions) -> None:
-    """Activate bounds in the current context, as the command line does."""
+    """Activate limits in the current context, as the command line does."""
     _active.set(options)
 
 
 @contextmanager
 def bounded_by(options: FileOptions) -> Iterator[None]:
-    """Activate bounds for the duration of a block."""
+    """Activate limits for the duration of a `with` block."""
     token = _active.set(options)
     try:
         yield

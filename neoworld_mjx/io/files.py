@@ -1,4 +1,4 @@
-"""Reads and writes of files in untrusted folders, and hashes of contents.
+"""Functions that read and write files in untrusted folders, and hash their contents.
 
 Only regular files within a size limit are read, never pipes or devices. A file is written under a
 temporary name and then renamed, so that a reader or a killed process never leaves a partial file.
@@ -37,11 +37,11 @@ def read_bytes(path: Path, max_bytes: int, *, follow: bool = True) -> bytes:
     Args:
         path: the file, or a symbolic link to it.
         max_bytes: maximum size.
-        follow: False to refuse a symbolic link.
+        follow: if False, refuse a symbolic link.
 
     Raises:
-        OSError: the file cannot be read, is not a regular file, or is larger; `strerror` describes
-            the problem.
+        OSError: the file cannot be read, is not a regular file, or is larger than `max_bytes`;
+            `strerror` describes the problem.
     """
     with _opened(path, 0 if follow else os.O_NOFOLLOW) as handle:
         size = os.fstat(handle).st_size
@@ -84,7 +84,7 @@ def write_atomic(path: Path, data: str | bytes) -> None:
 
 
 def write_output(path: Path, data: str | bytes, error: type[NeoWorldError]) -> None:
-    """Write a file as `write_atomic` does, raising a user-facing error.
+    """Write a file as `write_atomic` does, but report a failure as an error of a given class.
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be written.
@@ -96,11 +96,11 @@ def write_output(path: Path, data: str | bytes, error: type[NeoWorldError]) -> N
 
 
 def check_output(path: Path, error: type[NeoWorldError]) -> None:
-    """Check before long work what `write_output` would refuse.
+    """Check, before long work, whether `write_output` could write a file.
 
     Raises:
-        NeoWorldError: of the class `error`: the folder is missing or read-only, or a folder, pipe
-            or device has the file's name.
+        NeoWorldError: of the class `error`: the parent folder is missing or read-only, or a folder,
+            pipe or device exists at the path.
     """
     try:
         with open_parent(path.parent, path.name) as (parent, last):
@@ -116,13 +116,13 @@ def write_inside(folder: Path, name: str, data: str | bytes, *, sync: bool = Tru
 
     Args:
         folder: an existing folder.
-        name: relative path, with "/".
+        name: relative path of the file, with "/" as separator.
         data: the content.
-        sync: False to let the system write the file to the disk later.
+        sync: if False, let the system flush the file to the disk later.
 
     Raises:
         OSError: the file cannot be written, its path leads out of the folder or through a link, or
-            a folder, pipe or device has its name.
+            a folder, pipe or device exists at the path.
     """
     with open_parent(folder, name, create=True) as (parent, last):
         _check_replaceable(parent, last, folder / name)
@@ -144,9 +144,9 @@ def write_inside(folder: Path, name: str, data: str | bytes, *, sync: bool = Tru
 
 
 def _check_replaceable(parent: int, last: str, path: Path) -> None:
-    """Raise an OSError if a file's name belongs to a folder, pipe or device.
+    """Raise an OSError if a folder, pipe or device exists at the path of a file.
 
-    A rename would replace even a device, which every program of the machine may need.
+    A rename would replace even a device file, which other programs may need.
     """
     with suppress(FileNotFoundError):
         mode = os.stat(last, dir_fd=parent, follow_symlinks=False).st_mode
@@ -162,15 +162,15 @@ def open_parent(folder: Path, name: str, *, create: bool = False) -> Iterator[tu
 
     Args:
         folder: an existing folder.
-        name: relative path of the file, with "/"; the file need not exist.
-        create: True to create missing subfolders.
+        name: relative path of the file, with "/" as separator; the file need not exist.
+        create: if True, create missing subfolders.
 
     Yields:
-        Descriptor of the parent folder, and the file's base name.
+        File descriptor of the parent folder, and the file's base name.
 
     Raises:
-        OSError: the path leads out of the folder, or through a link or a file, or a subfolder is
-            missing.
+        OSError: the path leads out of the folder, a component of the path is a link or a file, or
+            a subfolder is missing.
     """
     if not stays_inside(name):
         raise OSError(errno.EINVAL, "its path leads out of the folder", str(folder / name))
@@ -200,17 +200,19 @@ def open_parent(folder: Path, name: str, *, create: bool = False) -> Iterator[tu
 
 
 def stays_inside(name: str) -> bool:
-    """Return True if a relative path with "/", from an untrusted file, stays below its folder."""
+    """Return True if a relative path (separator "/") from an untrusted file stays in its folder."""
     parts = name.split("/")
     return not (set(parts) & {"", ".", ".."} or "\0" in name or "\\" in name)
 
 
 def irregular_entry(folder: Path) -> tuple[str, str] | None:
-    """Return the first entry below a folder that is neither file nor folder, and its kind.
+    """Return the path and the kind of the first entry below a folder that is not accepted.
+
+    Accepted are at most `_MAX_ENTRIES` regular files and folders.
 
     Returns:
-        Relative path of the entry, and a phrase for its kind, such as "a link"; None if all entries
-        are files and folders.
+        Relative path of the entry, and a phrase that describes its kind, such as "a link"; None if
+        all entries are accepted.
 
     Raises:
         OSError: a folder cannot be read.
@@ -234,7 +236,7 @@ def irregular_entry(folder: Path) -> tuple[str, str] | None:
 
 
 def content_hash(value: object) -> str:
-    """Return the SHA-256 of a file, a folder, bytes, a pydantic model or a JSON value.
+    """Return the SHA-256 hex digest of a file, a folder, bytes, a pydantic model or a JSON value.
 
     Raises:
         FileNotFoundError: a path is missing.
@@ -267,7 +269,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_full(path: Path) -> bool:
-    """Return True if the disk of a path has less than 64 KiB left."""
+    """Return True if the file system of a path has less than 64 KiB of free space."""
     try:
         return shutil.disk_usage(path).free < 65536
     except OSError:

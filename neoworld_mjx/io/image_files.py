@@ -1,4 +1,4 @@
-"""Reader of untrusted image files; formats and sizes are checked before a pixel is decoded."""
+"""Reader of untrusted image files that checks format and size before it decodes pixels."""
 
 import io
 import warnings
@@ -14,10 +14,10 @@ IMAGE_FORMATS = (
     *("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF"),
     *("AVIF", "JPEG2000", "PPM", "TGA", "ICO"),
 )
-"""Accepted formats. Pillow decodes all of them itself; EPS, for example, starts Ghostscript."""
+"""Accepted formats. Pillow decodes each of them without an external program, unlike EPS."""
 
 PLAIN_MPX = 16
-"""Number of megapixels that is decoded without a limited worker."""
+"""Maximum size of an image that is decoded without a limited worker [megapixels]."""
 
 
 @contextmanager
@@ -36,21 +36,21 @@ def open_image(
         name: name of the file for messages.
         error: class of the error to raise.
         formats: formats to try.
-        large: True to allow `files.max_picture_mpx` megapixels instead of `PLAIN_MPX`, for callers
-            that decode them in a limited worker.
+        large: if True, allow `files.max_picture_mpx` megapixels instead of `PLAIN_MPX`; for callers
+            that decode the image in a limited worker.
 
     Yields:
         The image, before its pixels are decoded.
 
     Raises:
         NeoWorldError: of the class `error`: the data is not an image in these formats, has too
-            many pixels, or is damaged, which may only show when the image is used.
+            many pixels, or is damaged. Damage may be detected only when the pixels are decoded.
     """
     limit = file_bounds().max_picture_mpx
     limit = limit if large else min(limit, PLAIN_MPX)
     try:
         with warnings.catch_warnings():
-            # Pillow warns about large images; the bound below decides.
+            # Pillow warns about large images; the limit below replaces its warning.
             warnings.simplefilter("ignore")
             with _identified(data, formats) as image:
                 width, height = image.size

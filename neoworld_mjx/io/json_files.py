@@ -18,7 +18,7 @@ _MAX_MESSAGE = 1000
 
 
 def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") -> str:
-    """Read a text file.
+    """Read an untrusted text file of at most `files.max_text_mib`.
 
     Args:
         path: the file.
@@ -36,11 +36,11 @@ def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") ->
 
 
 def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
-    """Read a JSON value; arguments as in `read_outside_text`.
+    """Read a JSON value. The arguments are those of `read_outside_text`.
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds the
-            size, depth or number of values that the options `files` allow.
+        NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds a
+            limit of the options `files`: the size, the nesting depth or the number of values.
     """
     text = _checked_text(path, error, kind)
     try:
@@ -73,7 +73,7 @@ def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: st
         path: the file.
         schema: the model.
         error: class of the error to raise.
-        kind: kind of file for messages, with its article, such as "a tape".
+        kind: kind of file for messages, with an article, such as "a tape".
 
     Raises:
         NeoWorldError: of the class `error`, as in `read_json`, or if the value does not match the
@@ -91,7 +91,7 @@ def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: st
 
 
 def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
-    """Return the text of a JSON file whose number of values is within bounds."""
+    """Read the text of a JSON file and check that its number of values is within the limit."""
     text = read_outside_text(path, error, kind)
     limit = file_bounds().max_values
     if sum(map(text.count, ",[{")) > limit:
@@ -100,7 +100,7 @@ def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
 
 
 def _depth_exceeds(value: Any, limit: int) -> bool:
-    """Return True if containers are nested more than `limit` levels below the top one."""
+    """Return True if containers are nested more than `limit` levels below the outermost one."""
     level = [value]
     for _ in range(limit + 1):
         children = [

@@ -1,13 +1,15 @@
-"""Calls of functions that read untrusted files, in processes that the system limits.
+"""Calls functions that read untrusted files in worker processes with limited time and memory.
 
-A few bytes of USD, glTF or MJCF can make a library take all memory, run for hours or crash. A
+A few bytes of USD, glTF or MJCF can make a library allocate all memory, run for hours or crash. A
 server process, started on the first call, imports the readers once and forks a worker for each
-call. On Linux, address space and processor time of a worker are limited; elsewhere, its time is.
-Its death becomes an error with one message.
+call. The operating system limits the processor time of each worker and, on Linux, its address
+space. If a worker dies, the caller raises an error with a single message.
+
+The command
 
     python -m neoworld_mjx.io.limited_worker
 
-is the server: it receives calls on stdin and sends results to stdout.
+runs the server, which receives calls on stdin and sends results to stdout.
 """
 
 import atexit
@@ -37,7 +39,7 @@ from .names import plain_text
 R = TypeVar("R")
 _LINUX = sys.platform == "linux"
 _WALL_FACTOR = 4.0
-"""Limit of wall time, as a multiple of that of processor time, for workers that wait."""
+"""Ratio of the wall time limit, which ends workers that wait, to the processor time limit."""
 _RESULT, _ERROR, _DEATH = range(3)
 _OUT_OF_MEMORY = 97
 """Exit status of a worker that ran out of memory."""
@@ -45,7 +47,10 @@ _ONE_THREAD = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PXR_WORK_THREAD_LIMIT"), "1"),
     "MALLOC_ARENA_MAX": "1",
 }
-"""A thread would take address space, and the time of all threads counts."""
+"""Environment variables that keep libraries single-threaded.
+
+Each thread takes address space, and the processor time limit applies to the sum over threads.
+"""
 _lock = threading.Lock()
 
 
@@ -61,17 +66,18 @@ def call_limited(
     """Call a function on untrusted data in a worker, within `files.timeout_s` and `memory_mib`.
 
     Args:
-        function: a function of a module; `path` is its first argument.
-        path: the file that is read, or a name of the data for messages.
+        function: a module-level function; `path` is its first argument.
+        path: the file that the function reads, or a name for the data in messages.
         arguments: further arguments; all must be picklable.
-        needs: modules that the server imports before it forks, as the function imports them late.
+        needs: modules that `function` imports when it is called; the server imports them before
+            it forks.
         error: class of the errors to raise.
-        time_option: the option of `files` that limits the time.
-        timeout_s: limit of processor time [s], if less is left than the option allows.
+        time_option: name of the option of `files` that limits the processor time.
+        timeout_s: limit of the processor time [s] if it is smaller than the option.
 
     Raises:
-        NeoWorldError: of the class `error`: the function raised one, or the worker exceeded its
-            limits or crashed.
+        NeoWorldError: of the class `error`: the function raised an exception, or the worker
+            exceeded its limits or crashed.
         OSError: the server cannot be started.
     """
     bounds = file_bounds()
@@ -82,7 +88,7 @@ def call_limited(
         try:
             kind, payload = _exchange(_server(os.getpid()), pickle.dumps(call))
         except BaseException as failure:
-            _stop()  # A late result must not become that of the next call.
+            _stop()  # A late result must not be taken for the result of the next call.
             if isinstance(failure, EOFError | BrokenPipeError):
                 raise error(f"{path}: the process that reads files has died") from None
             raise
@@ -105,7 +111,7 @@ def call_limited(
 
 @lru_cache(maxsize=1)
 def _server(pid: int) -> "subprocess.Popen[bytes]":
-    """Return the running server of this process; `pid` gives each forked process its own."""
+    """Return the server of the process `pid`; the first call starts the server."""
     del pid
     package = str(Path(__file__).parents[2])
     inherited = os.environ.get("PYTHONPATH")
@@ -114,7 +120,7 @@ def _server(pid: int) -> "subprocess.Popen[bytes]":
         [sys.executable, "-m", __name__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        # Libraries print texts from files, which may control the terminal.
+        # Libraries may print strings from the file, and these may control the terminal.
         stderr=subprocess.DEVNULL,
         env=os.environ | _ONE_THREAD | {"PYTHONPATH": path},
         process_group=0,
@@ -129,7 +135,7 @@ def _exchange(server: "subprocess.Popen[bytes]", call: bytes) -> tuple[int, byte
 
 @atexit.register
 def _stop() -> None:
-    """End the server, and its worker, if this process has one."""
+    """Kill the server of this process and its worker, if the server has been started."""
     if _server.cache_info().currsize:
         server = _server(os.getpid())
         with suppress(ProcessLookupError):
@@ -158,7 +164,7 @@ def _serve() -> None:
     """Answer calls until stdin ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The caller ends this process.
     calls, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Output of libraries must not mix with results.
+    os.dup2(2, 1)  # The output of libraries must not mix with results.
     while True:
         try:
             _, data = _receive(calls)
@@ -179,7 +185,7 @@ def _serve() -> None:
                 set_file_bounds(bounds)
                 _work(output, arguments[0], partial(function, *arguments))
             os.close(held)
-            # The pipe ends with the worker, the calls with the caller.
+            # `alive` becomes readable when the worker ends, `calls` when the caller ends.
             if (
                 alive
                 not in select.select([alive, calls], [], [], bounds.timeout_s * _WALL_FACTOR)[0]
@@ -195,7 +201,7 @@ def _serve() -> None:
 
 
 def _work(output: IO[bytes], path: Path, call: Callable[[], Any]) -> None:
-    """Call a function in a worker, write its result and end the process."""
+    """Call a function in a worker, write the result or the error, and end the process."""
     status = _RESULT
     try:
         _limit()
@@ -221,7 +227,7 @@ def _work(output: IO[bytes], path: Path, call: Callable[[], Any]) -> None:
 
 
 def _limit() -> None:
-    """Limit address space, processor time and size of files of this process."""
+    """Limit the address space, the processor time and the file size of this process."""
     bounds = file_bounds()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -236,7 +242,7 @@ def _limit() -> None:
 
 
 if __name__ == "__main__":
-    # The functions that callers name use the bounds of this module, not those of __main__.
+    # Called functions use the limits of the imported package, so __main__ must not serve them.
     from neoworld_mjx.io import limited_worker
 
     limited_worker._serve()

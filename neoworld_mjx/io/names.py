@@ -1,4 +1,4 @@
-"""Conversion of untrusted names and texts into safe identifiers, file names and lines."""
+"""Conversion of untrusted strings into safe identifiers, file names and lines."""
 
 import re
 import unicodedata
@@ -8,25 +8,27 @@ from collections.abc import Container, Iterable
 MAX_NAME = 48
 NAME_RULE = f"letters, digits and underscores, a letter first, at most {MAX_NAME}"
 RESERVED = frozenset({"world"})
-"""Names that MuJoCo keeps for itself, which no object can have."""
+"""Names that MuJoCo reserves; an object cannot have one of them."""
 _NAME = re.compile(rf"[A-Za-z][A-Za-z0-9_]{{0,{MAX_NAME - 1}}}")
 _HIDDEN = {"Cc", "Cf", "Co", "Cs"}
-"""Unicode categories of control and formatting characters (such as those that change the reading
-direction), private characters and surrogates."""
+"""Unicode categories of control characters, formatting characters (for example, characters that
+change the reading direction), private-use characters and surrogates."""
 
 
 def is_name(text: str) -> bool:
-    """Return True if a text is an identifier, file name and element name valid in every format."""
+    """Return True if a string is a valid identifier, file name and element name in all formats."""
     return _NAME.fullmatch(text) is not None
 
 
 def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
-    """Return a valid name (see `is_name`) that resembles a text.
+    """Return a valid name (see `is_name`) that resembles a string.
 
     Args:
-        text: any text.
-        kind: name to use for an empty text; its first letter is the prefix of a leading digit.
-        taken: names that are already in use; an "object" takes none of `RESERVED` either.
+        text: any string.
+        kind: kind of the named element. It replaces an empty string, and its first letter and "_"
+            are prepended to a string that does not start with a letter.
+        taken: names that must not be returned. If `kind` is "object", the names of `RESERVED` are
+            not returned either.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", text[:MAX_NAME])[: MAX_NAME - 4] or kind
     if not plain[0].isalpha():
@@ -45,19 +47,19 @@ def repeated(names: Iterable[str]) -> list[str]:
 
 
 def file_name(text: str, length: int = 60) -> str:
-    """Return a file name of at most `length` characters that resembles a text; it may be empty."""
+    """Return a file name (may be empty) of at most `length` characters that resembles a string."""
     return re.sub(r"[^A-Za-z0-9._]+", "-", text[: 4 * length]).strip("-.")[:length].rstrip("-.")
 
 
 def plain_text(text: str, length: int) -> str:
-    """Return a text as one line of at most `length` characters, without hidden characters."""
+    """Return a string as one line of at most `length` characters, without hidden characters."""
     spaced = (" " if c.isspace() else c for c in text[: 4 * length])
     line = " ".join("".join(c for c in spaced if unicodedata.category(c) not in _HIDDEN).split())
     return line if len(line) <= length else line[: length - 1] + "…"
 
 
 def printable(text: str) -> str:
-    """Escape hidden characters except line breaks and tabs, which makes a text terminal-safe."""
+    """Escape the hidden characters of a string, except line breaks and tabs, for a terminal."""
     if text.isprintable():
         return text
     return "".join(

@@ -1,4 +1,4 @@
-"""Reader and writer of Parquet files of plain rows."""
+"""Reader and writer of Parquet files whose columns have plain types."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -28,12 +28,12 @@ def write_rows(
     kinds: Mapping[str, type],
     error: type[NeoWorldError],
 ) -> None:
-    """Write rows, replacing the file atomically.
+    """Write rows to a Parquet file, and replace an existing file atomically.
 
     Args:
         path: the file.
-        rows: values by column, of the column's type or None.
-        kinds: the columns in order, with their types: bool, int, float or str.
+        rows: value of each column, for each row; a value has the column's type or is None.
+        kinds: type of each column (bool, int, float or str), in the order of the columns.
         error: class of the error to raise.
 
     Raises:
@@ -53,7 +53,7 @@ def write_rows(
 def read_rows(
     path: Path, required: Sequence[str], error: type[NeoWorldError]
 ) -> list[dict[str, Any]]:
-    """Read rows.
+    """Return the rows of a Parquet file.
 
     Args:
         path: the file.
@@ -64,7 +64,7 @@ def read_rows(
         NeoWorldError: of the class `error`: the file cannot be read, is not a Parquet file, is
             damaged, lacks a column, or has over `MAX_ROWS` rows or `files.max_values` values.
     """
-    # A few bytes can stand for any number of rows.
+    # A file of a few bytes can expand to any number of rows.
     return call_limited(_read_rows, path, tuple(required), error=error)
 
 
@@ -88,7 +88,7 @@ def _read_rows(path: Path, required: Sequence[str]) -> list[dict[str, Any]]:
             rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     except (KeyboardInterrupt, SystemExit, MemoryError, RunError):
         raise
-    except BaseException as failure:  # A panic of the Rust reader is not an Exception.
+    except BaseException as failure:  # A panic of the Rust reader raises no Exception.
         raise RunError(
             f"{path} is damaged ({type(failure).__name__}); start over with --overwrite"
         ) from None

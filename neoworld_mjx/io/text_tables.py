@@ -19,12 +19,12 @@ class TextTable(NamedTuple):
     """Table of formatted cells."""
 
     note: str
-    """Text above the table; may be empty."""
+    """Text above the table, possibly empty."""
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
 
     def files(self, name: str) -> dict[str, str]:
-        """Return the texts of NAME.md, NAME.csv and NAME.tex."""
+        """Return the contents of the files NAME.md, NAME.csv and NAME.tex, by file name."""
         return {
             f"{name}.md": self.markdown(),
             f"{name}.csv": self.comma_separated(),
@@ -32,7 +32,7 @@ class TextTable(NamedTuple):
         }
 
     def markdown(self) -> str:
-        """Return the table as Markdown, with numeric columns after the first."""
+        """Return the table as Markdown; all columns but the first are right-aligned."""
         rule = ["---", *["---:"] * (len(self.head) - 1)]
         lines = [f"| {' | '.join(map(_markdown_cell, row))} |" for row in (self.head, *self.rows)]
         lines.insert(1, f"| {' | '.join(rule)} |")
@@ -45,9 +45,9 @@ class TextTable(NamedTuple):
         return stream.getvalue()
 
     def latex(self) -> str:
-        """Return the table as LaTeX, for the package booktabs."""
+        """Return the table as LaTeX, which requires the package booktabs."""
         lines = (" & ".join(map(escape_latex, row)) for row in (self.head, *self.rows))
-        # After the end of a line, [ would be its argument.
+        # LaTeX would read a "[" after "\\" as an optional argument of "\\".
         head, *body = (f"{'{}' if line.startswith('[') else ''}{line} \\\\" for line in lines)
         columns = "l" + "r" * (len(self.head) - 1)
         lines = [f"% {self.note}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head]

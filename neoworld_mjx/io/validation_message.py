@@ -7,11 +7,11 @@ from pydantic import BaseModel, ValidationError
 from ..errors import choices
 
 _SECRET = ("headers", "base_url")
-"""Options whose invalid values are not displayed because they may hold keys."""
+"""Options whose invalid values are not displayed because they may contain API keys."""
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
-    """Format a validation error as one line with each key, its value and the valid choices."""
+    """Return a one-line message that lists each invalid key with its value or valid choices."""
     lines = []
     for item in error.errors():
         key = ".".join(str(step) for step in item["loc"]) or "(root)"

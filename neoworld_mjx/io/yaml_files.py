@@ -1,4 +1,4 @@
-"""Reader of untrusted YAML, bounded in size and depth, without aliases."""
+"""Reader of untrusted YAML that limits size and nesting depth and rejects aliases."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ _KIB = 1024
 class _BoundedLoader(yaml.SafeLoader):
     """Loader of plain values that rejects deep nesting and aliases.
 
-    Aliases of aliases expand exponentially: a few lines can exhaust memory.
+    Aliases of aliases expand exponentially, so a few lines can exhaust the memory.
     """
 
     max_depth = FileOptions().max_depth
@@ -38,10 +38,11 @@ class _BoundedLoader(yaml.SafeLoader):
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML text.
+    """Return the value of a YAML document.
 
     Raises:
-        ValueError: the text is not YAML of plain values, is nested too deep, or holds aliases.
+        ValueError: the document contains something other than plain values, is nested too deeply,
+            or contains aliases.
     """
     try:
         return _BoundedLoader(text).get_single_data()

@@ -1,4 +1,4 @@
-"""Places for tasks to run: this process, processes of this machine, Ray, Slurm."""
+"""Places where tasks run: this process, several processes on this machine, Ray or Slurm."""
 
 from .place import Place
 from .running import HERE, check_place, run_tasks

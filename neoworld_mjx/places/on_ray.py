@@ -1,4 +1,4 @@
-"""Tasks on a Ray cluster (Moritz et al., arXiv:1712.05889; extra `ray`)."""
+"""Runs tasks on a Ray cluster (Moritz et al., arXiv:1712.05889; extra `ray`)."""
 
 import contextlib
 import os
@@ -12,18 +12,18 @@ from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
 
 LOCAL = "local"
 ANSWER_S = 5.0
-"""Time that a cluster has to answer."""
+"""Timeout of the connection to a cluster [s]."""
 STORE_BYTES = 256 << 20
-"""Memory of a local cluster's object store; tasks and results are small."""
+"""Size of a local cluster's object store [bytes]; tasks and results are small."""
 
 
 def open_ray() -> Any:
     """Import Ray.
 
     Raises:
-        EngineError: it is not installed.
+        EngineError: Ray is not installed.
     """
-    # Ray's warning about a later default, which does not matter to tasks.
+    # Silence Ray's warning about a future default, which does not affect tasks.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
         import ray  # pyright: ignore[reportMissingImports]
@@ -36,8 +36,8 @@ def check_ray(address: str) -> None:
     """Check that Ray is installed, and that a cluster answers at an address.
 
     Raises:
-        ConfigError: the text is no address.
-        EngineError: Ray is not installed, or nothing answers.
+        ConfigError: `address` is not a valid address.
+        EngineError: Ray is not installed, or no cluster answers.
     """
     ray = open_ray()
     if address == LOCAL or ray.is_initialized():
@@ -56,7 +56,7 @@ def check_ray(address: str) -> None:
 
 @contextlib.contextmanager
 def _session(ray: Any, place: Place) -> Iterator[None]:
-    """Connect to the cluster, or start a local one; one that is connected already is kept."""
+    """Connect to a cluster or start a local one, unless Ray is already initialized."""
     if ray.is_initialized():
         yield
         return
@@ -69,7 +69,7 @@ def _session(ray: Any, place: Place) -> Iterator[None]:
         }
     try:
         ray.init(logging_level="ERROR", log_to_driver=False, **options)
-    except Exception as error:  # Ray raises plain ones, such as for a node that is slow to start.
+    except Exception as error:  # Ray raises plain exceptions, for example if a node starts slowly.
         first = str(error).strip().split("\n", 1)[0]
         raise EngineError(f"--ray {place.ray}: {first}") from None
     try:
@@ -79,14 +79,14 @@ def _session(ray: Any, place: Place) -> Iterator[None]:
 
 
 def run_on_ray(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> Iterator[Made]:
-    """Run tasks on a Ray cluster; see `place.run_tasks`."""
+    """Run tasks on a Ray cluster; see `running.run_tasks`."""
     ray = open_ray()
     with _session(ray, place):
         available = ray.cluster_resources()
         for name, wanted in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
             if available.get(name, 0) < wanted:
                 raise ConfigError(
-                    f"--ray {place.ray}: a task needs {wanted} {name}, the cluster has "
+                    f"--ray {place.ray}: a task needs {wanted} {name}, but the cluster has "
                     f"{available.get(name, 0):g}"
                 )
         # Ray repeats a task only if its worker is lost, not if the task raises.
@@ -103,8 +103,8 @@ def run_on_ray(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> I
         except ray.exceptions.RayError as error:
             first = str(error).strip().split("\n", 1)[0]
             raise RunError(
-                f"--ray {place.ray}: a task lost its workers {RETRIES + 1} times, or the cluster "
-                f"is gone ({first}); finished tasks are kept"
+                f"--ray {place.ray}: the worker of a task was lost {RETRIES + 1} times, or the "
+                f"cluster is gone ({first}); finished tasks are kept"
             ) from None
         finally:
             with contextlib.suppress(Exception):

@@ -1,4 +1,4 @@
-"""Tasks as Slurm jobs, through submitit (extra `slurm`)."""
+"""Runs tasks as Slurm jobs that submitit submits (extra `slurm`)."""
 
 import contextlib
 import shutil
@@ -14,7 +14,7 @@ from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
 
 LOCAL = "local"
 JOBS = Path("slurm_jobs")
-"""Folder of submitit's files, which all machines share; in the working directory."""
+"""Folder of submitit's files, relative to the working directory; all machines must share it."""
 POLL_S = 0.5
 
 
@@ -22,7 +22,7 @@ def open_submitit() -> Any:
     """Import submitit.
 
     Raises:
-        EngineError: it is not installed.
+        EngineError: submitit is not installed.
     """
     try:
         import submitit  # pyright: ignore[reportMissingImports]
@@ -32,10 +32,10 @@ def open_submitit() -> Any:
 
 
 def check_slurm(text: str) -> None:
-    """Check that submitit is installed, its parameters are valid, and Slurm is there.
+    """Check that submitit and Slurm are installed and that submitit's parameters are valid.
 
     Raises:
-        ConfigError: a parameter is unknown to submitit.
+        ConfigError: `text` is malformed, or submitit rejects a parameter.
         EngineError: submitit or Slurm is missing.
     """
     submitit = open_submitit()
@@ -45,11 +45,11 @@ def check_slurm(text: str) -> None:
     except (NameError, TypeError, ValueError) as error:
         raise ConfigError(f"--slurm {text}: {error}") from None
     if text != LOCAL and shutil.which("sbatch") is None:
-        raise EngineError("--slurm: there is no sbatch here; --slurm local runs without Slurm")
+        raise EngineError("--slurm: sbatch is not installed; --slurm local runs without Slurm")
 
 
 def _parameters(text: str) -> dict[str, Any]:
-    """Return submitit's parameters from KEY=VALUE,KEY=VALUE."""
+    """Parse submitit's parameters from a string KEY=VALUE,KEY=VALUE."""
     if text == LOCAL:
         return {}
     parameters = {}
@@ -72,7 +72,7 @@ def open_executor(place: Place, cluster: str) -> Any:
 
     Args:
         place: the place.
-        cluster: `slurm`, or `local` for processes.
+        cluster: "slurm", or "local" for processes on this machine.
     """
     executor = open_submitit().AutoExecutor(JOBS, cluster=cluster)
     executor.update_parameters(
@@ -85,11 +85,11 @@ def open_executor(place: Place, cluster: str) -> Any:
 
 
 def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> Iterator[Made]:
-    """Run tasks as jobs of one array; see `place.run_tasks`."""
+    """Run tasks as jobs of a Slurm array; see `running.run_tasks`."""
     submitit = open_submitit()
     local = place.slurm == LOCAL
     executor = open_executor(place, LOCAL if local else "slurm")
-    # Slurm has a queue of its own; without it, all jobs would start at once.
+    # Slurm queues jobs; without Slurm, all submitted jobs would start at once.
     room = place.processes if local else len(tasks)
     queue = [(task, 0) for task in tasks]
     flying: dict[Any, tuple[Any, int]] = {}
@@ -114,8 +114,8 @@ def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) ->
                 except submitit.core.utils.UncompletedJobError:  # The worker is lost.
                     if tries == RETRIES:
                         raise RunError(
-                            f"--slurm {place.slurm}: a task lost its workers {tries + 1} times, "
-                            f"see {job.paths.stderr}; finished tasks are kept"
+                            f"--slurm {place.slurm}: the worker of a task was lost {tries + 1} "
+                            f"times, see {job.paths.stderr}; finished tasks are kept"
                         ) from None
                     queue.append((task, tries + 1))
                 else:

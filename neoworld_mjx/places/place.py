@@ -1,4 +1,4 @@
-"""Places where tasks run, and what a worker does there."""
+"""Options of the place where tasks run, and the function that runs a task in a worker."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -11,31 +11,31 @@ from ..errors import NeoWorldError, RunError
 Task = TypeVar("Task")
 Made = TypeVar("Made")
 Work = Callable[[Task], Iterable[Made]]
-"""Function of a module, or a `functools.partial` of one, from a task to its results."""
+"""Module-level function, or `functools.partial` of one, that maps a task to the task's results."""
 RETRIES = 3
-"""Number of times that a task is repeated whose worker on a cluster is lost."""
+"""Number of times that a task is repeated if its worker on a cluster is lost."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A place for tasks to run; by default this process."""
+    """Options of the place where tasks run; by default, this process."""
 
     workers: int = 1
-    """Processes; 0 starts one for every two cores. With --ray local and --slurm local, the size of
-    the cluster."""
+    """Number of processes; 0 starts one process for every two cores. With --ray local or --slurm
+    local, the number of tasks that the local cluster runs at once."""
     ray: str | None = None
-    """Run on the Ray cluster at this address, such as HOST:6379, or on a local one: `local`."""
+    """Address of a Ray cluster, such as HOST:6379, or `local` to start a local cluster."""
     slurm: str | None = None
-    """Run as Slurm jobs: `local` for processes without Slurm, or submitit's parameters, such as
-    slurm_partition=gpu,timeout_min=60."""
+    """Run tasks as Slurm jobs: submitit's parameters, such as slurm_partition=gpu,timeout_min=60,
+    or `local` to run processes without Slurm."""
     task_cores: int = 1
-    """Cores of a task on a cluster."""
+    """Number of CPU cores of each task on a cluster."""
     task_gpus: int = 0
-    """GPUs of a task on a cluster."""
+    """Number of GPUs of each task on a cluster."""
 
     @property
     def place(self) -> "Place":
-        """This place alone, where a command has these options among others."""
+        """Copy of these options without the options that a subclass adds."""
         return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
 
     @property
@@ -50,7 +50,7 @@ class Place:
 
     @property
     def threads(self) -> int:
-        """Threads of each process."""
+        """Number of threads of each process."""
         if self.remote:
             return self.task_cores
         return max(1, (os.cpu_count() or 1) // self.processes)
@@ -59,20 +59,20 @@ class Place:
 def work_there(
     work: Work[Task, Made], task: Task, wanted: dict[str, str]
 ) -> list[Made] | NeoWorldError:
-    """Run a task in a worker; return its results, or the error that the user is to see.
+    """Run a task in a worker; return the task's results, or the error that the caller raises.
 
     Args:
-        work: function from a task to its results.
+        work: function that maps a task to its results.
         task: the argument of `work`.
-        wanted: versions of the packages that affect results, as the caller has them.
+        wanted: the caller's versions of the packages that affect results.
     """
-    from ..run_folder import versions  # Help texts need places and nothing heavy.
+    from ..run_folder import versions  # Imported late to keep `--help` fast.
 
     for name, version in versions().items():
         if wanted.get(name) != version:
             return RunError(
-                f"worker {os.uname().nodename} has {name} {version}, here it is "
-                f"{wanted.get(name, 'not installed')}: install the same versions"
+                f"worker {os.uname().nodename} has {name} {version}, this machine has "
+                f"{wanted.get(name, 'none')}: install the same versions"
             )
     keep_compilations()
     try:
@@ -82,7 +82,7 @@ def work_there(
 
 
 def results_of(returned: list[Made] | NeoWorldError) -> list[Made]:
-    """Return the results of `work_there`, or raise its error."""
+    """Return the results that `work_there` returned, or raise the error that it returned."""
     if isinstance(returned, NeoWorldError):
         raise returned
     return returned

@@ -1,4 +1,4 @@
-"""Tasks of a sweep, a benchmark or a folder of photographs, run at a place."""
+"""Runs the tasks of a sweep, a benchmark or a folder of photographs at a place."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -9,18 +9,18 @@ from ..errors import ConfigError, RunError
 from .place import Made, Place, Task, Work, results_of, work_there
 
 HERE = Place()
-"""This process."""
+"""Place for tasks that run in this process."""
 
 
 def check_place(place: Place) -> None:
     """Check that tasks can run at a place, before anything else is done.
 
     Raises:
-        ConfigError: two clusters or an invalid number or parameter are given.
+        ConfigError: two clusters are given, or a number or a parameter is invalid.
         EngineError: the package of the cluster is missing, or the cluster does not answer.
     """
     if place.ray is not None and place.slurm is not None:
-        raise ConfigError("--ray and --slurm exclude each other: give one of them")
+        raise ConfigError("--ray and --slurm cannot be combined: give one of them")
     if place.workers < 0 or place.task_cores < 1 or place.task_gpus < 0:
         raise ConfigError("--workers and --task-gpus take 0 or more, and --task-cores 1 or more")
     if place.ray is not None:
@@ -34,20 +34,22 @@ def check_place(place: Place) -> None:
 
 
 def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE) -> Iterator[Made]:
-    """Run a function on tasks, and yield the results as they come.
+    """Run a function on tasks, and yield the results as they become available.
 
-    In this process results come one by one and in order, elsewhere those of a task together.
-    A lost worker of a cluster is replaced, and its task repeated.
+    In this process, results are yielded one by one, in the order of the tasks. In other processes
+    and on a cluster, all results of a task are yielded together when the task ends. If a worker of
+    a cluster is lost, its task is repeated on another worker.
 
     Args:
-        work: function from a task to its results.
-        tasks: arguments of `work`; tasks and results must be picklable if they run elsewhere.
-        place: where they run.
+        work: function that maps a task to its results.
+        tasks: arguments of `work`; unless tasks run in this process, tasks and results must be
+            picklable.
+        place: where the tasks run.
 
     Raises:
-        RunError: a process died, a task lost its workers repeatedly, or a worker has other
-            versions of the packages.
-        NeoWorldError: a task raised it.
+        RunError: a process died, the worker of a task was lost repeatedly, or a worker has
+            different versions of the packages.
+        NeoWorldError: a task raised this error.
     """
     check_place(place)
     if not tasks:
@@ -82,5 +84,5 @@ def _run_in_processes(
                 "a process died, perhaps out of memory: use fewer --workers; finished rows are kept"
             ) from None
         finally:
-            # Whatever ends this early, such as Ctrl-C, ends what has not begun, too.
+            # If the loop ends early, for example by Ctrl-C, cancel the tasks that have not begun.
             pool.shutdown(wait=False, cancel_futures=True)

@@ -139,7 +139,7 @@ def test_invalid_arguments_are_refused(scene):
     with pytest.raises(SpecError, match="no joints to drive"):
         controlled_scene(alone)
     named = SceneObject(name="end_effector", spec=alone.objects[0].spec)
-    with pytest.raises(SpecError, match="the gripper's name"):
+    with pytest.raises(SpecError, match="which the gripper needs"):
         controlled_scene(SceneSpec(objects=(named,)), gripper=nw.Gripper((0, 0, 1)))
 
 

@@ -75,7 +75,7 @@ def test_lost_lists_the_data_that_a_format_cannot_store(cabinet, scene):
     assert any("armature" in line and "cabinet.hinge" in line for line in lost(cabinet, "urdf"))
     assert not any("stiffness" in line for line in lost(cabinet, "mjcf"))
     assert any("velocity" in line for line in lost(cabinet, "mjcf"))
-    assert any("joints are at 0: box" in line for line in lost(scene, "sdf"))
+    assert any("joints are at zero: box" in line for line in lost(scene, "sdf"))
 
 
 def test_colliders_for_mjx_are_within_collider_error():

@@ -116,10 +116,10 @@ def test_photograph_is_cropped_about_its_principal_point():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"fx": 3.0}, "belong together"),
+        ({"fx": 3.0}, "must be given together"),
         ({"fovy": 0.5, "fx": 3, "fy": 3, "cx": 1, "cy": 1}, "not both"),
         ({"fx": 3, "fy": 4, "cx": 1, "cy": 1}, "square"),
-        ({"pose": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "no rigid"),
+        ({"pose": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "not a rigid"),
         ({"fov": 0.5}, "fov"),
     ],
 )
@@ -178,7 +178,7 @@ def test_mirrored_pose_mirrors_the_mesh():
         ({"file": "none.obj"}, "does not exist"),
         ({"file": "notes.txt"}, "URDF, MJCF or USD"),
         ({"pose": np.diag([1.0, 1, 0, 1]).tolist()}, "block.*singular"),
-        ({"pose": np.ones((4, 4)).tolist()}, "no affine"),
+        ({"pose": np.ones((4, 4)).tolist()}, "not an affine"),
         ({"pose": [[1, 2], [3, 4]]}, "not a list of posed files"),
         ({"scale": 2}, "not a list of posed files"),
     ],

@@ -246,4 +246,4 @@ def test_an_imported_object_named_world_is_renamed(tmp_path):
     )
     imported = import_file(path)
     assert imported.spec.name == "world_1"
-    assert "the object is named world_1, as MuJoCo reserves 'world'" in imported.notes
+    assert "the object is named world_1 because MuJoCo reserves 'world'" in imported.notes

@@ -35,7 +35,7 @@ MJCF = {
     "replicate": (
         "",
         '<replicate count="900"><replicate count="900"><geom size=".1"/></replicate></replicate>',
-        "repeats to more than 200000 elements",
+        "expands to more than 200000 elements",
     ),
     "geoms": ("", '<replicate count="1000">' + BALL * 20 + "</replicate>", "10000 elements <geom>"),
 }

@@ -85,7 +85,7 @@ def test_every_plain_shape_builds_at_its_size(kind):
         ({"parent": "nothing"}, "parent"),
         ({"name": "../x"}, "name"),
         ({"name": GROUND}, "unique"),
-        ({"parent": "thing"}, "circle"),
+        ({"parent": "thing"}, "cycle"),
     ],
 )
 def test_invalid_annotations_are_refused(fields, message):

@@ -52,14 +52,14 @@ def test_threads_share_the_cores(monkeypatch):
 
 def test_a_worker_with_other_versions_is_refused():
     returned = work_there(squares, 2, versions() | {"jax": "0.0.1"})
-    assert isinstance(returned, RunError) and "here it is 0.0.1" in str(returned)
+    assert isinstance(returned, RunError) and "this machine has 0.0.1" in str(returned)
     assert work_there(squares, 2, versions()) == [2, 4]
 
 
 @pytest.mark.parametrize(
     ("place", "error", "message"),
     [
-        (Place(ray="local", slurm="local"), ConfigError, "exclude each other"),
+        (Place(ray="local", slurm="local"), ConfigError, "cannot be combined"),
         (Place(workers=-1), ConfigError, "--workers and --task-gpus take 0 or more"),
         (Place(task_cores=0), ConfigError, "--task-cores 1 or more"),
     ],
@@ -116,7 +116,7 @@ def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
         list(run_tasks(squares, [2, -1], place))
     with pytest.raises(ZeroDivisionError):
         list(run_tasks(failing, [2], place))
-    with pytest.raises(RunError, match="lost its workers 4 times"):
+    with pytest.raises(RunError, match="was lost 4 times"):
         list(run_tasks(dying, [3], place))
     with pytest.raises(ConfigError, match="a task needs 8 GPU, the cluster has 0"):
         list(run_tasks(squares, [2], Place(ray="local", workers=1, task_gpus=8)))
@@ -134,7 +134,7 @@ def test_submitit_repeats_the_task_of_a_lost_worker(tmp_path, monkeypatch):
     for work, number, error, message in (
         (squares, -1, SpecError, "-1 is negative"),
         (failing, 2, RuntimeError, "ZeroDivisionError"),
-        (dying, 3, RunError, "lost its workers 2 times"),
+        (dying, 3, RunError, "was lost 2 times"),
     ):
         with pytest.raises(error, match=message):
             list(run_tasks(work, [number], place))
@@ -159,7 +159,7 @@ def test_invalid_parameters_of_slurm_are_one_message(monkeypatch):
     for text, error, message in (
         ("partition", ConfigError, "submitit's parameters as KEY=VALUE"),
         ("slurm_partitoin=gpu", ConfigError, "slurm_partitoin"),
-        ("slurm_partition=gpu", EngineError, "there is no sbatch here"),
+        ("slurm_partition=gpu", EngineError, "sbatch is not installed"),
     ):
         with pytest.raises(error, match=message):
             check_place(Place(slurm=text))

@@ -119,12 +119,12 @@ BROKEN = {
     "replicate.xml": (
         '<mujoco><worldbody><body><replicate count="900"><replicate count="900"><geom size="1"/>'
         "</replicate></replicate></body></worldbody></mujoco>",
-        "repeats to more than",
+        "expands to more than",
     ),
     "many.xml": (
         '<mujoco><worldbody><replicate count="100000000"><body><geom size="1"/></body></replicate>'
         "</worldbody></mujoco>",
-        "repeats to more than",
+        "expands to more than",
     ),
     "memory.xml": (
         '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body>'
@@ -139,7 +139,7 @@ BROKEN = {
             f'<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="{k}"/></joint>'
             for j, c, k in (("j", "b", "k"), ("k", "c", "j"))
         ) + "</robot>",
-        "follows itself through other joints",
+        "mimics itself through other joints",
     ),
     "bad_mesh.urdf": (MESH.format("in.obj"), "has no triangles"),
     "empty.usda": ("#usda 1.0", "has no visible or colliding geometry"),
@@ -170,7 +170,7 @@ BROKEN = {
         "#usda 1.0\n" + BODY.format("a") + BODY.format("b")
         + 'def PhysicsPrismaticJoint "j" {\nrel physics:body0 = </a>\n'
         "rel physics:body1 = </b>\n}\n",
-        "slides and states no limits",
+        "is prismatic and has no limits",
     ),
     "robot.xacro": ('<robot name="r" xmlns:xacro="x"><xacro:macro name="m"/></robot>', "xacro"),
 }  # fmt: skip

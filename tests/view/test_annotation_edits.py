@@ -38,7 +38,7 @@ def test_new_boxes_get_unique_names():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"parent": "cup"}, "circle"),
+        ({"parent": "cup"}, "cycle"),
         ({"name": "cup"}, "repeated: cup"),
         ({"name": "../x"}, "name"),
         ({"yaw_deg": 1e9}, "yaw_deg"),
