@@ -29,9 +29,7 @@ ENGINES: dict[str, EngineEntry] = {
     "mjx": EngineEntry(
         ".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", True, 0.98
     ),
-    "native": EngineEntry(
-        ".physics.native:NativeEngine", "C MuJoCo on all CPU cores", False, 0.99
-    ),
+    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", False, 0.99),
 }
 """Engines by name. `auto` chooses the fastest available engine for each rollout."""
 

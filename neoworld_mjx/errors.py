@@ -50,7 +50,7 @@ class ExportError(NeoWorldError):
 
 
 class RunError(NeoWorldError):
-    """Raised if a run folder is in use, from another program, incomplete or not writable."""
+    """Raised if a run folder is in use, incomplete, not writable, or from another program."""
 
 
 _OPEN_FILES = {errno.EMFILE, errno.ENFILE}
@@ -63,7 +63,7 @@ _REFUSALS = _OPEN_FILES | {
 def system_refusal(error: BaseException) -> str | None:
     """Return a message if the operating system refused an operation, otherwise None.
 
-    Such refusals are no bugs of the program. They are due to invalid file names, missing
+    Such refusals are not bugs of the package. They are due to invalid file names, missing
     permissions, full or failing disks, and limits of the system.
     """
     if open_files_exhausted(error):

@@ -48,7 +48,7 @@ class ObjectPoses(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all kinds: first those defined by sizes, then those defined by planes."""
+    """Pieces of all kinds: first the pieces defined by sizes, then the pieces defined by planes."""
 
     all: PieceGroup
     """The pieces, without their planes."""
@@ -173,8 +173,8 @@ def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[
 
 
 DepthOf = Callable[[list[Array]], Array]
-"""Function that returns the depths below a piece's surface of points in the piece's frame. Points
-are given by separate coordinates."""
+"""Function of points in a piece's frame, given by separate coordinates, that returns their depths
+below the piece's surface."""
 
 
 def _deeper(

@@ -34,9 +34,10 @@ def footprint(box: Box3D) -> NDArray:
 
 
 def support_footprint(node: TreeNode) -> NDArray:
-    """Return the corners of the footprint of a node's outline [m], counterclockwise, shape [n, 2].
+    """Return the corners of a node's footprint [m], counterclockwise, shape [n, 2].
 
-    For a tilted node, return the footprint of the upright bounding box.
+    The footprint has the shape of the node's outline. The footprint of a tilted node is that of the
+    upright bounding box.
     """
     box = upright(node)
     if node.outline.shape == "rectangle" or box is not node.box3d:
@@ -47,9 +48,10 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
-    """Return the intersection area [m^2] of two polygons, of which `b` must be convex.
+    """Return the intersection area of two polygons [m^2].
 
-    Polygons are given by their corners [m], counterclockwise, shape [n, 2].
+    The polygons are given by their corners [m], counterclockwise, shape [n, 2]. Polygon `b` must be
+    convex.
     """
     # Plain floats: a scene has many pairs, and NumPy is slower for arrays of four points.
     clipped, corners = a.tolist(), b.tolist()
@@ -79,7 +81,7 @@ def shared_3d(a: Box3D, b: Box3D) -> float:
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Return the intersection over union of the volumes of two upright boxes with any yaws."""
+    """Return the intersection over union of two upright boxes, by volume. The yaws may differ."""
     common = shared_3d(a, b)
     union = float(np.prod(a.size) + np.prod(b.size)) - common
     return common / union

@@ -91,7 +91,10 @@ def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
 
 
 def box_iou(tree: SceneTree, composed: SceneSpec, refined: SceneSpec) -> dict[str, Any]:
-    """Return the IoU with the parsed 2D boxes of a run's parse, composed scene and refined scene.
+    """Compare the boxes of a run with the parsed 2D boxes, by intersection over union.
+
+    The boxes of three steps are compared: the 3D boxes of the parse, and the visible boxes in the
+    composed scene and in the refined scene.
 
     Returns:
         "parsed", "composed" and "refined" are the means over all objects, or None if there are no

@@ -43,7 +43,7 @@ def installed() -> bool:
 
 
 def decomposition_deadline() -> float:
-    """Return the `time.monotonic` until which the meshes of an asset may be split."""
+    """Return the value of `time.monotonic` until which the meshes of an asset may be split."""
     return time.monotonic() + file_bounds().decompose_s
 
 

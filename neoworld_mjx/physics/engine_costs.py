@@ -79,8 +79,8 @@ def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
 def prior_costs(cores: int) -> dict[str, EngineCost]:
     """Return the costs that apply before any measurement on this machine.
 
-    They were measured with six objects on an H200 and, for `native`, on its host, whose cost per
-    core is extrapolated to `cores` cores.
+    They were measured with six objects on an H200. The costs of `native` were measured on its host
+    and are converted to `cores` cores.
     """
     native = tuple((n, math.ceil(n / cores) / 31.0) for n in (1, cores, 4096))
     return {

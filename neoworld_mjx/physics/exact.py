@@ -67,8 +67,8 @@ def geom_distance(
 
     If the center of one geom lies on the surface or at the center of the other geom, MuJoCo 3.17
     returns the distance between the centers, however deep the penetration. The true distance is
-    always smaller. In this case, the distance is measured again with one geom displaced by a
-    micrometer.
+    always smaller, so such a result is recognized, and the distance is measured again with one geom
+    displaced by a micrometer.
     """
     between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
     if between > max(model.geom_rbound[a], model.geom_rbound[b]):

@@ -128,12 +128,12 @@ class Held(NamedTuple):
         return jnp.zeros_like(qvel).at[..., b.dof].set(force), qvel.at[..., b.dof].set(moving)
 
     def take(self, rows: Any) -> "Held":
-        """Take candidates along the leading axis."""
+        """Select candidates along the leading axis."""
         return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
 
 
 def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
-    """Return the free objects of placed candidates, and springs that hold them where placed."""
+    """Return the free objects of candidates, and springs that hold them at their placed poses."""
     static = scene.static
     m = static.mjm
     bodies = free_bodies(m, static.start)

@@ -43,7 +43,7 @@ class PosedSolid(NamedTuple):
 
 
 class Manifold(NamedTuple):
-    """Contacts of one pair; points that do not touch have a positive distance."""
+    """Contacts of a pair of solids. Points that do not touch have a positive distance."""
 
     dist: Float[Array, " point"]
     """Minus the overlap along the normal [m]."""
@@ -161,7 +161,7 @@ def _least_overlap(both: PosedSolid, ascents: int) -> tuple[Vec, Array]:
 
 
 def _outward(p: PosedSolid, v: Vec) -> Vec:
-    """Return the surface normal of an ellipsoid in a direction from its centre."""
+    """Return the surface normal of an ellipsoid in a direction from the ellipsoid's center."""
     local = _dot(p.rot.T, v)
     radii = jnp.where(p.solid.radii > 0, p.solid.radii, 1.0)
     return _dot(p.rot, local * (jnp.max(radii) / radii) ** 2)
@@ -225,14 +225,14 @@ def _clipped(
     first = jnp.max(jnp.where(before, jnp.where(leaves, 2.0, crossing), 0.0), axis=1)
     last = jnp.min(jnp.where(~before & leaves, crossing, 1.0), axis=1)
     inside = first <= last + 1e-6
-    # Across an edge of `two` the overlap is deepest in the middle and zero at the ends.
+    # Where an edge crosses an edge of `two`, the overlap is deepest midway and zero at the ends.
     fraction = jnp.clip(jnp.stack([first, (first + last) / 2, last], axis=1), 0.0, 1.0)
     points = ends[:, 0, None] + fraction[..., None] * (ends[:, 1] - ends[:, 0])[:, None]
-    # Distance against the normal after which a point leaves through a face, ...
+    # Distance against the normal after which a point leaves `two` through a face, ...
     over = start[:, None] - fraction[..., None] * change[:, None]
     slope = -_dot(faces, normal)
     away = jnp.min(jnp.where(slope > 1e-3, -over / jnp.maximum(slope, 1e-3), jnp.inf), axis=-1)
-    # ... at most until it is in front of all of `two`.
+    # ... but at most the distance after which the point is in front of all of `two`.
     thick, out = _thickness(one, normal)
     ahead = _dot(points, normal) + thick + _reach(two, -normal)
     depth = jnp.where(inside[:, None], jnp.minimum(away, ahead), -1.0)

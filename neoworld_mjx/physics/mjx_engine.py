@@ -182,7 +182,7 @@ def on_device(scene: SceneModel) -> MjxModel:
 def prepare(
     scene: SceneModel, poses: Poses
 ) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
-    """Return the candidates' model fields, their initial states, and a mask of the unplaceable."""
+    """Return the model fields and initial states of candidates, and a mask of the unplaceable."""
     fields, qpos = candidate_fields(scene, poses)
     return fields, qpos, unplaceable(poses, jnp)
 
@@ -208,8 +208,8 @@ def bare_scan(
     If a mesh is given, its devices share the candidates.
 
     Returns:
-        The recorded states, and a mask of candidates in which pairs of geoms that may touch were
-        dropped.
+        The recorded coordinates, and a mask of candidates for which a step left out pairs of geoms
+        that may touch.
     """
 
     def one(

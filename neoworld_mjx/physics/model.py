@@ -31,7 +31,7 @@ MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 class Powers(NamedTuple):
-    """Exponents p of MjModel fields: entries are proportional to scale^p of their object."""
+    """Exponents p of MjModel fields: an entry is proportional to s^p if its object has scale s."""
 
     body_mass: np.ndarray
     body_inertia: np.ndarray

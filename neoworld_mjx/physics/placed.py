@@ -68,7 +68,7 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
 
 
 def pair_gaps(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
-    """Return the signed distance [m] of each pair of objects, negative where they penetrate.
+    """Return the signed distance of each pair of objects [m], negative if they penetrate.
 
     The distance of objects i and j is the smaller of the distances of `neoworld_kernels.pair_gap`
     at (i, j) and (j, i). It is inf between environment supports and on the diagonal.

@@ -209,7 +209,7 @@ def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[
 
 
 def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: Any, xp: Any) -> Any:
-    """Return the distance of joint k from its initial position, [pop, time], [m] or [rad]."""
+    """Return the distance of joint k from its initial position [m or rad], shape [pop, time]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
     if m.jnt_type[joint] == BALL:

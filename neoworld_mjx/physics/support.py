@@ -286,7 +286,7 @@ def _leans(item: SceneObject) -> bool:
 
 
 def link_frame(parent: SceneObject, link: str | None) -> Pose:
-    """Return the support frame of a link relative to the parent's origin, in its yaw frame."""
+    """Return a link's support frame, relative to the parent's origin, in the parent's yaw frame."""
     moved = pose((0, 0, 0), parent.base_tilt)
     if link is not None:
         moved = moved.then(link_poses(parent.spec, parent.joint_state)[link])

@@ -262,7 +262,7 @@ def warp_device(device: str | None = None) -> Any:
 
 
 def _driver() -> bool:
-    """Return whether NVIDIA's driver finds a GPU, much faster than by initializing warp."""
+    """Return whether NVIDIA's driver finds a GPU. This is much faster than initializing warp."""
     try:
         cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
