@@ -22,7 +22,7 @@ def update(**facts: Any) -> None:
     Args:
         facts: values by name. `step` is the name of the step. `done`, `of` and `unit` give the
             progress, such as 3 of 10 iterations. `rate` is a number of candidates per second, and
-            `left_s` the remaining time [s]. `calls`, `cost_usd` and `unanswered` count the calls
-            of models, their cost and the calls without a response.
+            `left_s` the remaining time [s]. `calls` and `cost_usd` are the number and cost of
+            the calls of models, and `unanswered` is the number of calls without a response yet.
     """
     _log.debug("", extra={"facts": facts})
