@@ -1,6 +1,6 @@
 """Reconstruction of a simulation-ready scene from one RGB photograph, on JAX and MuJoCo MJX.
 
-Names are resolved on first use: importing the package loads neither JAX nor MuJoCo.
+Attributes are imported on first use, so importing the package loads neither JAX nor MuJoCo.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Cache folder of compiled programs and results, and bounds of JAX's caches."""
+"""The package's cache folder, JAX's persistent compilation cache, and a bound on JAX's caches."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,10 @@ VARIABLE = "NEOWORLD_CACHE"
 
 
 def cache_folder() -> Path:
-    """Return $NEOWORLD_CACHE, or else `neoworld` in the user's cache folder; it may not exist."""
+    """Return $NEOWORLD_CACHE or, if it is unset, `neoworld` in the user's cache folder.
+
+    The folder may not exist.
+    """
     if os.environ.get(VARIABLE):
         return Path(os.environ[VARIABLE])
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -15,10 +18,11 @@ def cache_folder() -> Path:
 
 
 def keep_compilations() -> Path | None:
-    """Enable JAX's persistent compilation cache, unless its folder is already set.
+    """Enable JAX's persistent compilation cache, unless JAX already has a cache folder.
 
     Returns:
-        The folder; None if it cannot be written, which only costs time.
+        The cache folder, or None if the folder is not writable. Without a cache, every process
+        compiles its functions again.
     """
     import jax
 
@@ -37,12 +41,12 @@ def keep_compilations() -> Path | None:
 
 
 def free_memory_maps(share: float = 0.5) -> bool:
-    """Clear JAX's caches before the process runs out of memory maps; return True if cleared.
+    """Clear JAX's caches if the process may run out of memory maps; return True if it did so.
 
-    On CPUs every compiled program maps some hundred regions, JAX keeps the programs of past scenes,
-    and Linux allows 65 530 maps per process: compilation would fail after some thirty scenes.
-    Caches are cleared if the process uses more than `share` of the allowed maps. Systems that do
-    not report their maps never clear caches.
+    On CPUs, every compiled function maps some hundred memory regions, and JAX keeps the compiled
+    functions of past scenes. Linux allows 65 530 maps per process, so compilation would fail after
+    some thirty scenes. The caches are cleared if the process uses at least the fraction `share` of
+    the allowed maps. On systems that do not report memory maps, the caches are never cleared.
     """
     import jax
 

@@ -1,6 +1,7 @@
 """The command line `neoworld`.
 
-Exit codes: 0 success, 1 the scene or object fails its checks, 2 invalid input.
+Exit codes: 0 if the command succeeds, 1 if the scene or object fails its checks, 2 if the input is
+invalid, 70 for an internal error, 130 after an interrupt.
 """
 
 import contextlib
@@ -26,14 +27,14 @@ if TYPE_CHECKING:
 
 REPORT = (
     "This is a bug in neoworld. A run can continue with --resume. To report the bug, repeat the "
-    "command with --debug and send its output with that of neoworld doctor"
+    "command with --debug and send its output and the output of neoworld doctor"
 )
 BAD_INPUT, FAILED, BUG = 2, 1, 70
 
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
-    # The matrices are small: on a busy machine threads of BLAS spend twice the time on waiting.
+    # The matrices are so small that BLAS threads mainly wait for one another on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
     if list(args) == ["--version"]:
@@ -44,17 +45,17 @@ def main(args: Sequence[str] | None = None) -> None:
         sys.exit(0)
     try:
         code = _run_words(args)
-    except KeyboardInterrupt:  # While modules are imported.
+    except KeyboardInterrupt:  # Raised while modules are imported.
         print(f"error: {MESSAGE}", file=sys.stderr)
         code = INTERRUPTED
     if code == INTERRUPTED:
         sys.stderr.flush()
-        os._exit(code)  # Threads and exit functions of libraries may take seconds.
+        os._exit(code)  # Do not wait for threads and exit functions of libraries.
     sys.exit(code)
 
 
 def _run_words(args: Sequence[str]) -> int:
-    """Run the command of some arguments and return the exit code; invalid ones end the process."""
+    """Run the command that `args` specify and return the exit code; exit if they are invalid."""
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -67,7 +68,7 @@ def _run_words(args: Sequence[str]) -> int:
 
 
 def help_text() -> str:
-    """Return the list of commands, wrapped to the terminal, without importing them."""
+    """Return the list of commands, wrapped to the terminal's width, without importing any."""
     width = min(shutil.get_terminal_size().columns, 100)
     column = max(map(len, COMMANDS)) + 4
     lines = [
@@ -82,7 +83,7 @@ def help_text() -> str:
         lines += textwrap.wrap(
             entry.summary, width, initial_indent=first, subsequent_indent=" " * column
         )
-    lines += ["", "neoworld COMMAND --help lists a command's options; neoworld --version"]
+    lines += ["", "COMMAND --help lists the options of COMMAND; --version prints the version"]
     return "\n".join(lines)
 
 
@@ -101,7 +102,7 @@ def _no_command(args: Sequence[str]) -> str:
 
 
 def parse(name: str, args: Sequence[str]) -> Any:
-    """Parse the arguments of a command; invalid ones end the process."""
+    """Parse the arguments of a command; exit if they are invalid."""
     import tyro
     from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
@@ -155,7 +156,7 @@ def run(command: "Runnable") -> int:
                 print(printable("\n".join(lines)), file=out)
             out.flush()
         except OSError as error:
-            if not isinstance(error, BrokenPipeError):  # The reader has stopped, as `head` does.
+            if not isinstance(error, BrokenPipeError):  # The reader has stopped reading.
                 print(f"error: cannot write to stdout: {error.strerror}", file=sys.stderr)
                 code = BAD_INPUT
             # Closing the file must not fail again.
@@ -164,7 +165,7 @@ def run(command: "Runnable") -> int:
 
 
 def _describe(error: Exception) -> tuple[str, int]:
-    """Return the message of an error, and the exit code."""
+    """Return the message and the exit code for an error."""
     if isinstance(error, NeoWorldError):
         return str(error), BAD_INPUT
     if isinstance(error, MemoryError):
@@ -226,11 +227,11 @@ _TABLES = {
     "examples": ["name", "objects", "joints", "shows", "licence", "photo"],
     "matrix": ["kind", "n", "detected", "named", "repaired"],
 }
-"""Columns of the lists that are shown as tables; columns that no row has are omitted."""
+"""Columns of the lists that are printed as tables. A column that no row has is omitted."""
 
 
 def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
-    """Yield the lines of a result with all its details."""
+    """Yield lines that show all entries of a result."""
     for key, value in result.items():
         if isinstance(value, dict):
             yield f"{indent}{key}:"
@@ -247,7 +248,7 @@ def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
 
 
 def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
-    """Return the lines of rows in aligned columns."""
+    """Return the lines of a table with aligned columns."""
     from rich.console import Console
     from rich.table import Column, Table
     from rich.text import Text
@@ -264,7 +265,7 @@ def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
 
 
 def _plain(value: Any) -> str:
-    """Format a value; hidden characters are escaped when the lines are printed."""
+    """Format a value as text. Hidden characters are escaped later, when the text is printed."""
     if isinstance(value, list | tuple):
         return ", ".join(map(_plain, value)) or "none"
     if isinstance(value, float):

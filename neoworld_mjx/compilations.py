@@ -12,9 +12,9 @@ class Compiled(NamedTuple):
     """Compilations since the first call of `compiled`."""
 
     programs: int = 0
-    """Programs compiled, or read from the cache."""
+    """Number of functions that were compiled or read from the cache."""
     seconds: float = 0.0
-    """Time of tracing, lowering and compiling them [s]."""
+    """Time spent on tracing, lowering and compiling [s]."""
 
 
 class _Count:
@@ -23,7 +23,7 @@ class _Count:
 
 
 def compiled() -> Compiled:
-    """Return the compilations, and reads from a cache, since the first call."""
+    """Return the number and time of compilations since the first call, which starts counting."""
     if not _Count.listening:
         _Count.listening = True
         jax.monitoring.register_event_duration_secs_listener(_on_event)
@@ -31,7 +31,7 @@ def compiled() -> Compiled:
 
 
 def compilations() -> int:
-    """Return the number of programs compiled, or read from a cache, since the first call."""
+    """Return the number of functions compiled, or read from the cache; see `compiled`."""
     return compiled().programs
 
 

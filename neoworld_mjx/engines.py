@@ -1,7 +1,7 @@
-"""Table of physics engines; importing it loads no simulator.
+"""Table of the physics engines. Importing this module loads no simulator.
 
-To add an engine, write a class that implements `physics.engine.Engine` and raises EngineError from
-its constructor where it cannot run, and add its row here.
+To add an engine, write a class that implements `physics.engine.Engine`, and add an entry to
+`ENGINES`. The constructor must raise EngineError if the engine cannot run on the machine.
 """
 
 import importlib.util
@@ -10,33 +10,31 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
 class EngineEntry(NamedTuple):
-    """Row of the table."""
+    """One engine of the table."""
 
     location: str
-    """Location of the class: "module:Class", the module relative to this package."""
+    """The engine's class as "module:Class". The module name is relative to this package."""
     purpose: str
-    """Hardware and simulator of the engine, in words."""
+    """Hardware and simulator that the engine uses, for help texts."""
     accelerator: bool
-    """True if `auto` uses the engine only where JAX has an accelerator."""
+    """If True, `auto` considers the engine only if JAX has an accelerator."""
     agreement: float
-    """Minimum fraction of verdicts that equal MuJoCo's, on layouts away from the thresholds."""
+    """Least fraction of verdicts that must equal MuJoCo's, for layouts away from the thresholds."""
 
 
 ENGINES: dict[str, EngineEntry] = {
     "warp": EngineEntry(
-        ".physics.warp_engine:WarpEngine", "NVIDIA GPUs, by MuJoCo Warp", False, 0.98
+        ".physics.warp_engine:WarpEngine", "MuJoCo Warp on NVIDIA GPUs", False, 0.98
     ),
     "mjx": EngineEntry(
-        ".physics.mjx_engine:MjxEngine", "JAX accelerators, by MuJoCo MJX", True, 0.98
+        ".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", True, 0.98
     ),
-    "native": EngineEntry(
-        ".physics.native:NativeEngine", "CPUs, by C MuJoCo on all cores", False, 0.99
-    ),
+    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", False, 0.99),
 }
-"""Engines by name. `auto` chooses the fastest available one for each rollout."""
+"""Engines by name. `auto` chooses the fastest available engine for each rollout."""
 
-ENGINES_HELP = "Physics engine; auto chooses the fastest available one: " + "; ".join(
-    f"{name}: {entry.purpose}" for name, entry in ENGINES.items()
+ENGINES_HELP = "Physics engine. auto chooses the fastest available engine: " + ", ".join(
+    f"{name} ({entry.purpose})" for name, entry in ENGINES.items()
 )
 
 if TYPE_CHECKING:
@@ -50,8 +48,9 @@ else:
 def share_gpu_memory() -> None:
     """Let JAX allocate GPU memory on demand, so that some remains for Warp.
 
-    By default JAX preallocates three quarters. Has no effect if the environment variable is set,
-    Warp is not installed, or JAX has started.
+    By default, JAX preallocates three quarters of the memory. This function has no effect if
+    XLA_PYTHON_CLIENT_PREALLOCATE is already set, if MuJoCo Warp is not installed, or if JAX has
+    already initialized the GPU.
     """
     if importlib.util.find_spec("mujoco_warp") is not None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

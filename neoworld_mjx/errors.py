@@ -1,4 +1,4 @@
-"""Errors caused by the input; each message states the problem, its location and valid choices."""
+"""Errors that invalid input causes; messages state the problem, its location and valid choices."""
 
 import difflib
 import errno
@@ -7,50 +7,50 @@ from collections.abc import Iterable
 
 
 class NeoWorldError(Exception):
-    """Base of the errors that the package raises on invalid input, with exit code 2."""
+    """Base class of the errors that invalid input causes. The command line exits with code 2."""
 
 
 class ConfigError(NeoWorldError):
-    """Invalid configuration file or option."""
+    """Raised if a configuration file or an option is invalid."""
 
 
 class PhotoError(NeoWorldError):
-    """Unreadable or unusable photograph."""
+    """Raised if a photograph cannot be read or used."""
 
 
 class SpecError(NeoWorldError):
-    """Inconsistent scene tree, object or scene description."""
+    """Raised if a scene tree, an object or a scene description is inconsistent."""
 
 
 class ProgramError(NeoWorldError):
-    """Object program that is still invalid after all revisions."""
+    """Raised if an object program is still invalid after all revisions."""
 
 
 class ModelError(NeoWorldError):
-    """Failed request to a multimodal model, or one without a valid response."""
+    """Raised if a request to a multimodal model fails or has no valid response."""
 
     texts: tuple[str, ...] = ()
-    """Invalid responses as received, without API keys."""
+    """Invalid responses as received, with API keys removed."""
 
 
 class MissingResponseError(ModelError):
-    """Request without a response in the tape."""
+    """Raised if the recorded responses (tape) contain no response to a request."""
 
 
 class BudgetError(ModelError):
-    """Reached cost cap of a run; the run can be resumed with a higher cap."""
+    """Raised if a run reaches its cost cap. The run can be resumed with a higher cap."""
 
 
 class EngineError(NeoWorldError):
-    """Physics engine that is unavailable or cannot simulate the scene."""
+    """Raised if a physics engine is unavailable or cannot simulate the scene."""
 
 
 class ExportError(NeoWorldError):
-    """File that cannot be written, or read back after writing."""
+    """Raised if a file cannot be written, or cannot be read back after writing."""
 
 
 class RunError(NeoWorldError):
-    """Run folder that cannot be used: in use, of another program, incomplete or not writable."""
+    """Raised if a run folder is in use, incomplete, not writable, or from another program."""
 
 
 _OPEN_FILES = {errno.EMFILE, errno.ENFILE}
@@ -61,14 +61,15 @@ _REFUSALS = _OPEN_FILES | {
 
 
 def system_refusal(error: BaseException) -> str | None:
-    """Return the message of an error of the system that no code causes, otherwise None.
+    """Return a message if the operating system refused an operation, otherwise None.
 
-    These are refused names and permissions, full or failing disks, and limits.
+    Such refusals are not bugs of the package. They are due to invalid file names, missing
+    permissions, full or failing disks, and limits of the system.
     """
     if open_files_exhausted(error):
         return f"{os.strerror(errno.EMFILE)}; raise the limit, such as with ulimit -n 4096"
     if isinstance(error, OSError) and error.errno == errno.ENOENT and error.filename is None:
-        return f"{error.strerror}; free some space, or set TMPDIR"  # Of `tempfile`.
+        return f"{error.strerror}; free some space, or set TMPDIR"  # From `tempfile`.
     if not isinstance(error, OSError) or error.errno not in _REFUSALS:
         return None
     path = "" if error.filename is None else f"cannot use {error.filename}: "
@@ -76,19 +77,20 @@ def system_refusal(error: BaseException) -> str | None:
 
 
 def open_files_exhausted(error: BaseException | None) -> bool:
-    """Return True if an error, also one of a library in Rust, is the limit of open files."""
+    """Return True if too many open files caused an error, including errors of Rust libraries."""
     number = getattr(error, "errno", None)
     return number in _OPEN_FILES or f"(os error {errno.EMFILE})" in str(error)
 
 
 MAX_CHOICES = 40
-"""Maximum number of names that an error message lists next to a suggestion."""
+"""Largest number of valid names that an error message lists if it suggests a similar name."""
 
 
 def choices(value: str, valid: Iterable[object]) -> str:
     """Return "got 'x', valid are: a, b, c; did you mean 'b'?" for an error message.
 
-    If there are more than `MAX_CHOICES` names and one is similar, only that one is listed.
+    If there are more than `MAX_CHOICES` names and one of them is similar to `value`, only the
+    similar name is given.
     """
     names = list(map(str, valid))
     near = difflib.get_close_matches(value, names, n=1)

@@ -18,4 +18,4 @@ BEST: dict[Simulator, tuple[Format, ...]] = {
     "sapien": ("urdf",),
     "pinocchio": ("urdf",),
 }
-"""Formats that preserve most for each simulator."""
+"""For each simulator, the formats that preserve most of a scene."""

@@ -1,9 +1,9 @@
-"""Declarations of options: default, bounds, unit, meaning, and the cost of changing the value.
+"""Declaration of options: default, bounds, unit, meaning, and the cost of changing the value.
 
     population: int = static("sets array shapes", 256, "Candidates per iteration.", ge=2)
 
-`list_options` returns the declarations; the pages of options and the grouping of sweeps are derived
-from that list.
+`list_options` lists the declarations. The pages that document options and the grouping of sweep
+points are derived from this list.
 """
 
 from collections.abc import Iterator
@@ -15,37 +15,39 @@ from pydantic_core import PydanticUndefined
 Kind = Literal["host", "traced", "static"]
 """Cost of changing an option during the search.
 
-host: none, the value is used outside compiled code. traced: none, the value is an array argument of
-compiled code. static: a recompilation, for the option's reason.
+- host: no cost, since the value is used outside compiled code.
+- traced: no cost, since the value is an array argument of compiled code.
+- static: a recompilation; the option's `reason` states why.
 """
 
 
 class PaperDifference(NamedTuple):
-    """Difference of a default from the paper."""
+    """Difference between the default of an option and the paper."""
 
     value: Any
-    """Value of the paper; `configs/paper.yaml` sets it."""
+    """Value in the paper, which `configs/paper.yaml` sets."""
     reason: str
-    """Reason for another default, as one English sentence."""
+    """Why the default differs from the paper, in one English sentence."""
 
 
 class Options(BaseModel):
-    """Base of all option groups: frozen, without unknown keys."""
+    """Base class of all option groups. Instances are frozen, and unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Option(NamedTuple):
-    """Declaration of one option, with its path from the listed group."""
+    """Declaration of one option."""
 
     path: str
+    """Path of the option from the listed group, with dots."""
     default: Any
     """Default in JSON form."""
     meaning: str
     unit: str
     kind: Kind
     reason: str
-    """Reason why the option is static, or why a traced one can split a sweep; empty otherwise."""
+    """Why the option is static, or why a traced option can split a sweep; otherwise empty."""
     values: tuple[str, ...]
     """Valid names of an enumerated option."""
     bounds: str
@@ -77,7 +79,7 @@ def traced(default: Any, meaning: str, **details: Any) -> Any:
 
 
 def static(reason: str, default: Any, meaning: str, **details: Any) -> Any:
-    """Declare an option whose change recompiles the program; `reason` says why."""
+    """Declare an option whose change requires a recompilation; `reason` states why."""
     return _declare(default, meaning, "static", reason=reason, **details)
 
 
@@ -99,7 +101,8 @@ def list_options(group: Options | type[Options], prefix: str = "") -> Iterator[O
     """List the options of a group and its subgroups, in the order of declaration.
 
     Args:
-        group: an instance, whose values are the defaults, or a class whose options all have one.
+        group: an instance, whose values are listed as defaults, or a class in which every option
+            has a default.
         prefix: path of the group, ending in a dot, or empty.
     """
     group = group() if isinstance(group, type) else group
@@ -112,7 +115,7 @@ def list_options(group: Options | type[Options], prefix: str = "") -> Iterator[O
         extra = field.json_schema_extra
         if not isinstance(extra, dict) or field.default is PydanticUndefined:
             raise TypeError(
-                f"{type(group).__name__}.{name}: declare it by option, traced or static"
+                f"{type(group).__name__}.{name}: declare it with option, traced or static"
             )
         literal = get_origin(field.annotation) is Literal
         yield Option(

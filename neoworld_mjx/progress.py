@@ -12,7 +12,7 @@ _log = logging.getLogger(LOGGER)
 
 
 def report(line: str, **facts: Any) -> None:
-    """Log a message, and update facts; see `update`."""
+    """Log a message, and update the facts of the status line; see `update`."""
     _log.info("%s", line, extra={"facts": facts})
 
 
@@ -20,7 +20,9 @@ def update(**facts: Any) -> None:
     """Update facts of the status line without a message; None removes a fact.
 
     Args:
-        facts: values by name: `step`; `done` and `of`, the progress in `unit`s; `rate`
-            [candidates/s]; `left_s`; `calls`, `cost_usd` and `unanswered` calls of models.
+        facts: values by name. `step` is the name of the step. `done`, `of` and `unit` give the
+            progress, such as 3 of 10 iterations. `rate` is a number of candidates per second, and
+            `left_s` the remaining time [s]. `calls` and `cost_usd` are the number and cost of
+            the calls of models, and `unanswered` is the number of calls without a response yet.
     """
     _log.debug("", extra={"facts": facts})

@@ -1,8 +1,9 @@
-"""Persistent cache of lowered programs, which saves tracing and lowering in a new process.
+"""Persistent cache of lowered functions, which saves tracing and lowering in a new process.
 
-JAX's compilation cache is keyed by the lowered program, and tracing and lowering takes longer than
-reading it. This cache stores lowered programs by `jax.export`, keyed by their sources, the versions
-of libraries and the shapes of arguments; results are bit-identical.
+JAX's compilation cache is keyed by the lowered function. A new process must therefore trace and
+lower a function before it can read the compiled one, and this takes longer than reading. This cache
+stores functions that `jax.export` lowered. Their keys contain the source code, the versions of
+libraries and the shapes of arguments. Results are bit-identical with and without the cache.
 """
 
 import contextlib
@@ -24,23 +25,24 @@ from .io.files import MIB, read_bytes, write_atomic
 
 _PACKAGES = ("config", "measure", "physics", "refinement", "spec")
 SOURCES = (*(f"neoworld_mjx/{name}" for name in _PACKAGES), "neoworld_kernels")
-"""Packages from which programs are traced, and whose constants they may contain."""
+"""Packages whose functions are traced, or whose constants traced functions may contain."""
 TRACED_LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
 MAX_PROGRAMS, MAX_BYTES = 64, 64 * MIB
-"""Number of stored programs, beyond which the oldest are removed, and largest size to read."""
+"""Number of stored functions beyond which the oldest are removed, and size of the largest file that
+is read [bytes]."""
 _Program = Callable[..., Any]
 
 
 def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a jitted function whose lowered programs are stored on disk.
+    """Return a jitted function whose lowered form is stored on disk.
 
-    They are stored on CPUs only, where tracing takes seconds, and only if JAX's compilation cache
-    is enabled. Within another traced function, `fn` itself is called.
+    The lowered form is stored only on CPUs, where tracing takes seconds, and only if JAX's
+    compilation cache is enabled. Within another traced function, `fn` itself is called.
 
     Args:
-        fn: a jitted function of arrays and static keywords.
-        like: function of the same arrays that returns a tree with the result's structure; only
-            its shapes are evaluated.
+        fn: a jitted function of arrays and static keyword arguments.
+        like: a function of the same arrays whose result has the same tree structure as the result
+            of `fn`. It is evaluated only abstractly, by `jax.eval_shape`.
     """
     programs: dict[Any, tuple[_Program, Any]] = {}
 
@@ -52,7 +54,7 @@ def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[.
         avals = tuple((np.shape(x), str(jax.dtypes.canonicalize_dtype(x.dtype))) for x in leaves)
         form, options = str(tree), tuple(sorted(static.items()))
         if " at 0x" in form:
-            # The tree refers to objects of this process.
+            # The tree structure refers to objects that exist only in this process.
             return fn(*args, **static)
         key = (form, avals, options)
         if key not in programs:
@@ -69,7 +71,7 @@ def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[.
 
 
 def computes_on_cpu() -> bool:
-    """Return True if JAX computes on the CPU, as the only backend or by `jax.default_device`."""
+    """Return True if JAX computes on the CPU, by default or because of `jax.default_device`."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         return jax.default_backend() == "cpu"
@@ -77,7 +79,7 @@ def computes_on_cpu() -> bool:
 
 
 def _is_stored(leaves: list[Any]) -> bool:
-    """Return True if the program of a call with these arguments can be stored."""
+    """Return True if the lowered function for these arguments can be stored."""
     concrete = (np.ndarray, np.generic, jax.Array)
     if any(isinstance(x, Tracer) or not isinstance(x, concrete) for x in leaves):
         return False
@@ -90,12 +92,12 @@ def _folder() -> Path | None:
 
 
 def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
-    """Read a program, or trace and store it."""
+    """Read a lowered function; if that fails, trace, lower and store it."""
     folder = _folder()
     assert folder is not None
     path = folder / f"{_fingerprint(name)}.bin"
     exported = None
-    # Replace a damaged file.
+    # A missing or damaged file is written anew.
     with contextlib.suppress(Exception):
         exported = jax.export.deserialize(bytearray(read_bytes(path, MAX_BYTES)))
     if exported is None:
@@ -106,7 +108,7 @@ def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
 
 
 def _store(path: Path, exported: jax.export.Exported) -> None:
-    # A failed write only costs time.
+    # If writing fails, the next process traces the function again.
     with contextlib.suppress(OSError, ImportError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, bytes(exported.serialize()))
@@ -120,7 +122,7 @@ def _fingerprint(name: str) -> str:
 
 @functools.cache
 def _sources() -> str:
-    """Return the hash of the sources and versions that programs depend on."""
+    """Return a hash of the source files and library versions that traced functions depend on."""
     digest = hashlib.sha256()
     for library in TRACED_LIBRARIES:
         digest.update(f"{library} {importlib.metadata.version(library)} ".encode())

@@ -1,4 +1,4 @@
-"""Kernels of neoworld_mjx for arrays, each with a `jnp` reference."""
+"""Array kernels of neoworld_mjx for penetration depths, with a reference implementation in jnp."""
 
 from .blocks import sorted_samples
 from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance

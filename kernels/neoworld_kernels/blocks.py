@@ -1,4 +1,4 @@
-"""Surface samples in blocks of neighbours, with bounding spheres."""
+"""Surface samples in blocks of neighboring points, with bounding spheres."""
 
 from typing import NamedTuple
 
@@ -22,10 +22,10 @@ class Blocks(NamedTuple):
 def sorted_samples(
     samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
 ) -> Float[NDArray, "object sample 3"]:
-    """Reorder each object's samples so that every BLOCK consecutive ones are close together.
+    """Reorder each object's samples so that each block of BLOCK consecutive samples is compact.
 
-    The first `first` samples, the most important ones, stay in front and are reordered among
-    themselves.
+    The first `first` samples are the most important ones. They stay in front and are reordered
+    among themselves.
     """
 
     def halved(points: NDArray) -> NDArray:
@@ -39,7 +39,7 @@ def sorted_samples(
 
 
 def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
-    """Split samples into blocks of consecutive ones."""
+    """Split the samples of each object into blocks of consecutive samples."""
     count, number, _ = samples.shape
     size = min(BLOCK, number)
     points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")
@@ -48,8 +48,8 @@ def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
 
 
 def bounding_sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]:
-    """Return centres [..., 3] and radii [...] of spheres about points [m]."""
+    """Return the centers [..., 3] and radii [...] of spheres that bound points [m]."""
     centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
     radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
-    # Slightly larger, so that rounding never culls a contact.
+    # The radius is slightly enlarged, so that rounding never culls a contact.
     return centre, radius * 1.00001 + 1e-6

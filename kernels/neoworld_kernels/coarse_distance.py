@@ -1,7 +1,8 @@
-"""Cheap depths for the search of the deepest sample; approximate outside a solid.
+"""Cheap depths of points in convex pieces, for the search of the deepest sample.
 
-Functions take separate coordinates as broadcastable arrays of any shape, so that the Pallas kernel
-and plain XLA share them. `plane(f, k)` returns component k of a piece's plane f.
+Depths are approximate outside a piece. Functions take coordinates as separate, broadcastable arrays
+of any shape, so that the Pallas kernel and plain XLA share them. `plane(f, k)` returns component k
+of a piece's plane f.
 """
 
 import math
@@ -17,17 +18,17 @@ Plane = Callable[[Array, int], Array]
 def depths(
     kind: str, local: list[list[Array]], size: list[Array], plane: Plane, faces: int | Array
 ) -> list[Array]:
-    """Return depths of points below the surface; approximate outside.
+    """Return the depths of points below a piece's surface; approximate for points outside.
 
-    Norms to edges and corners, which matter only outside, are omitted. For a capsule the result is
-    minus the squared distance to the axis; see `finished`.
+    Distances to edges and corners matter only outside and are not computed. For a capsule, the
+    result is minus the squared distance to the axis; see `finished`.
 
     Args:
         kind: a field name of `Colliders`.
         local: points in the piece's frame, each [x, y, z].
         size: size of the piece, three arrays.
-        plane: planes of the piece.
-        faces: number of planes.
+        plane: function that returns a component of one of the piece's planes.
+        faces: number of planes of the piece.
     """
     if kind == "box":
         return [
@@ -75,7 +76,7 @@ def depths(
 def bound(
     kind: str, point: list[Array], size: list[Array], plane: Plane, faces: int | Array
 ) -> Array:
-    """Return a lower bound of the distance to the surface, with a Lipschitz constant of 1."""
+    """Return a lower bound of the signed distance to the surface. Its Lipschitz constant is 1."""
     if kind == "capsule":
         return -finished(kind, depths(kind, [point], size, plane, faces)[0], size)
     if kind == "ellipsoid":
@@ -87,14 +88,14 @@ def bound(
 
 
 def finished(kind: str, best: Array, size: list[Array]) -> Array:
-    """Convert the largest value of `depths` to a depth."""
+    """Convert the largest value that `depths` returned to a depth."""
     return size[0] - _root(-best) if kind == "capsule" else best
 
 
 def folded(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
     """Rotate points about z into the sector from 0 to 2 pi / times."""
     inverse = times * (1 / (2 * math.pi))
-    # Mosaic GPU has no floor; angles are shifted so that truncation rounds down.
+    # Mosaic GPU has no floor. Angles are shifted so that truncation rounds down.
     index = (_angle(y, x) * inverse + times).astype(jnp.int32).astype(jnp.float32) - times
     turn = index * (2 * math.pi / times)
     c, s = jnp.cos(turn), jnp.sin(turn)
@@ -108,7 +109,8 @@ def _root(square: Array) -> Array:
 def _angle(y: Array, x: Array) -> Array:
     """Compute atan2, which Mosaic GPU lacks, to 1e-5 (Abramowitz and Stegun, 4.4.47).
 
-    That suffices for sectors, since neighbours give the same depth where they meet.
+    This accuracy suffices for sectors, since two neighboring sectors have equal depths where they
+    meet.
     """
     across, along = jnp.abs(x), jnp.abs(y)
     large = jnp.maximum(jnp.maximum(across, along), 1e-15)

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 SPARE = 1e6
-"""Offset of a spare half-space, which contains every point [m]."""
+"""Offset of a half-space that pads a table of planes and contains every point [m]."""
 
 
 class PieceGroup(NamedTuple):
-    """Convex pieces of one kind, in the frames of the objects that own them."""
+    """Convex pieces of one kind, each in the frame of the object that it belongs to."""
 
     owner: Int[Array, " piece"]
-    """Object that a piece belongs to."""
+    """Index of the object that each piece belongs to."""
     pos: Float[Array, "piece 3"]
     """[m]"""
     rot: Float[Array, "piece 3 3"]
@@ -21,13 +21,14 @@ class PieceGroup(NamedTuple):
     size: Float[Array, "piece 3"]
     """MuJoCo's geom_size [m]; unused entries are zero."""
     planes: Float[Array, "piece face 4"]
-    """Outward half-spaces n.x <= d of polytopes; spare rows, last, are (0, 0, 0, SPARE)."""
+    """Half-spaces n.x <= d of polytopes, with outward normals n. Rows that pad the table are last
+    and equal (0, 0, 0, SPARE)."""
     extent: Float[Array, "piece 2 3"]
-    """Lowest and highest corner of each piece's bounding box in its own frame [m]."""
+    """Lowest and highest corner of each piece's bounding box, in the piece's frame [m]."""
 
 
 class Colliders(NamedTuple):
-    """All convex pieces of a scene, by kind; absent kinds have zero pieces."""
+    """All convex pieces of a scene, by kind. A kind that does not occur has zero pieces."""
 
     box: PieceGroup
     capsule: PieceGroup
@@ -36,23 +37,24 @@ class Colliders(NamedTuple):
     ellipsoid: PieceGroup
     polytope: PieceGroup
     sector: PieceGroup
-    """Polytopes repeated `size[0]` times about their frame's z axis. The stored one spans the
-    angles from 0 to 2 pi / size[0], with mirror-symmetric halves; points are first rotated into
-    it."""
+    """Polytopes that are repeated `size[0]` times about the z axis of their frame. Only the repeat
+    at angles from 0 to 2 pi / size[0] is stored, and its halves are mirror images. Points are
+    rotated into this range of angles before their distance is computed."""
 
 
 def signed_distance(
     kind: str, x: Float[Array, "*batch 3"], piece: PieceGroup
 ) -> Float[Array, "*batch"]:
-    """Return the signed distance [m] of points in a piece's frame, negative inside.
+    """Return the signed distance of points to a piece [m], negative inside.
 
-    Exact for boxes, capsules and cylinders; first order in the distance for ellipsoids; for
-    polytopes the largest plane distance, which is exact inside and a lower bound outside.
+    Distances to boxes, capsules and cylinders are exact. Distances to ellipsoids are accurate to
+    first order. For polytopes and sectors, the result is the largest signed distance to a plane,
+    which is exact inside and a lower bound outside.
 
     Args:
         kind: a field name of `Colliders`.
-        x: points [m].
-        piece: one row of the group, without the leading axis.
+        x: points in the piece's frame [m].
+        piece: one piece of a group, without the leading axis.
     """
     return distance(kind, x[..., 0], x[..., 1], x[..., 2], piece)
 
@@ -89,7 +91,7 @@ def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Arra
 
 
 def _norm(*parts: Array) -> Array:
-    # The gradient of the norm at zero is zero instead of NaN.
+    # The gradient at zero is zero instead of NaN.
     square = sum(v * v for v in parts)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)

@@ -1,17 +1,18 @@
 """Deepest penetration with culling by bounding volumes, for CPUs.
 
-Most objects of a scene are apart, and if two touch, most surface samples are far from the contact.
-A piece and an object are tested only if, in some candidate, the bounding box of the piece
-intersects the bounding sphere of the object. Of the object's samples, in blocks of BLOCK
-consecutive ones, only blocks whose bounding spheres intersect the box are tested. Consecutive
-samples should therefore be close together; see `sorted_samples`.
+Most objects of a scene are apart. If two objects touch, most of their samples are far from the
+contact. A piece is tested against an object only if, in some candidate, the bounding box of the
+piece intersects the bounding sphere of the object. The samples of the object form blocks of BLOCK
+consecutive samples, and only blocks whose bounding spheres intersect the box are tested.
+Consecutive samples should therefore be close together; see `sorted_samples`.
 
-The search returns the deepest sample and its piece. Its depth is then recomputed, which makes the
-result differentiable at the cost of one distance per pair of objects.
+The search returns the deepest sample of each pair of objects, and the piece that contains it. The
+gradient is computed from these samples alone, at the cost of one distance per pair of objects.
 
-Loops run only over pairs that prove to be near at run time, so padding costs almost nothing. Pieces
-form two families, since XLA's compile time grows with the number of branches: those defined by
-sizes, for which all formulas are evaluated and one is selected, and those defined by planes.
+Loops run only over pairs that are near at run time, so padding costs almost nothing. Since XLA's
+compile time grows with the number of branches, there are only two families of pieces. For pieces
+defined by sizes, the formulas of all kinds are evaluated, and one result is selected. All other
+pieces are defined by planes.
 """
 
 from collections.abc import Callable
@@ -28,17 +29,18 @@ from .coarse_distance import depths, finished, folded
 from .convex_pieces import SPARE, Colliders, PieceGroup, distance
 
 UNROLL = 4
-"""Planes per pass over a block's samples."""
+"""Number of planes that are evaluated per pass over the samples of a block."""
 PAIRS = 32
-"""Pairs of objects whose gradients are computed at once."""
+"""Number of pairs of objects whose gradients are computed at once."""
 SIZE_KINDS = ("box", "capsule", "cylinder", "ellipsoid")
-"""Kinds of pieces defined by sizes; the others are polytopes, repeated or not."""
+"""Kinds of pieces that are defined by sizes. The other kinds, polytopes and sectors, are defined by
+planes."""
 
 Index = Int[Array, "object object pop"]
 
 
 class ObjectPoses(NamedTuple):
-    """Poses of all candidates' objects; the last axis is the population, for vectorization."""
+    """Poses of all objects of all candidates; the population is last, for vectorization."""
 
     pos: Float[Array, "object 3 pop"]
     rot: Float[Array, "object 3 3 pop"]
@@ -46,28 +48,28 @@ class ObjectPoses(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all kinds: first those defined by sizes, then those defined by planes."""
+    """Pieces of all kinds: first the pieces defined by sizes, then the pieces defined by planes."""
 
     all: PieceGroup
-    """Without planes."""
+    """The pieces, without their planes."""
     code: Int[Array, " round"]
     """Index in SIZE_KINDS of each piece defined by sizes."""
     planes: Float[Array, "flat face 4"]
     times: Float[Array, " flat"]
-    """Number of repeats of each polytope about its frame's z axis."""
+    """Number of repeats of each polytope about the z axis of its frame."""
     faces: Int[Array, " flat"]
-    """Number of planes of each polytope, without spare ones."""
+    """Number of planes of each polytope, without padding."""
 
 
 class Deepest(NamedTuple):
-    """Deepest sample of object i in the pieces of object j; all zero where none is inside."""
+    """Deepest sample of object i in the pieces of object j, at [i, j]; zeros if none is inside."""
 
     depth: Float[Array, "object object pop"]
     sample: Index
     piece: Index
-    """Index over all kinds."""
+    """Index of the piece that contains the sample, over all kinds."""
     face: Index
-    """Plane of a polytope nearest to the sample."""
+    """Index of the plane of a polytope that is nearest to the sample."""
 
 
 def pair_depth_culled(
@@ -79,8 +81,8 @@ def pair_depth_culled(
 ) -> Float[Array, "pop object object"]:
     """Compute `pair_depth` with culling by bounding volumes. Differentiable.
 
-    One of several equally deep samples determines the gradient. The depths of an object whose pose
-    is not finite are NaN.
+    If several samples are equally deep, one of them determines the gradient. All depths of an
+    object whose pose is not finite are NaN.
     """
     pop, count = scale.shape
     if not any(len(group.owner) for group in colliders) or not pop or not samples.size:
@@ -120,9 +122,10 @@ def join_pieces(colliders: Colliders) -> Pieces:
 def touching(
     placed: ObjectPoses, blocks: Blocks, pieces: PieceGroup
 ) -> Bool[Array, "piece object"]:
-    """Return a mask of objects whose bounding sphere meets a piece's bounding box in any candidate.
+    """Return a mask of pieces and objects whose bounding volumes intersect in any candidate.
 
-    A pose with NaN touches nothing.
+    The bounding box of each piece is tested against the bounding sphere of each other object. An
+    object whose pose is NaN touches nothing.
     """
     centre, radius = bounding_sphere(blocks.points.reshape(blocks.points.shape[0], -1, 3))
     at = jnp.sum(placed.rot * centre[:, None, :, None], axis=2) * placed.scale[:, None] + placed.pos
@@ -161,7 +164,7 @@ def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
 
 
 def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[Array, ""]]:
-    """Return the flat indices of true elements, in order, and their number."""
+    """Return the flat indices of the true elements, in order, and the number of true elements."""
     flat = mask.reshape(-1)
     place = jnp.where(flat, jnp.cumsum(flat, dtype=jnp.int32) - 1, flat.size)
     order = jnp.zeros(flat.size, jnp.int32)
@@ -170,7 +173,8 @@ def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[
 
 
 DepthOf = Callable[[list[Array]], Array]
-"""Maps points in a piece's frame, given by components, to their depth below its surface."""
+"""Function of points in a piece's frame, given by separate coordinates, that returns their depths
+below the piece's surface."""
 
 
 def _deeper(
@@ -182,7 +186,7 @@ def _deeper(
     i: Int[Array, ""],
     planes: bool,
 ) -> Deepest:
-    """Update the deepest samples with those of object i in one piece, for all candidates."""
+    """Update the deepest samples of all candidates with the samples of object i in one piece."""
     o = pieces.all.owner[piece]
     pos, rot, size = pieces.all.pos[piece], pieces.all.rot[piece], placed.scale[o]
     low, high = pieces.all.extent[piece]
@@ -266,7 +270,7 @@ def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
                 least = jnp.minimum(least, ((d - a * x) - b * y) - c * z)
             return least, following(k + 1)
 
-        # Loaded one iteration ahead, since XLA does not vectorize a loop with a dynamic index.
+        # Load planes one iteration ahead: XLA does not vectorize a loop with a dynamic index.
         following = lambda k: lax.dynamic_slice_in_dim(planes, k * UNROLL, UNROLL)
         turns = -(-pieces.faces[row] // UNROLL)
         return lax.fori_loop(0, turns, nearer, (x * 0.0 + SPARE, following(0)))[0]
@@ -277,7 +281,7 @@ def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
 def _nearest_plane(
     pieces: Pieces, piece: Array, local: list[Float[Array, " pop"]]
 ) -> Int[Array, " pop"]:
-    """Return the nearest plane of each point in a piece's frame."""
+    """Return the index of the piece's plane that is nearest to each point in the piece's frame."""
     row = piece - len(pieces.code)
     planes, times = pieces.planes[row], pieces.times[row]
     x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
@@ -294,7 +298,7 @@ def _folded(local: list[Array], times: Array) -> list[Array]:
 def _value(
     deepest: Deepest, placed: ObjectPoses, samples: Float[Array, "object sample 3"], pieces: Pieces
 ) -> Float[Array, "object object pop"]:
-    """Return the depths of the search, with the gradient of `_depth_at`."""
+    """Return the depths that the search found. The gradient is that of `_depth_at`."""
     del placed, samples, pieces
     return deepest.depth
 
@@ -332,7 +336,7 @@ def _depth_at(
     samples: Float[Array, "object sample 3"],
     pieces: Pieces,
 ) -> Float[Array, "pair pop"]:
-    """Compute the depth of the deepest samples of pairs (i, j) of objects."""
+    """Compute the depths of the deepest samples of pairs (i, j) of objects."""
     first = lambda x: jnp.moveaxis(x, -1, 0)
     x = first(samples[i[:, None], deepest.sample])
     # One row per piece, since a CPU gathers rows much faster than single numbers.

@@ -1,10 +1,12 @@
 """First hits of camera rays on convex pieces, for a population of poses: a z-buffer without pixels.
 
 The inverse depth at which a ray crosses a plane is linear in the ray's image position. A ray hits a
-convex polytope if the minimum over planes that face the camera exceeds the maximum over the others;
-the minimum is then the hit's inverse depth. A quadric adds a square root. A piece is tested against
-a block of rays only if their image boxes overlap for some candidate. Loops run only over pieces
-that prove to be near at run time, so padding costs almost nothing.
+convex polytope if the minimum over planes that face the camera exceeds the maximum over all other
+planes. The minimum is then the inverse depth of the hit. A quadric adds bounds that contain a
+square root.
+
+A piece is tested against a block of rays only if the image boxes of both overlap in some candidate.
+Loops run only over pieces that are near at run time, so padding costs almost nothing.
 """
 
 import math
@@ -19,23 +21,23 @@ from .convex_pieces import SPARE, Colliders, PieceGroup
 from .culled import ObjectPoses, dot, true_indices
 
 UNROLL = 4
-"""Planes per pass over a block's rays."""
+"""Number of planes that are evaluated per pass over the rays of a block."""
 NEAREST = 1e5
-"""Inverse depth [1/m] from which the camera counts as inside a piece, which then occludes
-nothing."""
+"""Inverse depth of a hit [1/m] from which the camera counts as inside the piece. Such a piece
+occludes nothing."""
 CLOSE = 1e-2
-"""Depth [m] within which a box fills the image."""
+"""Depth [m] below which a bounding box counts as filling the image."""
 
 
 class Rays(NamedTuple):
-    """Rays in blocks, through (x, y, 1) in the camera's frame: right, down and forward."""
+    """Rays through the points (x, y, 1) in the camera's frame (right, down, forward), in blocks."""
 
     x: Float[Array, "block ray pop"]
     y: Float[Array, "block ray pop"]
 
 
 class ConvexRows(NamedTuple):
-    """Pieces of one family."""
+    """Pieces that are defined by planes alone, or by planes and a quadric."""
 
     owner: Int[Array, " row"]
     pos: Float[Array, "row 3"]
@@ -43,9 +45,9 @@ class ConvexRows(NamedTuple):
     extent: Float[Array, "row 2 3"]
     planes: Float[Array, "row face 4"]
     weights: Float[Array, "row 3"]
-    """A quadric: the sum of weights times squared coordinates is at most 1; zero for polytopes."""
+    """Coefficients w of the quadric w.x^2 <= 1, where x^2 are squared coordinates; 0 if none."""
     times: Float[Array, " row"]
-    """Number of repeats about the z axis."""
+    """Number of repeats about the z axis of the piece's frame."""
     used: Bool[Array, " row"]
 
 
@@ -82,7 +84,7 @@ def flat_rows(colliders: Colliders) -> ConvexRows:
 
 
 def round_rows(colliders: Colliders) -> ConvexRows:
-    """Return the pieces defined by quadrics; a capsule is a cylinder and two spheres."""
+    """Return the pieces defined by quadrics. A capsule becomes a cylinder and two spheres."""
     capsule, cylinder, ellipsoid = colliders.capsule, colliders.cylinder, colliders.ellipsoid
     long = capsule.size[:, 1] > 0
     parts = []
@@ -139,8 +141,8 @@ def picture_boxes(
         extent: corners of each row's bounding box [m].
 
     Returns:
-        left, top, right, bottom and the inverse depth [1/m] of the nearest corner; a box that
-        meets the camera's plane fills the image.
+        left, top, right, bottom at depth 1, and the inverse depth of the nearest corner [1/m]. The
+        image box of a bounding box that reaches the camera's plane is infinite.
     """
     # Coordinates first: [3, corner, row, pop].
     own = jnp.transpose(placed.rot[owner], (1, 2, 0, 3))
@@ -180,13 +182,13 @@ def first_hits(
     Args:
         placed: objects in the camera's frame: right, down, forward.
         families: rows of `flat_rows` and `round_rows`.
-        near: masks of the rows of each family that are tested.
+        near: for each family, a mask of the rows that are tested.
         rays: the camera rays.
-        layer: layer of each object; layers do not occlude one another.
+        layer: layer of each object. Layers do not occlude one another.
         layers: number of layers.
 
     Returns:
-        Inverse depths [1/m] of the nearest surfaces along the view; 0 for no hit.
+        Inverse depths of the nearest surfaces [1/m]; 0 if a ray hits nothing.
     """
     hits = jnp.zeros((layers, *rays.x.shape), jnp.float32)
     bounds = [
@@ -224,7 +226,7 @@ def _cast_row(
     low, high = rows.extent[row]
     step = 2 * math.pi / rows.times[row]
     if not curved:
-        # A wedge within angles 0 to `step` has a narrower box than the whole.
+        # The box of one wedge, at angles from 0 to `step`, is smaller than the box of all repeats.
         narrow = step <= math.pi / 2
         low = jnp.where(narrow, jnp.maximum(low, jnp.array([0.0, 0.0, -jnp.inf])), low)
         wedge = high.at[1].multiply(jnp.sin(step))
@@ -243,7 +245,7 @@ def _cast_row(
         touched = (box[0] <= bounds[2]) & (box[2] >= bounds[0])
         touched &= (box[1] <= bounds[3]) & (box[3] >= bounds[1])
         order, number = _listed(jnp.any(touched, axis=1))
-        # Camera to piece: a ray's point at depth t is eye + t (columns of `into` at (x, y, 1)).
+        # Camera to piece: the point of a ray at depth t is eye + t * (into @ (x, y, 1)).
         own = jnp.swapaxes(placed.rot[owner], 0, 1) / size
         into = jnp.sum(turn.T[:, :, None, None] * own, axis=1)
         eye = -_times(into, placed.pos[owner]) - jnp.sum(turn * pos[:, None], axis=0)[:, None]
@@ -266,13 +268,12 @@ def _cast_row(
                     lower = jnp.maximum(lower, sloped + down)
                 return upper, lower, following(j + 1)
 
-            # Loaded one iteration ahead: XLA does not vectorize a loop with a dynamic index.
+            # Load planes one iteration ahead: XLA does not vectorize a loop with a dynamic index.
             following = lambda j: lax.dynamic_slice_in_dim(table, j * UNROLL, UNROLL)
             turns = -(-faces // UNROLL)
             upper, lower, _ = lax.fori_loop(0, turns, cut, (upper, lower, following(0)))
             covered = (upper > lower) & (upper < NEAREST)
-            # Read and written in one place, since XLA otherwise copies the array in every
-            # iteration.
+            # Read and write the array in one place: otherwise XLA copies it in every iteration.
             nearest = jnp.maximum(hits[layer[owner], b], jnp.where(covered, upper, 0.0))
             return hits.at[layer[owner], b].set(nearest)
 
@@ -284,7 +285,7 @@ def _cast_row(
 
 
 def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Array, ""]]:
-    """Return the indices of true elements, in order, and their number; for short masks."""
+    """Compute `true_indices` of a short mask."""
     index = np.arange(mask.shape[0], dtype=np.int32)
     place = jnp.sum((index < index[:, None]) & mask, axis=1, dtype=jnp.int32)
     chosen = (place == index[:, None]) & mask
@@ -294,11 +295,12 @@ def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Arra
 def _bounds_of_planes(
     planes: Float[Array, "face 4"], turn: Float[Array, "3 3 pop"], eye: Float[Array, "3 pop"]
 ) -> Float[Array, "face 4 pop"]:
-    """Return slopes in x and y and offsets of the planes' bounds of the inverse depth.
+    """Return the bounds that planes impose on the inverse depth of a ray, linear in x and y.
 
-    Planes that face the camera are upper bounds, the others lower bounds.
+    Columns are the slopes in x and y, the offset of the upper bound and that of the lower bound.
+    Planes that face the camera are upper bounds, all others are lower bounds.
     """
-    # Sums of products, since XLA delegates short reductions to a library slow on small arrays.
+    # Sums of products: XLA delegates short reductions to a library that is slow on small arrays.
     *normal, far = planes[:, :, None].swapaxes(0, 1)
     gap = far - dot(normal, eye)
     facing = gap < 0
@@ -331,6 +333,6 @@ def _through_quadric(quadric: Array, x: Array, y: Array) -> tuple[Array, Array]:
     root = jnp.sqrt(jnp.maximum(square, 0.0))
     missed = square <= 0.0
     large = 2 * NEAREST
-    # Inside an infinite cylinder the ray leaves at the side.
+    # From inside an infinite cylinder, the ray leaves through the side.
     upper = jnp.where(missed, -large, jnp.where(outside, root - f, large))
     return upper, jnp.where(outside, -f - root, root - f)

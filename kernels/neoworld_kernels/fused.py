@@ -15,7 +15,7 @@ from .coarse_distance import bound, depths, finished
 from .convex_pieces import SPARE, Colliders
 
 GRANULE = 4
-"""Number of samples adjacent in memory."""
+"""Number of samples whose coordinates are adjacent in memory."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,11 +23,11 @@ class PairDepthTuning:
     """Block sizes of the kernel."""
 
     block: int = 256
-    """Candidates per program; a thread processes block / 128 of them."""
+    """Number of candidates per Pallas program. A thread processes block / 128 candidates."""
     unroll: int = 8
-    """Samples per loop iteration."""
+    """Number of samples per loop iteration."""
     fused: bool = True
-    """True for one kernel over all kinds of colliders, False for one each."""
+    """If True, one kernel processes all kinds of colliders; otherwise, each kind has a kernel."""
 
     def __post_init__(self) -> None:
         """Raise a ValueError unless `block` is a multiple of 128 and `unroll` a multiple of 8."""
@@ -38,14 +38,14 @@ class PairDepthTuning:
 
 
 class _Pieces(NamedTuple):
-    """One kind's pieces, in the order of their owners."""
+    """Pieces of one kind, sorted by owner."""
 
     kind: str
     first: Int[Array, " bound"]
-    """Index of each object's first piece; one more entry for the end."""
+    """Index of each object's first piece, followed by the number of pieces."""
     table: Float[Array, "piece column"]
-    """pos (3), rot by rows (9), size (3), number of planes without spare ones (1), planes (4 each).
-    """
+    """Columns: pos (3), rot by rows (9), size (3), number of planes without padding (1), planes (4
+    each)."""
 
 
 def _pieces(colliders: Colliders, count: int) -> list[_Pieces]:
@@ -76,10 +76,11 @@ def pair_depth_kernel(
 ) -> Float[Array, "pop object object"]:
     """Compute `pair_depth` in one Pallas kernel.
 
-    A program processes a block of candidates, one per lane, and one ordered pair of objects. It
-    composes the transform from i's frame into each of j's pieces once, skips the piece if i's
-    bounding sphere is outside for the whole block, and otherwise loops over the samples, which all
-    lanes share. Per candidate it reads only poses and writes only depths.
+    A Pallas program processes a block of candidates, one per lane, and one ordered pair (i, j) of
+    objects. For each piece of j, it composes the transform from i's frame into the piece's frame
+    once. It skips the piece if i's bounding sphere is outside the piece in all candidates of the
+    block, and otherwise loops over the samples, which all lanes share. Per candidate, it reads only
+    poses and writes only depths.
     """
     t = tuning or PairDepthTuning()
     pop, count = scale.shape
@@ -87,7 +88,7 @@ def pair_depth_kernel(
     groups = _pieces(colliders, count)
     if not groups or pop == 0 or count == 0:
         return jnp.zeros((pop, count, count), jnp.float32)
-    # A pose is 13 rows: rotation by rows, position, scale.
+    # A pose has 13 rows: rotation by rows, position, scale.
     pose = jnp.concatenate([rot.reshape(pop, count, 9), pos, scale[..., None]], axis=-1)
     pose = jnp.pad(pose, ((0, blocks * t.block - pop), (0, 0), (0, 0)), mode="edge")
     pose = jnp.transpose(pose, (1, 2, 0)).astype(jnp.float32)
@@ -113,12 +114,12 @@ def pair_depth_kernel(
 def _padded(
     samples: Float[Array, "object sample 3"], unroll: int
 ) -> tuple[Float[Array, "object granule 3 four"], Float[Array, "object 4"]]:
-    """Return samples in granules, padded to a multiple of `unroll`, and their bounding spheres."""
+    """Return the samples in granules, padded to a multiple of `unroll`, and bounding spheres."""
     spare = -samples.shape[1] % unroll
     points = jnp.pad(samples, ((0, 0), (0, spare), (0, 0)), mode="edge").astype(jnp.float32)
     centre = (points.min(axis=1) + points.max(axis=1)) / 2
     radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[:, None]) ** 2, axis=-1), axis=1))
-    # Slightly larger, so that rounding never culls a contact.
+    # The radius is slightly enlarged, so that rounding never culls a contact.
     sphere = jnp.concatenate([centre, radius[:, None] * 1.00001 + 1e-6], axis=1)
     points = points.reshape(len(points), -1, GRANULE, 3)
     return jnp.swapaxes(points, 2, 3), sphere
@@ -140,7 +141,7 @@ def _interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
 
 
 def _on_hopper(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
-    # Mosaic GPU: the Triton backend of Pallas is deprecated.
+    # Mosaic GPU is used, since the Triton backend of Pallas is deprecated.
     import jax.experimental.pallas.mosaic_gpu as plgpu
 
     names = ("block", "of", "into")

@@ -30,7 +30,8 @@ __all__ = [
 Impl = Literal["auto", "jnp", "culled", "pallas"]
 
 KERNEL_TIMES = json.loads((Path(__file__).parent / "penetration_measured.json").read_text())
-"""Measured problem sizes at which the kernel is faster than plain XLA."""
+"""Measured times of the kernel and of plain XLA for each GPU, and the problem size (`pallas_from`)
+from which `choose` selects the kernel."""
 
 
 def pair_gap(
@@ -40,14 +41,14 @@ def pair_gap(
     samples: Float[Array, "object sample 3"],
     colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute the signed distance [m] of i's samples to j's colliders, at [candidate, i, j].
+    """Compute the least signed distance of i's samples to j's colliders [m], at [candidate, i, j].
 
-    It is negative where they penetrate. Outside a polytope or a sector it is the distance to the
-    nearest plane's half space, at most the true one. It is inf for an object without colliders, and
-    on the diagonal. Differentiable. Arguments as for `pair_depth`.
+    The distance is negative if i penetrates j. Outside a polytope or sector, it is the largest
+    signed distance to a plane, which is at most the true distance. It is inf if j has no colliders,
+    and on the diagonal. Differentiable. Arguments are those of `pair_depth`.
     """
     pop, count = scale.shape
-    # Population last, for vectorization of the maximum over samples.
+    # The population is the last axis, for vectorization of the maximum over samples.
     pos, rot, scale = jnp.moveaxis(pos, 0, -1), jnp.moveaxis(rot, 0, -1), scale.T
     at = jnp.swapaxes(samples, 0, 1)[..., None]
     points = [
@@ -59,7 +60,7 @@ def pair_gap(
         if group.owner.shape[0] == 0:
             continue
 
-        # The gradient recomputes distances, which for all pieces can exceed memory.
+        # The gradient recomputes distances: those of all pieces together could exceed the memory.
         @jax.checkpoint
         def deepest(piece: PieceGroup, kind: str = kind) -> Float[Array, "object pop"]:
             o = piece.owner
@@ -119,21 +120,24 @@ def pair_depth(
     tuning: PairDepthTuning | None = None,
     interpret: bool = False,
 ) -> Float[Array, "pop object object"]:
-    """Compute the depth [m] of i's samples in j's colliders, at [candidate, i, j]. Differentiable.
+    """Compute the depth of i's deepest sample in j's colliders [m], at [candidate, i, j].
+
+    Differentiable.
 
     Args:
         pos: object origins in the world [m].
         rot: object rotations.
         scale: isotropic scale of each object about its origin.
-        samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
+        samples: surface points in object frames at scale 1 [m]. Repeat points for padding.
         colliders: convex pieces in object frames at scale 1.
-        impl: `jnp` evaluates all pairs in plain XLA, `culled` only those that can touch; `pallas`
-            is the kernel for NVIDIA GPUs from Hopper on; `auto` selects by `choose`.
-        tuning: block sizes of the kernel; None uses the defaults.
-        interpret: True runs the kernel on any device, slowly.
+        impl: `jnp` evaluates all pairs in plain XLA. `culled` evaluates only pairs that can touch.
+            `pallas` is the kernel for NVIDIA GPUs from Hopper on. `auto` selects one of them; see
+            `choose`.
+        tuning: block sizes of the kernel; if None, the defaults are used.
+        interpret: if True, run the kernel in Pallas's interpreter, on any device but slowly.
 
     Returns:
-        Depths, zero where nothing penetrates; the diagonal is zero.
+        Depths, zero for pairs that do not penetrate and on the diagonal.
     """
     if impl == "auto":
         impl = choose(scale.shape[0], scale.shape[1], samples.shape[1], colliders)
@@ -149,8 +153,8 @@ def choose(
 ) -> Literal["jnp", "culled", "pallas"]:
     """Select the fastest implementation on JAX's default device, by `KERNEL_TIMES`.
 
-    CPUs use `culled`, which is slower than `jnp` only for a single candidate, by a millisecond;
-    GPUs without measurements use `jnp`.
+    On CPUs, `culled` is selected. It is slower than `jnp` only for a single candidate, by a
+    millisecond. On GPUs without measurements, `jnp` is selected.
     """
     pieces = sum(group.owner.shape[0] for group in colliders)
     work = pop * objects * samples * pieces
@@ -163,6 +167,6 @@ def choose(
 
 
 def _device() -> Any:
-    """Return the device of new arrays, respecting `jax.default_device`."""
+    """Return the device on which JAX creates arrays; see `jax.default_device`."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     return jax.devices(chosen)[0] if chosen is None or isinstance(chosen, str) else chosen

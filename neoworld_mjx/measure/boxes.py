@@ -26,7 +26,7 @@ def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
 
 
 def footprint(box: Box3D) -> NDArray:
-    """Return the corners [4, 2] m of an upright box's footprint, counterclockwise."""
+    """Return the corners of an upright box's footprint [m], counterclockwise, shape [4, 2]."""
     half = np.array(box.size[:2]) / 2
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     c, s = np.cos(box.yaw), np.sin(box.yaw)
@@ -34,9 +34,10 @@ def footprint(box: Box3D) -> NDArray:
 
 
 def support_footprint(node: TreeNode) -> NDArray:
-    """Return the corners [n, 2] m of a node's footprint, counterclockwise, from its outline.
+    """Return the corners of a node's footprint [m], counterclockwise, shape [n, 2].
 
-    A tilted node has the footprint of its upright bounding box.
+    The footprint has the shape of the node's outline. The footprint of a tilted node is that of the
+    upright bounding box.
     """
     box = upright(node)
     if node.outline.shape == "rectangle" or box is not node.box3d:
@@ -47,8 +48,12 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
-    """Return the intersection area [m^2] of two counterclockwise polygons [n, 2] m, `b` convex."""
-    # Plain numbers: a scene has many pairs, and arrays of four points cost more than they save.
+    """Return the intersection area of two polygons [m^2].
+
+    The polygons are given by their corners [m], counterclockwise, shape [n, 2]. Polygon `b` must be
+    convex.
+    """
+    # Plain floats: a scene has many pairs, and NumPy is slower for arrays of four points.
     clipped, corners = a.tolist(), b.tolist()
     for (x0, y0), (x1, y1) in itertools.pairwise([*corners, corners[0]]):
         heights = [(y - y0) * (x1 - x0) - (x - x0) * (y1 - y0) for x, y in clipped]
@@ -76,14 +81,14 @@ def shared_3d(a: Box3D, b: Box3D) -> float:
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Return the intersection over union of two upright boxes at their yaws."""
+    """Return the intersection over union of two upright boxes, by volume. The yaws may differ."""
     common = shared_3d(a, b)
     union = float(np.prod(a.size) + np.prod(b.size)) - common
     return common / union
 
 
 def upright(node: TreeNode) -> Box3D:
-    """Return the upright bounding box, at the same yaw, of a node's tilted box."""
+    """Return the upright bounding box of a node's tilted box. Both boxes have the same yaw."""
     box = node.box3d
     if abs(node.base_tilt[0]) > 1 - 1e-12:
         return box

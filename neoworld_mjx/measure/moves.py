@@ -13,16 +13,16 @@ class Move(NamedTuple):
     """Displacement, scaling and rotation of one object."""
 
     distance_m: float
-    """Distance between its origins in the world."""
+    """Distance between the object's origins in the two scenes, in the world frame."""
     size_ratio: float
-    """New size over old size, geometric mean of the axes."""
+    """New size divided by old size, as the geometric mean over the axes."""
     yaw_deg: float
     turn_deg: float
-    """Angle between its orientations, tilt included."""
+    """Angle between the object's orientations, including the tilt."""
 
 
 def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
-    """Return the move of every object that both scenes share, without environment supports."""
+    """Return the move of every object that both scenes contain, except environment supports."""
     old, new = ({item.name: item for item in scene.objects} for scene in (before, after))
     poses_before, poses_after = world_poses(before), world_poses(after)
     result = {}

@@ -15,7 +15,7 @@ class SceneCheck(Spec):
     threshold: float
     passed: bool
     where: str = ""
-    """Object, pair or joint of the value; empty if nothing moves or overlaps."""
+    """Object, pair or joint that has the value; empty if the scene has none."""
 
     def phrase(self) -> str:
         """Return one line, such as "max_tilt_deg 12.3 of mug, over 5"."""
@@ -40,8 +40,8 @@ def measured(scene: SceneSpec, o: RefineOptions, *, sleeps: bool = False) -> Sce
 def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, ...]:
     """Compare every measure with its bound.
 
-    Sliding joints have the bound of translation, turning joints that of rotation. A diverged
-    simulation fails every bound of motion.
+    Sliding joints are compared with the bound of translation, and turning joints with the bound of
+    rotation. If the simulation diverged, every check except that of the initial depth fails.
     """
     depth, drift, tilt = o.max_depth_m, o.max_drift_m, o.max_tilt_deg
     rows = (
@@ -54,7 +54,7 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
     )
     checks = []
     for name, value, threshold, values in rows:
-        # Depths may equal their bound, as in S-Pen; motions may not.
+        # A depth may equal its bound, as in S-Pen. A motion may not.
         passed = value <= threshold if "depth" in name else value < threshold
         if measure.diverged and "max_depth" not in name:
             value, passed = math.inf, False

@@ -16,17 +16,17 @@ class SceneMeasure(Spec):
 
     objects: int
     movable: int
-    """Number of objects with a free base; stability is undefined without any."""
+    """Number of objects with a free base. If there are none, stability is undefined."""
     s_pen: int | None
     """1 if two objects penetrate deeper than the bound in the composed pose, else 0."""
     max_depth_m: float
-    """Largest penetration of two objects in the composed pose."""
+    """Largest penetration depth of two objects in the composed pose."""
     settled_depth_m: float
-    """Largest penetration at the end of the simulation, when contacts bear weight."""
+    """Largest penetration depth at the end of the simulation, when contacts bear weight."""
     depths_m: dict[str, float] = Field(default_factory=dict)
-    """Penetrating pairs in the composed pose, "a|b"."""
+    """Penetration depth of each penetrating pair "a|b" in the composed pose."""
     settled_depths_m: dict[str, float] = Field(default_factory=dict)
-    """Penetrating pairs at the end of the simulation."""
+    """Penetration depth of each penetrating pair "a|b" at the end of the simulation."""
     s_stab: bool | None
     """True if every object stayed within the bounds at all times; None without movable objects."""
     max_drift_m: float
@@ -36,9 +36,9 @@ class SceneMeasure(Spec):
     drop_m: dict[str, float] = Field(default_factory=dict)
     """Largest descent of each movable object."""
     joint_slide_m: dict[str, float] = Field(default_factory=dict)
-    """Largest motion of each sliding joint, by "object-joint"."""
+    """Largest displacement of each sliding joint "object-joint"."""
     joint_turn_deg: dict[str, float] = Field(default_factory=dict)
-    """Largest motion of each turning joint."""
+    """Largest rotation of each turning joint "object-joint"."""
     duration_s: float
     diverged: bool = False
 
@@ -53,10 +53,10 @@ def scene_measure(
     max_tilt: float = 5.0,
     sleeps: bool = False,
 ) -> SceneMeasure:
-    """Measure penetration in the composed pose, and drift in a simulation from it without drag.
+    """Measure penetration in the composed pose, and drift in a simulation that starts from it.
 
-    Poses are compared after every step. Stepping releases the GIL, so scenes may be measured in
-    threads.
+    The simulation has no drag. The poses after every step are compared with the composed pose.
+    Stepping releases the GIL, so several scenes may be measured in threads.
 
     Args:
         scene: the scene.
@@ -65,8 +65,8 @@ def scene_measure(
         max_depth: penetration bound [m].
         max_drift: translation bound [m].
         max_tilt: rotation bound [deg].
-        sleeps: True lets contact components at rest sleep, which is faster but not the paper's
-            measure.
+        sleeps: if True, let islands of bodies at rest sleep (`mjENBL_SLEEP`). This is faster, but
+            it is not the paper's measure.
     """
     model, data = start_state(scene, timestep)
     if sleeps:
@@ -134,11 +134,11 @@ def _joint_motion(
 def _simulate(
     model: mujoco.MjModel, data: mujoco.MjData, steps: int
 ) -> tuple[NDArray[np.float64], bool]:
-    """Step a scene from its state, in one call to MuJoCo.
+    """Simulate a scene from the state in `data`, in one call to MuJoCo.
 
     Returns:
-        qpos after each step [step, nq], and True if the simulation stayed finite; `data` holds the
-        last state.
+        qpos after each step, shape [step, nq]; and True if the simulation stayed finite. If it did,
+        `data` is set to the last state.
     """
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.zeros(mujoco.mj_stateSize(model, kind))

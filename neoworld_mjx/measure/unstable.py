@@ -1,4 +1,4 @@
-"""Objects of a scene that leave their composed poses, with the reasons."""
+"""Objects of a scene that leave their composed poses, and the reasons why."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -7,7 +7,7 @@ from ..spec import SceneObject, SceneSpec, Spec
 from .stability import SceneMeasure
 
 FALLS_M = 0.03
-"""Least descent of a falling object, as opposed to one that settles or topples."""
+"""Descent above which an object falls, as opposed to an object that settles or topples."""
 
 
 class UnstableObject(Spec):
@@ -20,7 +20,7 @@ class UnstableObject(Spec):
     drift_m: float
     tilt_deg: float
     held: bool
-    """False if the object is attached but not fastened, so that no layout can make it stable."""
+    """False if the object is attached but not fastened, in which case no layout makes it stable."""
     why: str
 
     def phrase(self) -> str:
@@ -37,7 +37,10 @@ class UnstableObject(Spec):
 def unstable_objects(
     scene: SceneSpec, measure: SceneMeasure, *, max_drift: float = 0.01, max_tilt: float = 5.0
 ) -> tuple[UnstableObject, ...]:
-    """Return the objects that exceed a bound of motion, with reasons; falling ones come first.
+    """Return the objects that exceed a bound of motion, and the reasons, the worst kinds first.
+
+    Objects that make the simulation diverge come first, followed by objects that fall, topple and
+    slide.
 
     Args:
         scene: the measured scene.
@@ -101,7 +104,7 @@ def _why(
         pair = max(deep, key=deep.__getitem__)
         other = next(part for part in pair.split("|") if part != obj.name)
         if deep[pair] > 1e-3:
-            return f"it begins {1e3 * deep[pair]:.1f} mm deep in {other}"
+            return f"it initially penetrates {other} by {1e3 * deep[pair]:.1f} mm"
     if obj.relation == "leaning":
         return f"it stands on {parent}, and nothing that it leans against holds it"
     if kind == "falls":

@@ -17,9 +17,9 @@ class SidesShown(NamedTuple):
     """Sides of an object's visible box in a scene: left, top, right, bottom."""
 
     ends: Bool[np.ndarray, "4"]
-    """True where the object itself ends, within the image and not occluded."""
+    """True for each side where the object itself ends, not at an occluder or the image border."""
     inside: Bool[np.ndarray, "4"]
-    """True where the extreme point of the whole object lies within the image."""
+    """True for each side at which the extreme point of the whole object is within the image."""
 
 
 def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
@@ -35,9 +35,9 @@ def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
 
 
 def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
-    """Return the sides of each object's visible box at which the object itself ends.
+    """Return, for each object, the sides of its visible box at which the object itself ends.
 
-    Environment supports are omitted; the result is empty if the scene has no camera.
+    Environment supports are omitted. The result is empty if the scene has no camera.
     """
     if scene.camera is None:
         return {}
@@ -52,11 +52,12 @@ def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
 
 
 def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
-    """Return the intersection over union of each object's visible box with its parsed one.
+    """Return the intersection over union of each object's visible box and its parsed box.
 
-    Both bound the part that the photograph's camera sees, without occluded parts and parts beyond
-    the image border. An invisible object has 0. Environment supports and objects without a parsed
-    box are omitted; the result is empty if the scene has no camera.
+    Both boxes bound the part of the object that the photograph's camera sees, which excludes
+    occluded parts and parts beyond the image border. The value of an invisible object is 0.
+    Environment supports and objects without a parsed box are omitted. The result is empty if the
+    scene has no camera.
     """
     return {} if scene.camera is None else seen_box_iou(scene, *_visible(scene))
 
@@ -74,10 +75,10 @@ def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", visible: "Visible") ->
 
 
 def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
-    """Return the intersection over union of each parsed 3D box in the image with the 2D box.
+    """Return the intersection over union of each parsed 2D box and the projected parsed 3D box.
 
-    3D boxes are clipped at the image border. They do not occlude one another, since a container's
-    box would occlude its contents.
+    The projections are clipped at the image border. Occlusion is ignored, since the 3D box of a
+    container would occlude the container's contents.
     """
     size = np.array([tree.camera.width, tree.camera.height_px])
     ious = {}
@@ -90,11 +91,15 @@ def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
 
 
 def box_iou(tree: SceneTree, composed: SceneSpec, refined: SceneSpec) -> dict[str, Any]:
-    """Compare the boxes of a run's parse, composed scene and refined scene with the parsed boxes.
+    """Compare the boxes of a run with the parsed 2D boxes, by intersection over union.
+
+    The boxes of three steps are compared: the 3D boxes of the parse, and the visible boxes in the
+    composed scene and in the refined scene.
 
     Returns:
-        "parsed", "composed", "refined": means over the objects, None without objects; "worst": name
-        and value of the worst object of the refined scene; "objects": all three values by name.
+        "parsed", "composed" and "refined" are the means over all objects, or None if there are no
+        objects. "worst" is the name and value of the worst object of the refined scene. "objects"
+        contains the three values of each object, by name.
     """
     steps = {
         "parsed": parsed_box_iou(tree),

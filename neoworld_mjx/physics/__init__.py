@@ -1,1 +1,1 @@
-"""Scenes as MuJoCo models, and engines that roll populations of layouts out."""
+"""Scenes as MuJoCo models, and engines that roll out populations of layouts."""

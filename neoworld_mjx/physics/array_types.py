@@ -1,7 +1,7 @@
-"""Type of arrays that functions take both from the host and from a device."""
+"""Type of arrays that may be on the host or on a device."""
 
 import numpy as np
 from jaxtyping import Array
 
 AnyArray = Array | np.ndarray
-"""An array of JAX or of NumPy, for annotations such as `Float[AnyArray, "pop object"]`."""
+"""A JAX or NumPy array, for annotations such as `Float[AnyArray, "pop object"]`."""

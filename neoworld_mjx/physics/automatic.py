@@ -16,11 +16,11 @@ from .model import SceneModel, StaticScene
 
 
 class AutomaticEngine:
-    """Engine that delegates every rollout to the engine of least cost, as measured here.
+    """Engine that delegates each rollout to the engine with the least cost on this machine.
 
-    Small populations run on the CPU, large ones on the accelerator; the crossover depends on the
-    scene and the machine. Verdicts of two engines may differ within a factor of 2 of a threshold,
-    so `name` lists the engines used.
+    Small populations run on the CPU and large populations on the accelerator. The crossover depends
+    on the scene and the machine. Two engines may give different verdicts for values within a factor
+    of 2 of a threshold, so `name` lists the engines used.
     """
 
     def __init__(self, engines: Mapping[str, Engine]) -> None:
@@ -36,7 +36,7 @@ class AutomaticEngine:
             weakref.WeakKeyDictionary()
         )
         self.name = "auto"
-        """Engines used so far, joined by plus signs; `auto` before the first rollout."""
+        """Names of the engines used so far, joined by "+"; `auto` before the first rollout."""
         self._used: list[str] = []
         self.refusals: list[str] = []
         """Reasons why engines could not simulate a scene, one line each."""
@@ -91,6 +91,6 @@ class AutomaticEngine:
         raise EngineError("; ".join(self.refusals) or "no engine can run here")
 
     def _started_with(self, static: StaticScene) -> set[str]:
-        """Return the engines that have already simulated a scene, with or without drag."""
+        """Return the engines that already simulated a scene, with or without damped joints."""
         known = (names for other, names in self._started.items() if other.spec is static.spec)
         return self._started.setdefault(static, next(known, set()))

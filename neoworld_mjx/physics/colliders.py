@@ -1,6 +1,6 @@
 """Canonical colliders of a scene as arrays: convex pieces by kind.
 
-D_pen is measured on these colliders, whichever engine simulates the scene.
+D_pen is measured on these colliders, regardless of the engine that simulates the scene.
 """
 
 import jax
@@ -24,9 +24,9 @@ _KIND = {
 
 
 def collect_colliders(objects: tuple[SceneObject, ...]) -> Colliders:
-    """Collect every object's convex pieces, in its frame at its joint state.
+    """Collect the convex pieces of all objects, in the objects' frames at their joint states.
 
-    Wedges that a lathe repeats around its axis are stored once.
+    A wedge that a lathe repeats around an axis is stored once.
     """
     rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Colliders._fields}
     for owner, item in enumerate(objects):
@@ -70,7 +70,7 @@ def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
 
 
 def _extent(piece: Piece, repeats: int) -> NDArray:
-    """Return the bounding box of a piece in its own frame, with its repeats about the z axis."""
+    """Return the bounding box of a piece and its repeats about the z axis, in the piece's frame."""
     if repeats == 1:
         return np.array(box_around(piece, pose()))
     x, y, z = np.array(piece.vertices).T

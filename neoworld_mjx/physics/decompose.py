@@ -19,40 +19,48 @@ from ..io.limited_worker import call_limited
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.03, 96), (0.08, 16)
-"""Concavity threshold, relative to the mesh's size, and largest number of pieces, for closed and
-for open meshes. An open mesh is split into connected components first, and CoACD wraps those that
-are open themselves, so more pieces would cost time without being thinner.
+"""Concavity threshold, relative to the mesh's size, and largest number of pieces, of closed meshes
+and of open meshes. An open mesh is first split into connected components. CoACD wraps the open
+components, so more pieces would take longer without being thinner.
 """
 SIMPLIFIED = 0.004
-"""Largest displacement of the surface of a closed mesh before it is split, relative to its size:
-CoACD's time grows with the number of faces."""
+"""Largest displacement of the surface when a closed mesh is simplified, relative to the mesh's
+size. Meshes are simplified since CoACD's time grows with the number of faces."""
 SMALL_HOLES = 0.05
-"""Area of holes that are filled, relative to the mesh's; more is the opening of a drawer."""
+"""Largest area of the holes that are filled, relative to the mesh's area. Larger holes are kept,
+such as the opening of a drawer."""
 MAX_CORNERS = 48
 CACHE_VERSION = "5"
 SHEET_M = 0.002
 """Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
-"""Least volume of a convex mesh, relative to its hull."""
+"""Least volume of a convex mesh, relative to the volume of its hull."""
 
 
 def installed() -> bool:
-    """Return whether CoACD is installed; without it a mesh becomes its convex hull."""
+    """Return whether CoACD is installed. Without it, a mesh is replaced by its convex hull."""
     return importlib.util.find_spec("coacd") is not None
 
 
 def decomposition_deadline() -> float:
-    """Return the time (`time.monotonic`) until which the meshes of an asset may be split."""
+    """Return the value of `time.monotonic` until which the meshes of an asset may be split."""
     return time.monotonic() + file_bounds().decompose_s
 
 
 def convex_pieces(
     vertices: NDArray, faces: NDArray, deadline: float | None = None
 ) -> list[NDArray]:
-    """Split a mesh of vertices [v, 3] m and triangles [f, 3] into hulls, each of points [n, 3] m.
+    """Split a mesh into convex pieces, and return the points of each piece [m], shape [n, 3].
 
-    A convex mesh yields a single piece, as does any mesh if CoACD is not installed, fails, or takes
-    more than `files.memory_mib` or the time until `deadline`, see `decomposition_deadline`.
+    The convex hull of the mesh is the only piece if
+
+    - the mesh is flat or convex, or
+    - CoACD is not installed, fails, needs more than `files.memory_mib`, or exceeds `deadline`.
+
+    Args:
+        vertices: vertices of the mesh [m], shape [v, 3].
+        faces: triangles of the mesh, shape [f, 3].
+        deadline: value of `time.monotonic`; if None, that of `decomposition_deadline`.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
     whole = [hull_points(vertices)]
@@ -71,7 +79,7 @@ def convex_pieces(
     left = (decomposition_deadline() if deadline is None else deadline) - time.monotonic()
     try:
         if left <= 0:
-            raise RunError(f"files.decompose_s, {file_bounds().decompose_s:g} s, have passed")
+            raise RunError(f"files.decompose_s of {file_bounds().decompose_s:g} s is exceeded")
         mesh = Path(f"a mesh of {len(faces)} faces")
         pieces = call_limited(
             *(_coacd, mesh, vertices, faces),
@@ -123,10 +131,10 @@ def volume_of_hull(vertices: NDArray) -> float:
 
 
 def hull_points(vertices: NDArray) -> NDArray:
-    """Return a few points [n, 3] whose hull approximates that of a mesh and is never flat.
+    """Return a few points [n, 3] whose convex hull approximates that of a mesh and is never flat.
 
-    Of a hull with many corners, the extreme ones in evenly spread directions remain. A flat sheet
-    is thickened along its normal.
+    If there are more than MAX_CORNERS points, only the extreme points in evenly spread directions
+    are kept. A flat sheet is thickened along its normal.
     """
     points = np.unique(np.round(vertices, 9), axis=0)
     centre = points.mean(axis=0)
@@ -150,7 +158,7 @@ def _furthest(points: NDArray) -> NDArray:
 
 @lru_cache(maxsize=1)
 def _directions() -> NDArray:
-    """Return evenly spread unit vectors [n, 3], and those of a box's faces, edges and corners."""
+    """Return unit vectors [n, 3], evenly spread and to the faces, edges and corners of a box."""
     k = np.arange(120) + 0.5
     z = 1 - 2 * k / 120
     angle = np.pi * (1 + 5**0.5) * k
@@ -166,7 +174,7 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
 
     coacd.set_log_level("error")
     mesh = _merged(vertices, faces)
-    # Wrapping makes one thick shell of an open mesh, though most of what it consists of is closed.
+    # Wrapping would turn an open mesh into a thick shell, although most components may be closed.
     components = [mesh]
     if not mesh.is_watertight:
         components = mesh.split(only_watertight=False, repair=False)
@@ -182,7 +190,7 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
 
 
 def _filled(mesh: Any) -> Any:
-    """Return a mesh without its small holes, if that closes it."""
+    """Fill the holes of a mesh if they are small and this closes the mesh; return the mesh."""
     filled = mesh.copy()
     filled.fill_holes()
     small = filled.is_watertight and filled.area < (1 + SMALL_HOLES) * mesh.area
@@ -194,8 +202,8 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
 
     Args:
         mesh: the mesh.
-        relative: size of the largest component, relative to this one's.
-        share: share of the pieces that it may have.
+        relative: size of the largest component divided by the size of this component.
+        share: fraction of the pieces into which this component may be split.
     """
     import coacd
 
@@ -221,7 +229,7 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
         decimate=True,
         max_ch_vertex=MAX_CORNERS,
     )
-    # Wrapping enlarges open meshes; clip the pieces to the mesh's bounds.
+    # Wrapping enlarges open meshes, so pieces are clipped to the mesh's bounds.
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return [
         hull_points(np.clip(np.asarray(points, float), low, high))
@@ -231,7 +239,7 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
 
 
 def _simplified(mesh: Any) -> tuple[NDArray, NDArray]:
-    """Return a closed mesh with fewer faces, or as it is if its surface is not orientable."""
+    """Return a closed mesh with fewer faces, or the unchanged mesh if simplification fails."""
     import manifold3d
 
     solid = manifold3d.Manifold(
@@ -243,7 +251,7 @@ def _simplified(mesh: Any) -> tuple[NDArray, NDArray]:
     coarse = solid.simplify(SIMPLIFIED * float(np.ptp(mesh.vertices, axis=0).max())).to_mesh()
     if solid.status() != manifold3d.Error.NoError or not len(coarse.tri_verts):
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    # Manifold keeps one vertex for each set of properties; CoACD needs one for each place.
+    # Manifold keeps one vertex for each set of properties. CoACD needs one for each position.
     same = _merged(coarse.vert_properties[:, :3].astype(float), coarse.tri_verts.astype(np.int64))
     if not same.is_watertight:
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)

@@ -1,7 +1,8 @@
 """Model fields that MuJoCo derives from others (mj_setConst), for a population.
 
-Engines with the model on a device have no batched mj_setConst. The fields that they need depend
-only on an object's scale, since a layout changes neither shapes nor joint positions within objects.
+Engines that keep the model on a device have no batched mj_setConst. The fields that these engines
+need depend only on the scales of objects, since a layout changes neither shapes nor joint positions
+within objects.
 """
 
 import functools
@@ -17,16 +18,17 @@ from .model_fields import owner_scale
 from .native import open_batch
 
 KNOTS, SPAN = 65, 1.0
-"""Number of tabulated scales, from exp(-SPAN) to exp(SPAN), of objects whose parts have different
-mass exponents."""
+"""Number of scales, from exp(-SPAN) to exp(SPAN), that are tabulated for a scene in which the parts
+of an object have different mass exponents."""
 
 
 def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
-    """Return body_invweight0 and dof_invweight0 of every candidate, leading axis [pop]. Traceable.
+    """Return body_invweight0 and dof_invweight0 of every candidate, with a leading axis [pop].
 
-    Inverse masses scale with s^-m and inverse inertias with s^-(m + 2) if all parts of an object
-    have the same mass exponent m. Otherwise MuJoCo's values at `KNOTS` scales are interpolated by
-    cubics in the logarithms, to a relative error of 1e-6.
+    If all parts of an object have the same mass exponent m, inverse masses scale with s^-m and
+    inverse inertias with s^-(m + 2), where s is the object's scale. Otherwise, the logarithms of
+    MuJoCo's values at `KNOTS` scales are interpolated by cubics, with a relative error of 1e-6.
+    Traceable.
     """
     s, m = scene.static, scene.static.mjm
     body, dof = (owner_scale(poses.scale, owner) for owner in (s.body_object, s.dof_object))
@@ -47,7 +49,7 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
 
 
 def subtree_mass(static: StaticScene, body_mass: Any) -> Any:
-    """Sum body masses [pop, nbody] over the subtrees of bodies."""
+    """Return the sum of body masses over the subtree of each body, shape [pop, nbody]."""
     m = static.mjm
     subtree = np.eye(m.nbody)
     for b in range(m.nbody - 1, 0, -1):
@@ -58,7 +60,7 @@ def subtree_mass(static: StaticScene, body_mass: Any) -> Any:
 def static_geoms(
     static: StaticScene, body_pos: Any, body_quat: Any, geom_pos: Any
 ) -> tuple[Any, Any]:
-    """Return the world poses of the geoms that are welded to the world; zero for the others.
+    """Return the world poses of geoms that are welded to the world, and zeros for all other geoms.
 
     Returns:
         Positions [pop, ngeom, 3] and rotations [pop, ngeom, 3, 3].

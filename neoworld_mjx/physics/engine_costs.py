@@ -1,8 +1,9 @@
-"""Measured costs of rollouts on this machine by engine, stored next to the compilation cache.
+"""Measured costs of each engine's rollouts on this machine, stored next to the compilation cache.
 
-Batched engines have a large fixed cost and a small one per candidate, `native` the reverse, and all
-depend on the scene. A cost is therefore a table of (candidates, seconds) for each class of scenes,
-filled by actual rollouts. Initially, tables measured on one machine apply.
+Batched engines have a large fixed cost and a small cost per candidate; `native` has a small fixed
+cost and a large cost per candidate. Both depend on the scene. The cost of an engine is therefore a
+table of (candidates, seconds) for each class of scenes, which is filled by actual rollouts. Before
+these, tables apply that were measured on another machine.
 """
 
 import contextlib
@@ -17,9 +18,9 @@ from ..cache import cache_folder
 
 COST_FILE = "engine-costs.json"
 COST_STEPS = 250
-"""Number of steps that the seconds in tables refer to; other rollouts cost proportionally."""
+"""Number of steps of the rollouts in tables. The cost of a rollout is proportional to its steps."""
 NEW_WEIGHT = 0.3
-"""Weight of a new measurement in its average with the stored one."""
+"""Weight of a new measurement in the average with the stored value."""
 MOST_SIZES = 32
 """Largest number of entries of a table."""
 
@@ -29,14 +30,18 @@ class EngineCost:
     """Cost of one engine's rollouts."""
 
     start_s: float
-    """Additional cost of the first rollout of a scene: compiling, capturing graphs [s]."""
+    """Additional time of the first rollout of a scene, for compiling and capturing graphs [s]."""
     prior: tuple[tuple[int, float], ...]
-    """(candidates, seconds) of classes without measurements."""
+    """(candidates, seconds) for classes of scenes without measurements."""
     tables: dict[str, dict[int, float]] = field(default_factory=dict)
     """Measured seconds by class of scenes and number of candidates."""
 
     def predict(self, scenes: str, candidates: int, steps: int, *, started: bool) -> float:
-        """Return a rollout's predicted seconds, linear between sizes and proportional beyond."""
+        """Return the predicted time of a rollout [s].
+
+        The time is linear between the numbers of candidates in the table, and proportional beyond
+        the largest one.
+        """
         table = self.tables.get(scenes) or dict(self.prior)
         sizes = sorted(table)
         predicted = float(np.interp(candidates, sizes, [table[size] for size in sizes]))
@@ -46,10 +51,10 @@ class EngineCost:
     def add(
         self, scenes: str, candidates: int, steps: int, seconds: float, *, started: bool
     ) -> None:
-        """Add a measurement; that of a scene's first rollout updates `start_s`.
+        """Add a measurement. A scene's first rollout updates `start_s` instead of the table.
 
-        A machine's first rollout of a class may compile kernels for minutes, which are then cached.
-        Its starting cost therefore counts only if it is below the prediction.
+        The first rollout of a class on a machine may compile kernels for minutes, but these are
+        then cached. Such a rollout can therefore only decrease `start_s`.
         """
         if not started:
             later = self.predict(scenes, candidates, steps, started=True)
@@ -72,7 +77,11 @@ def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
 
 
 def prior_costs(cores: int) -> dict[str, EngineCost]:
-    """Return costs of six objects on an H200, and of `native` on `cores` cores of its host."""
+    """Return the costs that apply before any measurement on this machine.
+
+    They were measured with six objects on an H200. The costs of `native` were measured on its host
+    and are converted to `cores` cores.
+    """
     native = tuple((n, math.ceil(n / cores) / 31.0) for n in (1, cores, 4096))
     return {
         "native": EngineCost(0.05, native),
@@ -82,7 +91,7 @@ def prior_costs(cores: int) -> dict[str, EngineCost]:
 
 
 def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
-    """Return the stored costs of a machine; missing or invalid ones are priors."""
+    """Return the stored costs of a machine; missing or invalid costs are replaced by priors."""
     costs = prior_costs(cores)
     stored = _stored().get(machine)
     for name, row in stored.items() if isinstance(stored, dict) else ():
@@ -101,7 +110,7 @@ def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
 
 
 def write_costs(machine: str, costs: dict[str, EngineCost]) -> None:
-    """Store a machine's costs; if the folder cannot be written, they are measured again."""
+    """Store a machine's costs. If the folder is not writable, nothing is stored."""
     row = {name: {"start_s": cost.start_s, "tables": cost.tables} for name, cost in costs.items()}
     path = cache_folder() / COST_FILE
     part = path.with_name(f"{COST_FILE}.{os.getpid()}")

@@ -10,11 +10,11 @@ from .mjcf import object_of_body, to_mjspec
 NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
 """Displacement of a geom for which MuJoCo returns no valid distance [m]."""
 TOUCH_M = 1e-3
-"""Largest gap at which pairs of objects are tested for penetration [m]."""
+"""Largest gap between bounding spheres at which geoms are tested for penetration [m]."""
 
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile a scene; return the model and its composed state after `mj_forward`."""
+    """Compile a scene, and return its model and its composed state after `mj_forward`."""
     model = to_mjspec(scene, timestep=timestep).compile()
     data = mujoco.MjData(model)
     if model.nkey:  # a scene without joints has no keyframe
@@ -33,7 +33,8 @@ def pair_distance(
 ) -> float:
     """Return the smallest signed distance [m] between two sets of geoms, at most `reach`.
 
-    Negative is penetration depth. Pairs whose bounding spheres are further apart are skipped.
+    A negative distance is a penetration depth. Pairs of geoms whose bounding spheres are farther
+    apart are skipped.
     """
     nearest = reach
     gaps = _sphere_gaps(model, data, first, second)
@@ -62,11 +63,12 @@ def geom_distance(
 ) -> float:
     """Return the signed distance [m] of two geoms, at most `reach`.
 
-    `ends` [6], if given, receives their nearest points [m], of `a` and of `b`.
+    If `ends` [6] is given, the nearest points of `a` and of `b` are written to it [m].
 
-    MuJoCo 3.17 returns the distance of the centres if one centre lies on the other geom's surface
-    or centre, at any penetration. No two solids are that far apart, so one is then displaced by a
-    micrometre for the measurement.
+    If the center of one geom lies on the surface or at the center of the other geom, MuJoCo 3.17
+    returns the distance between the centers, however deep the penetration. The true distance is
+    always smaller, so such a result is recognized, and the distance is measured again with one geom
+    displaced by a micrometer.
     """
     between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
     if between > max(model.geom_rbound[a], model.geom_rbound[b]):
@@ -107,8 +109,8 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
     """Lower every snapped object onto its support, leaving `gap` [m], parents first.
 
     Lowering an object by its distance from the support never overshoots. An object that penetrates
-    the support is raised until it no longer does; if raising does not reduce the penetration, as
-    for sideways overlap, the object keeps its height.
+    its support is raised until it no longer does. If raising does not even halve the penetration,
+    as for a sideways overlap, the object keeps its height.
     """
     model, data = start_state(scene)
     owner = object_of_geom(scene, model)
@@ -122,7 +124,7 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
             continue
         geoms = np.flatnonzero(owner == index)
         support = np.flatnonzero(owner == scene.index(item.parent))
-        # Its descendants move with it, by translation, so nothing is recompiled.
+        # Descendants are translated with the object, so nothing is recompiled.
         moved = np.flatnonzero((owner >= 0) & ancestors[owner, index])
         height, distances = item.z, []
         for _ in range(rounds):

@@ -1,7 +1,10 @@
-"""A free parallel gripper for a scene.
+"""A parallel gripper that moves freely in a scene.
 
-Its actuators are x, y, z (displacement from its initial position in the world [m]), turn_x, turn_y,
-turn_z (rotation vector in the tool's initial axes [rad]), left and right (fingers [m]).
+The gripper has these position actuators:
+
+- x, y, z: displacement from the initial position, in the world frame [m];
+- turn_x, turn_y, turn_z: rotation vector in the initial tool frame [rad];
+- left, right: positions of the fingers [m].
 """
 
 from dataclasses import dataclass
@@ -13,11 +16,12 @@ import mujoco
 from ..spec.pose import IDENTITY
 
 PREFIX = "end_effector"
-"""Prefix of the names of the gripper's bodies; no object of the scene may have this name."""
+"""Prefix of the names of the gripper's bodies. No object of the scene may have this name."""
 OPENING_M = 0.12
-"""Largest distance of the pads [m]."""
+"""Largest distance between the pads [m]."""
 CLOSED_M = -0.02
-"""Target of a closed finger, beyond contact, so that it exerts its full force [m]."""
+"""Target position of a closed finger [m]. It is beyond contact, so that the finger exerts its full
+force."""
 
 
 @dataclass(frozen=True)
@@ -31,19 +35,19 @@ class Gripper:
     """[m]"""
     quat: tuple[float, float, float, float] = IDENTITY
     opening: float = OPENING_M
-    """Distance of the pads [m]."""
+    """Distance between the pads [m]."""
 
 
 def attach_gripper(
     model: mujoco.MjSpec, gripper: Gripper, *, mjx: bool = False, group: int | None = None
 ) -> None:
-    """Add a gripper to a specification; its coordinates follow the existing ones.
+    """Add a gripper to a model specification. Its coordinates follow the existing coordinates.
 
     Args:
         model: the specification.
         gripper: the gripper's initial state.
-        mjx: True sets condim 3 and priority 0 on the gripper's geoms, as `mjx_step` requires.
-        group: group of the gripper's geoms; None keeps the groups in its file.
+        mjx: if True, set condim 3 and priority 0 on the gripper's geoms, as `mjx_step` requires.
+        group: group of the gripper's geoms; if None, keep the groups of the gripper's file.
     """
     hand = mujoco.MjSpec.from_string(_text())
     hand.body("hand").quat = gripper.quat

@@ -1,8 +1,8 @@
-"""Guided settling: springs that hold free objects near their placed poses, and fade.
+"""Guided settling: springs hold free objects near their placed poses and fade with time.
 
-Contacts and gravity act from the start. The springs and dampers are critically damped, in units of
-each object's mass and inertia, so an object sags by g / rate^2, keeps its place, and settles
-on what it touches. Once they have faded, it stands by itself.
+Contacts and gravity act from the beginning. Springs and dampers are proportional to each object's
+mass and inertia and critically damped. An object therefore sags by only g / rate^2, and settles on
+whatever it touches close to its placed pose. Once the springs have faded, only contacts support it.
 """
 
 from typing import Any, NamedTuple
@@ -17,33 +17,34 @@ from .layout import Poses, rotation
 from .model import FREE, SceneModel
 
 INTERVAL_S = 0.02
-"""Time between two updates of the forces by engines that do not update them in every step [s]."""
+"""Time between two updates of the spring forces, in engines that do not update them every step [s].
+"""
 LEAST_SINE = 1e-9
-"""Sine below which a rotation is zero."""
+"""Regularization that keeps twice the sine of a rotation angle positive."""
 
 
 class Guidance(NamedTuple):
-    """Strength of the springs, and the limit of speed."""
+    """Strength and duration of the springs, and the speed limit."""
 
     rate: float = 12.0
     """Natural frequency of the critically damped springs [1/s]."""
     fade_s: float = 1.4
-    """Time in which springs and dampers fade linearly to zero [s]."""
+    """Time in which the springs and dampers fade linearly to zero [s]."""
     max_speed: float = 2.0
     """Limit of the linear speed of free objects [m/s]."""
 
     def share(self, time: Any, xp: Any = np) -> Any:
-        """Return the share of the springs that is left at a time [s]."""
+        """Return the fraction of the spring forces that remains at a time [s]."""
         return xp.maximum(0.0, 1.0 - time / self.fade_s)
 
 
 class FreeBodies(NamedTuple):
-    """Free objects of a model at scale 1, as rigid bodies with their joints at the start state."""
+    """Free objects of a model at scale 1, as rigid bodies with all joints fixed in one state."""
 
     qpos: Int[np.ndarray, "free 7"]
-    """Addresses of their coordinates."""
+    """Addresses of the objects' coordinates in qpos."""
     dof: Int[np.ndarray, "free 6"]
-    """Addresses of their velocities."""
+    """Addresses of the objects' velocities in qvel."""
     mass: Float[np.ndarray, " free"]
     center: Float[np.ndarray, "free 3"]
     """Centers of mass in the objects' frames [m]."""
@@ -52,19 +53,19 @@ class FreeBodies(NamedTuple):
 
 
 class Springs(NamedTuple):
-    """Springs of the free objects of candidates; leading axes are those of the candidates."""
+    """Springs that hold the free objects of candidates; the leading axes are the candidates."""
 
     pos: Float[AnyArray, "*pop free 3"]
-    """Targets of the origins [m]."""
+    """Target positions of the objects' origins in the world frame [m]."""
     quat: Float[AnyArray, "*pop free 4"]
-    """Targets of the rotations."""
+    """Target rotations of the objects."""
     mass: Float[AnyArray, "*pop free"]
     center: Float[AnyArray, "*pop free 3"]
     inertia: Float[AnyArray, "*pop free 3 3"]
 
 
 def free_bodies(m: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> FreeBodies:
-    """Return the free objects of a model in a state."""
+    """Return the free objects of a model in the state `qpos`."""
     data = mujoco.MjData(m)
     data.qpos[:] = qpos
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_crb):
@@ -89,13 +90,13 @@ def free_bodies(m: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> FreeBodies
 def springs(
     bodies: FreeBodies, start: Any, scale: Any = 1.0, mass: Any = None, xp: Any = np
 ) -> Springs:
-    """Return the springs of candidates from their placed coordinates.
+    """Return springs that hold candidates at their placed coordinates.
 
     Args:
         bodies: the free objects at scale 1.
-        start: placed coordinates of the free objects [pop, free, 7], the targets.
-        scale: scales of the free objects [pop, free], or 1.
-        mass: their masses [pop, free]; None for scale 1.
+        start: placed coordinates of the free objects, shape [pop, free, 7]; the springs' targets.
+        scale: scales of the free objects, shape [pop, free], or 1.
+        mass: masses of the free objects, shape [pop, free]; if None, the masses at scale 1.
         xp: array module.
     """
     mass = xp.broadcast_to(bodies.mass, start.shape[:-1]) if mass is None else mass
@@ -105,7 +106,7 @@ def springs(
 
 
 class Held(NamedTuple):
-    """Free objects of candidates with their springs; its methods take the candidates' states."""
+    """The free objects of candidates, and the springs that hold them."""
 
     bodies: FreeBodies
     springs: Springs
@@ -113,7 +114,7 @@ class Held(NamedTuple):
     def push(
         self, guidance: Guidance, time: Any, qpos: Any, qvel: Any, xp: Any = np
     ) -> tuple[Any, Any]:
-        """Return `qfrc_applied` [pop, nv] of the springs at a time [s], and the limited `qvel`."""
+        """Return the springs' `qfrc_applied` [pop, nv] at a time [s], and the limited `qvel`."""
         b = self.bodies
         moving = qvel[..., b.dof]
         force = guidance.share(time, xp) * forces(
@@ -127,12 +128,12 @@ class Held(NamedTuple):
         return jnp.zeros_like(qvel).at[..., b.dof].set(force), qvel.at[..., b.dof].set(moving)
 
     def take(self, rows: Any) -> "Held":
-        """Take candidates along the leading axis."""
+        """Select candidates along the leading axis."""
         return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
 
 
 def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
-    """Return the springs of placed candidates of a scene."""
+    """Return the free objects of candidates, and springs that hold them at their placed poses."""
     static = scene.static
     m = static.mjm
     bodies = free_bodies(m, static.start)
@@ -145,14 +146,18 @@ def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
 
 
 def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
-    """Return the generalized forces of unfaded springs on free objects, [pop, free, 6].
+    """Return the generalized forces of the springs on free objects before fading.
 
     Args:
         s: the springs.
         rate: natural frequency [1/s].
-        qpos: coordinates [pop, free, 7].
-        qvel: velocities [pop, free, 6]: linear in the world, angular in the object's frame.
+        qpos: coordinates of the free objects, shape [pop, free, 7].
+        qvel: velocities of the free objects, shape [pop, free, 6]: linear velocities in the world
+            frame, angular velocities in the object's frame.
         xp: array module.
+
+    Returns:
+        Forces in the world frame [N] and torques in the object's frame [N m], [pop, free, 6].
     """
     turn, target = rotation(qpos[..., 3:], xp), rotation(s.quat, xp)
     spin = qvel[..., 3:]
@@ -160,7 +165,7 @@ def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
     velocity = qvel[..., :3] + _apply(turn, xp.cross(spin, s.center), xp)
     missing = s.pos + _apply(target, s.center, xp) - center
     force = s.mass[..., None] * (rate**2 * missing - 2 * rate * velocity)
-    # Rotation vector, in the object's frame, from the present to the target rotation.
+    # Rotation vector from the present to the target rotation, in the object's frame.
     relative = xp.einsum("...ji,...jk->...ik", turn, target)
     axis = xp.stack(
         [
@@ -179,7 +184,7 @@ def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
 
 
 def limited(qvel: Any, max_speed: float, xp: Any = np) -> Any:
-    """Return velocities [pop, free, 6] with the linear speed limited."""
+    """Return velocities [pop, free, 6] whose linear speed is limited to `max_speed` [m/s]."""
     speed = xp.sqrt(xp.sum(qvel[..., :3] ** 2, axis=-1, keepdims=True))
     return qvel * xp.minimum(1.0, max_speed / xp.maximum(speed, 1e-12))
 

@@ -15,24 +15,25 @@ from .array_types import AnyArray
 from .support import NO_SURFACE, Support, height_above, link_frame, no_support, support
 
 SNAPPED_AT_ONCE = 8192
-"""Largest number of objects, over all candidates, that are snapped at once, at 30 KB each."""
+"""Largest number of objects, over all candidates, that are snapped at once. Each takes 30 KB."""
 
 
 CandidatesT = TypeVar("CandidatesT", bound="Candidates")
 
 
 class Candidates(eqx.Module):
-    """Base of arrays with a leading axis of candidates."""
+    """Base class of modules whose arrays have a leading axis of candidates."""
 
     def __getitem__(self: CandidatesT, index: object) -> CandidatesT:
-        """Take candidates along the leading axis."""
+        """Select candidates along the leading axis."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
 
 class Layout(Candidates):
     """Perturbations z = (dx, dy, dyaw, log s) of a composed scene (paper Section 3.3).
 
-    Zero is the composed scene. Applied in the order scale, yaw, translation, in parent frames.
+    The zero layout is the composed scene. Perturbations are applied in the order scale, yaw,
+    translation, in the frame of each object's parent.
     """
 
     xy: Float[AnyArray, "pop object 2"]
@@ -56,7 +57,7 @@ class Poses(Candidates):
     pos: Float[AnyArray, "pop object 3"]
     """Origins [m]."""
     quat: Float[AnyArray, "pop object 4"]
-    """Rotations, tilt included, w first."""
+    """Rotations, including the tilt, w first."""
     scale: Float[AnyArray, "pop object"]
     """Isotropic scale factors."""
     height: Float[AnyArray, "pop object"]
@@ -64,9 +65,9 @@ class Poses(Candidates):
 
 
 class Arrangement(NamedTuple):
-    """Parameters of the placement of objects; see SceneObject.
+    """Tabulated parameters of `place`; see SceneObject.
 
-    `arrange` returns NumPy arrays in double precision, for exact poses; the arrays of `SceneArrays`
+    `arrange` returns NumPy arrays in double precision, for exact poses. The arrays of `SceneArrays`
     are on the device in single precision.
     """
 
@@ -75,12 +76,12 @@ class Arrangement(NamedTuple):
     yaw: Float[AnyArray, " object"]
     tilt: Float[AnyArray, "object 4"]
     frame_pos: Float[AnyArray, "object 3"]
-    """Origin of the object's support frame in its parent's yaw frame, at the parent's size 1."""
+    """Origin of the object's support frame in the parent's yaw frame, at parent scale 1 [m]."""
     frame_yaw: Float[AnyArray, " object"]
     parent: Int[AnyArray, " object"]
     """Index of the parent; -1 for the world."""
     ancestors: Float[AnyArray, "object object"]
-    """1 at [i, j] where j supports i, directly or not, or is i itself; else 0."""
+    """1 at [i, j] if j is i or supports i, directly or indirectly; otherwise 0."""
     snapped: Bool[AnyArray, " object"]
     support: Support
     """Stacked over objects."""
@@ -93,9 +94,8 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
 
     Args:
         scene: the composed scene.
-        reach: largest distance from its composed position at which an object is still snapped, as a
-            fraction of its horizontal diagonal, plus 2 cm; a third is six default standard
-            deviations.
+        reach: fraction of an object's horizontal diagonal. Objects are snapped up to this distance
+            plus 2 cm from their composed positions. One third is six default standard deviations.
         gap: clearance under snapped objects [m].
     """
     snapped = [
@@ -149,10 +149,10 @@ def diagonal(item: SceneObject) -> float:
 
 
 def place(arrangement: Arrangement, layouts: Layout) -> Poses:
-    """Place every object of every candidate, at its snapped height. Traceable and differentiable.
+    """Place every object of every candidate at its snapped height. Traceable and differentiable.
 
-    A child's offset in its parent's frame scales with the parent; its size does not. An object with
-    no part above its support keeps its composed height and falls.
+    A child's offset in its parent's frame scales with the parent, but the child's size does not. An
+    object that has no part above its support keeps its composed height, and falls when simulated.
     """
     return compose_poses(arrangement, layouts, heights(arrangement, layouts))
 
@@ -175,7 +175,7 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
-    """Map a function over candidates [pop, object, ...], at most SNAPPED_AT_ONCE objects a time."""
+    """Map a function over candidates [pop, object, ...], SNAPPED_AT_ONCE objects at a time."""
     pop, objects = candidates[0].shape[:2]
     parts = -(-pop * objects // SNAPPED_AT_ONCE)
     if parts <= 1:
@@ -209,7 +209,7 @@ def _single(arrangement: Arrangement) -> Arrangement:
 
 
 def _of_parent(a: Arrangement, values: Any, world: float, xp: Any) -> Any:
-    """Return the value of each object's parent [pop, object], or that of the world."""
+    """Return the value of each object's parent, or `world` if there is no parent, [pop, object]."""
     return xp.where(a.parent >= 0, values[:, xp.maximum(a.parent, 0)], world)
 
 

@@ -1,6 +1,7 @@
-"""Colliders for MJX's own collision routines, which lack most pairs with cylinders and ellipsoids.
+"""Polyhedra that replace the cylinders and ellipsoids of exported files.
 
-Exported files have polyhedra instead, whose surfaces deviate equally to either side.
+MJX's collision routines lack most pairs with cylinders and ellipsoids. The surface of a polyhedron
+deviates from the replaced surface by equal distances inward and outward.
 """
 
 import mujoco
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 PRISM_SIDES = 12
-"""Sides of the prism that replaces a cylinder."""
+"""Number of sides of the prism that replaces a cylinder."""
 
 _CYLINDER, _ELLIPSOID = (
     int(mujoco.mjtGeom.mjGEOM_CYLINDER),
@@ -18,7 +19,7 @@ _CYLINDER, _ELLIPSOID = (
 
 
 def lower_geoms(spec: mujoco.MjSpec) -> frozenset[str]:
-    """Replace the cylinders and ellipsoids that collide; return the names of their meshes."""
+    """Replace cylinders and ellipsoids that collide by meshes; return the names of the meshes."""
     meshes = set()
     for geom in spec.geoms:
         if int(geom.type) not in (_CYLINDER, _ELLIPSOID) or not geom.contype:
@@ -43,14 +44,14 @@ def polyhedron(kind: int, size: NDArray) -> NDArray:
 
 
 def _prism_factor() -> float:
-    # Corners are as far outside the circle as edges are inside.
+    # The corners are as far outside the circle as the edges are inside.
     return 2 / (1 + np.cos(np.pi / PRISM_SIDES))
 
 
 def _ball() -> tuple[NDArray, float]:
-    """Return 56 corners around the unit sphere, and the largest distance of one from its centre.
+    """Return 56 corners around the unit sphere, and the distance of the corners from its center.
 
-    Each half-axis meets a flat face, since an ellipsoid would tip over on a corner there.
+    Each half-axis intersects a flat face, since an ellipsoid would tip over on a corner.
     """
     ticks = np.tan(np.pi / 4 * np.array([-1.0, -1 / 3, 1 / 3, 1.0]))
     u, v = (axis.ravel() for axis in np.meshgrid(ticks, ticks))
@@ -64,7 +65,7 @@ def _ball() -> tuple[NDArray, float]:
 
 
 def polyhedron_error(kind: str, size: tuple[float, ...]) -> float:
-    """Return the largest distance [m] between a piece's surface and the polyhedron for it."""
+    """Return the largest distance [m] between a piece's surface and the polyhedron's surface."""
     if kind == "cylinder":
         return (_prism_factor() - 1) * size[0]
     return (_ball()[1] - 1) * max(size) if kind == "ellipsoid" else 0.0

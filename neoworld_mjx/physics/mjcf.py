@@ -1,14 +1,14 @@
 """Conversion of scenes to MuJoCo models, for physics, rendering, checks and exports.
 
-Names in the model, for an object `o`, part `p`, geom `g`, joint `j`:
+Names in the model, for an object `o`, part `p`, geom `g`, joint `j`, site `s`:
 
     body    o (the root part), o-p (every other part)      joint   o (free), o-j
     geom    o-g-k (k-th convex piece), o-g-visual          mesh    the name of its geom
     site    o-s                                            equality o-j (a mimic)
     key     start (the scene's poses and joint states)     camera  photo
 
-A root body's frame is the object's frame; a child's frame has its origin at its joint's anchor and
-the object's orientation, so every joint sits at its body's origin.
+The frame of a root body is the object's frame. The frame of any other body has its origin at the
+anchor of the body's joint, and the object's orientation. Every joint is thus at its body's origin.
 """
 
 import itertools
@@ -48,11 +48,11 @@ JOINT_FRICTION_IMPEDANCE = 0.999
 creeps by degrees per second, however large the friction."""
 
 IMPRATIO = 10.0
-"""Ratio of the impedances of friction and normal force; stiffer friction than MuJoCo's default
-keeps resting objects from creeping."""
+"""Ratio of the impedances of friction and normal force. Friction that is stiffer than MuJoCo's
+default keeps resting objects from creeping."""
 CONTACT_TIME_S = 0.01
 """Time constant of contacts [s], half of MuJoCo's default. The depth of a resting contact is
-proportional to its square (MuJoCo's documentation, Solver parameters)."""
+proportional to the square of this constant (MuJoCo's documentation, Solver parameters)."""
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -69,20 +69,22 @@ def to_mjspec(
 ) -> mujoco.MjSpec:
     """Convert a scene, or a single free object, to a MuJoCo specification.
 
-    Each convex piece becomes a collision geom of group 0, with its own mesh asset if needed. Masses
-    are explicit, from `spec.inertial`. Parts that are fixed to either side of a moving joint never
-    collide across it; MuJoCo's own filter ensures that for free objects only. An effort limit
-    becomes the joint's actuatorfrcrange, which limits actuators that a user adds; velocity limits
-    have no counterpart. The rest position of every joint is 0; the keyframe "start" holds the
-    scene's state.
+    - Each convex piece becomes a collision geom of group 0, with a separate mesh asset if needed.
+    - Masses are explicit and come from `spec.inertial`.
+    - Parts that are fixed to opposite sides of a moving joint never collide with each other.
+      MuJoCo's own filter ensures this for free objects only.
+    - An effort limit becomes the joint's actuatorfrcrange, which limits actuators that a user adds.
+      Velocity limits have no counterpart.
+    - The reference position of every hinge and slide joint is 0. The keyframe "start" contains the
+      scene's state.
 
     Args:
-        scene: the scene; a single ObjectSpec becomes a free object at the origin.
-        visual: True adds smooth visual geoms in group 1.
+        scene: the scene. A single ObjectSpec becomes a free object at the origin.
+        visual: if True, add smooth visual geoms in group 1.
         timestep: time step of the simulation [s].
 
     Returns:
-        A specification without files; the same input gives the same XML to the byte.
+        A specification that refers to no files. Equal inputs give identical XML.
     """
     if isinstance(scene, ObjectSpec):
         scene = single_object_scene(scene)
@@ -125,7 +127,7 @@ def object_of_body(model: mujoco.MjModel, names: Sequence[str]) -> NDArray:
 
 
 def visual_name(owner: str, geom: GeomSpec) -> str:
-    """Return the name of the visual geom of a geom of an object."""
+    """Return the name of the visual geom for a geom of the object `owner`."""
     return f"{owner}-{geom.name}-visual"
 
 
@@ -164,7 +166,7 @@ def _add_object(
             if joint.type != "fixed":
                 added = _add_joint(body, item.name, joint)
                 inertia = inertia_about(joint, inertial(spec, part)) + joint.armature
-                # Stiff friction would drive a joint that damping stops within a step.
+                # Stiff friction would drive a joint that damping alone stops within a step.
                 if joint.friction > 0 and model.option.timestep * joint.damping < inertia:
                     added.solimp_friction[:2] = JOINT_FRICTION_IMPEDANCE
                 start += _coordinates(spec, joint, item.joint_state)
@@ -191,7 +193,7 @@ def _add_object(
 
 
 def _coordinates(spec: ObjectSpec, joint: JointSpec, joint_state: dict[str, float]) -> list[float]:
-    """Return a joint's part of qpos: one value, or a ball's quaternion."""
+    """Return a joint's coordinates in qpos: one value, or the quaternion of a ball joint."""
     value = joint_position(spec, joint, joint_state)
     return joint_motion(joint, value).quat.tolist() if isinstance(value, tuple) else [value]
 
@@ -321,7 +323,7 @@ def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
 
 
 def excluded_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
-    """List pairs of parts that never collide: those fixed to either side of a joint."""
+    """List pairs of parts that never collide, since they are fixed to opposite sides of a joint."""
     group = welded(spec)
     members: dict[str, list[str]] = {}
     for part in spec.parts:

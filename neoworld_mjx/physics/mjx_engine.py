@@ -37,16 +37,18 @@ MJX_CHUNK = 8192
 """Largest number of candidates that a device simulates at once."""
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
-"""Largest size of a chunk: share of an accelerator's memory, and bytes on a CPU."""
+"""Largest memory of a chunk: a fraction of an accelerator's memory, and a number of bytes on a CPU.
+"""
 
 HELD_AXES = Held(bodies=cast(Any, None), springs=cast(Any, 0))
-"""Axes of `Held` for `vmap`: only the springs differ between candidates. A free fall has none."""
+"""The `in_axes` of `Held` for `vmap`. Only the springs differ between candidates."""
 HELD_PARTS = Held(bodies=cast(Any, WHOLE), springs=cast(Any, PART))
-"""The same for several devices."""
+"""Partition specifications of `Held` for several devices."""
 
 COMPACT_FROM = 512
-"""Least population that moves into smaller programs as its candidates stop. Each program compiles
-once; for smaller populations a half-empty program costs less than another compilation."""
+"""Least population whose running candidates move to smaller arrays as other candidates stop. Each
+size of arrays is compiled once. For smaller populations, computing stopped candidates costs less
+than another compilation."""
 
 
 class MjxEngine(BatchEngine):
@@ -55,7 +57,7 @@ class MjxEngine(BatchEngine):
     name = "mjx"
 
     def __init__(self, devices: Sequence[Any] | None = None):
-        """Split populations over `devices`; None uses all of JAX's default kind."""
+        """Split populations over `devices`; if None, over all devices of JAX's default backend."""
         self.devices = tuple(jax.devices() if devices is None else devices)
         self.mesh = mesh_of(self.devices)
         self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
@@ -68,7 +70,7 @@ class MjxEngine(BatchEngine):
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
         whole = schedule.early_stop is None
-        # With early stopping, sizes are powers of two, so that populations share smaller programs.
+        # With early stopping, sizes are powers of two, so that populations share compilations.
         size = self.chunk(model, pop if whole else 1 << (pop - 1).bit_length())
 
         def run(chunk: Poses) -> Rollout:
@@ -87,7 +89,7 @@ class MjxEngine(BatchEngine):
     def _whole(
         self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
-        """Simulate to the end in one program."""
+        """Simulate all candidates to the end in one compiled function."""
         fields, start, bad = prepare(scene, poses)
         records, every = schedule.records, schedule.every
         guided = schedule.guidance and (schedule.guidance, _held(scene, poses))
@@ -99,7 +101,7 @@ class MjxEngine(BatchEngine):
     def _segments(
         self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
-        """Simulate record by record; stopped candidates leave once a smaller program fits."""
+        """Simulate record by record; drop stopped candidates once the rest fits a smaller size."""
         fields, start, bad = prepare(scene, poses)
         data = _begin(model, fields, start, self.mesh)
         springs = _held(scene, poses) if schedule.guidance else None
@@ -180,7 +182,7 @@ def on_device(scene: SceneModel) -> MjxModel:
 def prepare(
     scene: SceneModel, poses: Poses
 ) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
-    """Return the candidates' model fields, initial states, and a mask of the unplaceable ones."""
+    """Return the model fields and initial states of candidates, and a mask of the unplaceable."""
     fields, qpos = candidate_fields(scene, poses)
     return fields, qpos, unplaceable(poses, jnp)
 
@@ -203,10 +205,11 @@ def bare_scan(
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
     """Scan `mjx_step`, vmapped over all candidates, with springs if guidance is given.
 
-    Several devices of a mesh share the candidates.
+    If a mesh is given, its devices share the candidates.
 
     Returns:
-        The states, and a mask of candidates in which a pair of geoms that may touch was dropped.
+        The recorded coordinates, and a mask of candidates for which a step left out pairs of geoms
+        that may touch.
     """
 
     def one(
@@ -235,7 +238,7 @@ def _candidates(
 
 
 def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxData], MjxData] | None:
-    """Return a function that sets the springs' forces, for `mjx_step`; None without guidance."""
+    """Return the argument `push` of `mjx_step` that applies the springs; None without guidance."""
     if guidance is None or bodies is None:
         return None
 

@@ -1,8 +1,8 @@
 """MJX for a scene: `mjx.step` with the collision detection of `manifold`.
 
 Tracing MJX unrolls its collision routines over all pairs of geoms, which takes minutes for convex
-pieces. Here one routine processes the nearest pairs of geoms and fills MJX's contacts, and
-`mjx_solver` solves the constraints; kinematics, constraints and integrator are MJX's own.
+pieces. In this module, one routine processes the nearest pairs of geoms and fills MJX's contacts,
+and `mjx_solver` solves the constraints. Kinematics, constraints and integrator are those of MJX.
 """
 
 import contextlib
@@ -33,17 +33,18 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco.mjx._src import constraint, math
 
 NEWTON_ITERATIONS = 5
-"""Newton iterations per step, warm-started with the accelerations of the last step. From zero and
-at deep penetration, 8 reach the minimum up to rounding; in rollouts 5 gave the same verdicts as 8.
-"""
+"""Number of Newton iterations per step, which start from the accelerations of the last step. If
+started from zero at deep penetration, 8 iterations reach the minimum up to rounding. In rollouts, 5
+iterations gave the same verdicts as 8."""
 NEAR_GAP_M = 0.002
-"""Largest gap [m] of pairs of geoms that count as near in the composed scene."""
+"""Largest gap between two geoms that count as near in the composed scene [m]."""
 LOOKUP_STEPS = 5
-"""Steps between two searches for near geoms."""
+"""Number of steps between two searches for near geoms."""
 SPARE_PAIRS = 8
-"""Pairs of geoms processed in addition to 1.5 times those near in the composed scene."""
+"""A step processes this number of pairs of geoms in addition to 1.5 times the number of pairs that
+are near in the composed scene."""
 CONTACTS_PER_BODY, FEWEST_CONTACTS = 8, 32
-"""Number of contacts kept per movable body, and least number in total; the deepest are kept."""
+"""Number of contacts kept per movable body, and least number in total. The deepest are kept."""
 
 MODEL_FIELDS = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
@@ -55,22 +56,22 @@ MODEL_FIELDS = (
 MjxData = mjx.Data
 """State and contacts, of one candidate or with a leading axis of candidates."""
 Fields = dict[str, Any]
-"""Per-candidate values of fields of `mjx.Model`, leading axis [pop]."""
+"""Per-candidate values of fields of `mjx.Model`, with a leading axis [pop]."""
 
 
 class MjxModel(eqx.Module):
     """A scene for `mjx_step`: MJX's model and the solids of its geoms."""
 
     mjx: mjx.Model
-    """Fields may be batched; a geom's scale is its `geom_rbound` relative to `rbound`."""
+    """Fields may be batched. The scale of a geom is its `geom_rbound` divided by its `rbound`."""
     solids: Solids
     pairs: GeomPairs
     rbound: Float[Array, " geom"]
     """Bounding radii of the geoms at scale 1 [m]."""
     near: int = eqx.field(static=True)
-    """Number of pairs of geoms that a step processes: the nearest ones."""
+    """Number of pairs of geoms that a step processes. The nearest pairs are processed."""
     contacts: int = eqx.field(static=True)
-    """Number of contacts that a step keeps: the deepest ones."""
+    """Number of contacts that a step keeps. The deepest contacts are kept."""
     ellipsoids: bool = eqx.field(static=True)
     """True if any geom is an ellipsoid."""
 
@@ -89,7 +90,7 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
 
     Args:
         mjm: the model.
-        start: its initial qpos, which determines the number of near pairs.
+        start: initial qpos, which determines the number of near pairs.
 
     Raises:
         EngineError: MJX cannot simulate the model.
@@ -100,10 +101,10 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
     bare.geom_contype[:] = 0
     bare.geom_conaffinity[:] = 0
     bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    # `mjx_solver` solves pyramids, in which stiffer friction would stiffen the normal force.
+    # `mjx_solver` needs pyramidal cones, with which stiffer friction would stiffen normal forces.
     bare.opt.cone, bare.opt.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
     if not np.any(mjm.dof_damping) and not mjm.nu:
-        # The integrator then treats nothing implicitly and factors no second matrix.
+        # The integrator then treats nothing implicitly, and does not factor a second matrix.
         off = mujoco.mjtDisableBit.mjDSBL_DAMPER | mujoco.mjtDisableBit.mjDSBL_ACTUATION
         bare.opt.disableflags |= int(off)
     try:
@@ -153,8 +154,8 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
     """Prepare candidates for `jax.vmap(mjx_step, in_axes=(axes, 0))`.
 
     Returns:
-        The model, whose fields that depend on the layout have a leading axis [pop]; its axes for
-        `vmap`; and the candidates' data, at rest at their poses.
+        The model, in which fields that depend on the layout have a leading axis [pop]; `axes`, the
+        axes of the model for `vmap`; and the candidates' data, at rest in their placed poses.
 
     Raises:
         EngineError: MJX cannot simulate the scene.
@@ -164,8 +165,8 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
     axes = with_fields(jax.tree.map(lambda _: None, model), dict.fromkeys(fields, 0))
     spread = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))
     data = jax.tree.map(spread, make_data(model)).replace(qpos=qpos)
-    # MJX commits its model to a device. The first step would commit the data, too, and the second
-    # one be compiled anew for that.
+    # MJX commits its model to a device. The first step would commit the data as well, so the second
+    # step would be compiled again.
     device = model.mjx.qpos0.device
     put = lambda tree: jax.tree.map(lambda x: jax.device_put(x, device), tree)
     return put(with_fields(model, fields)), axes, put(data)
@@ -222,10 +223,10 @@ def mjx_step(
 
     Args:
         model: the candidate's model.
-        data: its state.
-        nstep: number of time steps. Near geoms are searched in the first one and in every
-            `LOOKUP_STEPS`-th after it.
-        push: function that sets the applied forces before each step.
+        data: the candidate's state.
+        nstep: number of time steps. Near geoms are searched in the first step and in every
+            `LOOKUP_STEPS`-th step after it.
+        push: function of the data that sets the applied forces before each step.
     """
 
     def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
@@ -280,7 +281,7 @@ def nearest_pairs(model: MjxModel, d: mjx.Data) -> Int[Array, " near"]:
 
 
 def pairs_dropped(model: MjxModel, d: mjx.Data) -> Bool[Array, ""]:
-    """Return whether more pairs of bounding boxes overlapped than the last step processed."""
+    """Return whether more pairs of bounding boxes overlap than a step processes."""
     if model.near == len(model.pairs.first):
         return jnp.array(False)
     return jnp.sum(_gaps(model, d) < 0) > model.near
@@ -296,7 +297,7 @@ def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, 
     Args:
         xpos: [geom, 3] positions in the world.
         xmat: [geom, 3, 3] rotations.
-        aabb: [geom, 6] centres and half edges of the boxes in the geoms' frames.
+        aabb: [geom, 6] centers and half edges of the boxes in the geoms' frames.
         pairs: pairs of geoms.
     """
     half = jnp.asarray(aabb[:, 3:])
@@ -312,7 +313,7 @@ def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, 
 
 
 def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
-    """Fill MJX's contacts with the deepest ones of the nearest pairs of geoms."""
+    """Fill MJX's contacts with the deepest contacts of the nearest pairs of geoms."""
     pairs = jax.tree.map(lambda leaf: leaf[nearest], model.pairs)
     scale = model.mjx.geom_rbound / jnp.maximum(model.rbound, 1e-12)
     a, b = pairs.first, pairs.second

@@ -1,10 +1,10 @@
 """Newton's method for MuJoCo's constraints, with an exact line search.
 
-The forces minimize a convex function of the acceleration that is quadratic between breakpoints, at
-which constraints activate or deactivate (MuJoCo's documentation, Computation, "Primal problem").
-Along a line its slope is piecewise linear. MJX brackets the zero in some 64 passes over the rows,
-which takes a third of a step's time on a GPU. This module evaluates the slope at all breakpoints at
-once; the zero between two of them is exact.
+The accelerations minimize a convex function that is quadratic between breakpoints, at which
+constraints activate or deactivate (MuJoCo's documentation, Computation, "Primal problem"). Along a
+line, the slope of this function is piecewise linear. MJX brackets the zero of the slope in some 64
+passes over the constraint rows, which takes a third of a step's time on a GPU. This module
+evaluates the slope at all breakpoints at once. The zero between two breakpoints is then exact.
 """
 
 from typing import Any, NamedTuple
@@ -14,13 +14,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 MjxState = Any
-"""An `mjx.Data` of MJX's implementation in JAX; only `mjx_model` imports MJX, which prints."""
+"""An `mjx.Data` of MJX's JAX implementation. Only `mjx_model` imports MJX, which prints."""
 LONGEST_STEP = 100.0
 """Distance, in Newton steps, beyond which breakpoints are ignored."""
 
 
 class Rows(NamedTuple):
-    """Constraints: the force of a row is `-clip(D * x, low, high)` at residual acceleration x."""
+    """Constraint rows; the force at residual acceleration x is `-clip(D * x, low, high)`."""
 
     jacobian: Float[Array, "row nv"]
     target: Float[Array, " row"]
@@ -67,7 +67,7 @@ def newton(
     """Minimize the primal function of MuJoCo's constraints over accelerations.
 
     Returns:
-        Accelerations, and the rows' forces.
+        Accelerations, and the forces of the rows.
     """
 
     def step(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -108,7 +108,7 @@ def exact_step(
     slope: Float[Array, ""],
     curvature: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Return the step along a line that minimizes the function; 0 if it does not decrease.
+    """Return the step along a line that minimizes the function; 0 if no step decreases it.
 
     Args:
         ends: least and greatest change of each row's force.

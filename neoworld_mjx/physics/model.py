@@ -1,4 +1,4 @@
-"""The compiled scene: one compilation for any number of layouts."""
+"""Compiled scenes. A scene is compiled once for any number of layouts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 class Powers(NamedTuple):
-    """Exponents with which entries of MjModel fields scale with their object's scale."""
+    """Exponents p of MjModel fields: an entry is proportional to s^p if its object has scale s."""
 
     body_mass: np.ndarray
     body_inertia: np.ndarray
@@ -45,7 +45,10 @@ class Powers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StaticScene:
-    """Static data of a scene on the host; hashed by identity, so it may be static in `jit`."""
+    """Static data of a scene on the host.
+
+    Instances are hashed by identity, so they may be static arguments of `jit`.
+    """
 
     spec: SceneSpec
     mjm: mujoco.MjModel
@@ -63,12 +66,12 @@ class StaticScene:
     start: np.ndarray
     """qpos of the composed scene, shape [nq]."""
     characteristic_length: np.ndarray
-    """Factor that converts the rate of each dof to metres, shape [nv]: half the diagonal of the
-    object's bounding box [m] for rotational dofs, 1 for translational ones."""
+    """Factor that converts the velocity of each dof to [m/s], shape [nv]: half the diagonal of the
+    object's bounding box [m] for a rotational dof, 1 for a translational dof."""
     joints: np.ndarray
     """MuJoCo's indices of all joints except free joints, shape [joint]."""
     joint_names: tuple[str, ...]
-    """Their names, "object/joint"."""
+    """Names of these joints, "object-joint"."""
     joint_object: np.ndarray
     """Object of each joint, shape [joint]."""
     joint_slides: np.ndarray
@@ -78,11 +81,11 @@ class StaticScene:
 class SceneModel(SceneArrays):
     """A compiled scene, valid for any number of layouts.
 
-    Jitted functions take it as an argument: `static` is a static field, all others are arrays.
-    `place`, `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated
-    with respect to layouts (inside a function, since `jax.jit` cannot hash the bound method). A
-    function that needs only the arrays takes a `SceneArrays`, which `pad_scene` pads, so that it is
-    not recompiled for every scene.
+    Pass a scene to jitted functions as an argument: `static` is a static field, and all other
+    fields are arrays. `place`, `model_fields` and the rewards of placed poses may be jitted,
+    vmapped and differentiated with respect to layouts. To jit `place`, call it inside a function,
+    since `jax.jit` cannot hash the bound method. A function that needs only the arrays should take
+    a `SceneArrays` padded by `pad_scene`, so that it is not recompiled for every scene.
     """
 
     static: StaticScene = eqx.field(static=True)
@@ -115,16 +118,16 @@ class SceneModel(SceneArrays):
             return compose_poses(self.static.arrangement, wide, height, np)
 
     def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
-        """Write one candidate into the scene's description.
+        """Return the scene's description, rearranged as one of the candidates.
 
         Args:
             layouts: the candidates, padded or not.
             index: index of the candidate.
-            poses: poses of the candidates from `place`, whose heights are used, since snapping a
-                single candidate may round differently in the last bit of single precision.
+            poses: poses of the candidates from `place`. If given, their heights are used, since
+                snapping a single candidate may change the last bit of single precision.
         """
         count = len(self.names)
-        # As NumPy, since JAX would compile the indexing for every number of objects.
+        # NumPy, since JAX would compile the indexing for every number of objects.
         one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
         if poses is None:
             height = snapped_heights(self.arrangement, one)[0]
@@ -151,7 +154,7 @@ def compile_scene(
         timestep: time step of rollouts [s].
         samples: number of surface samples of each object for D_pen.
         reach: largest displacement at which objects are still snapped; see `layout.arrange`.
-        gap: clearance under snapped objects without a surface below them [m].
+        gap: clearance of snapped objects that have no surface below them in the composed scene [m].
 
     Raises:
         SpecError: `scene` is not a SceneSpec, or MuJoCo cannot compile it.
@@ -166,7 +169,7 @@ def compile_scene(
         mjm = to_mjspec(scene, timestep=timestep).compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SpecError(f"scene {scene.name} does not compile: {error}") from None
-    # Otherwise MuJoCo resets a diverged simulation to its initial state, which appears stable.
+    # Otherwise MuJoCo would reset a diverged simulation to its initial state, as if it were stable.
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
     arrangement = _at_composed_heights(arrange(scene, reach=reach, gap=gap))
@@ -216,8 +219,8 @@ def compile_scene(
 def _at_composed_heights(a: Arrangement) -> Arrangement:
     """Return an arrangement whose zero layout has the composed heights.
 
-    An object that rests on others, is tilted, or has sunk into its support keeps its height above
-    the surface under it.
+    An object that rests on other objects, is tilted, or penetrates its support keeps its height
+    above the surface under it.
     """
     touch = snapped_heights(a, Layout.zero(1, len(a.parent)))[0] - a.gap
     return a._replace(gap=np.where(a.snapped, a.z - touch, a.gap))
@@ -231,10 +234,10 @@ def load_scene(
     reach: float = 1 / 3,
     gap: float = 1e-4,
 ) -> SceneModel:
-    """Read a scene.json, or that of a run folder, and compile it; see `compile_scene`.
+    """Read a scene from a scene.json or a run folder, and compile it; see `compile_scene`.
 
     Raises:
-        SpecError: there is no such file, or it contains no scene.
+        SpecError: the file does not exist or contains no scene.
     """
     if not isinstance(path, Path | str):
         raise SpecError(
@@ -256,7 +259,7 @@ def _characteristic_lengths(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarr
 
 
 def is_rotational(m: mujoco.MjModel, dof: int) -> bool:
-    """Return whether a dof rotates."""
+    """Return whether a dof is rotational."""
     joint = m.dof_jntid[dof]
     if m.jnt_type[joint] == FREE:
         return bool(dof - m.jnt_dofadr[joint] >= 3)

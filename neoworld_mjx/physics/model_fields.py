@@ -1,6 +1,7 @@
 """Fields of a scene's MuJoCo model that depend on the layout, for a population of candidates.
 
-They follow the scaling laws of `spec.scale`, so compiling a rearranged scene gives the same fields.
+The fields follow the scaling laws of `spec.scale`, so compiling a rearranged scene gives the same
+fields.
 """
 
 from typing import Any
@@ -16,8 +17,8 @@ from .model import FREE, MESH, SLIDE, SceneModel
 def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
     """Return the MjModel fields in which candidates differ, each with a leading [pop] axis.
 
-    Of the fields that MuJoCo derives from these (mj_setConst, bounding volumes) only the bounding
-    radii and boxes of geoms are included. "qpos" is the initial state.
+    MuJoCo derives further fields from these (mj_setConst, bounding volumes). Of the derived fields,
+    only the bounding radii and boxes of geoms are included. "qpos" is the initial state.
     """
     s, m = scene.static, scene.static.mjm
     pop = poses.scale.shape[0]
@@ -67,9 +68,10 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
 
 
 def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
-    """Return the scale [pop, n] of the owners of n items, given the scale [pop, object] of objects.
+    """Return the scale of the object that owns each of n items, shape [pop, n].
 
-    The owner -1 is the world, whose scale is 1.
+    `scale` contains the scales of all objects, shape [pop, object]. The owner -1 is the world,
+    whose scale is 1.
     """
     # Index -1 selects the appended column of ones.
     return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
@@ -83,7 +85,7 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
         joints |= {f"{item.name}-{joint.name}": joint for joint in item.spec.joints}
     for e in range(m.neq):
         follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
-        # Without a leader the joint is constrained to a constant, the offset.
+        # Without a leader, the joint is constrained to a constant, the offset.
         source = joints[m.joint(leader if leader >= 0 else follower).name]
         multiplier, offset = mimic_exponents(joints[m.joint(follower).name], source)
         size = jnt[:, follower]

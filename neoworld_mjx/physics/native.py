@@ -1,7 +1,8 @@
 """Rollouts with C MuJoCo on all cores: `mujoco.batch.Batch` with per-candidate model fields.
 
-Scenes of primitives expand the fields that differ. The copies of a model in a batch share mesh
-vertices, so scenes with meshes run on a ring of model copies that are scaled in place.
+For scenes of primitives, the model fields that differ between candidates are expanded. All models
+of a batch share their mesh vertices, so for scenes with meshes each candidate has a copy of the
+model. These copies are reused and scaled in place.
 """
 
 import copy
@@ -25,18 +26,19 @@ from .recorder import Recorder, in_chunks
 NATIVE_CHUNK = 1024
 """Largest number of candidates simulated at once."""
 SLEEPING_CHUNK = 256
-"""Largest number of candidates if objects may sleep, as MuJoCo then keeps each one's data."""
+"""Largest number of candidates simulated at once if objects may sleep. MuJoCo then keeps data for
+each candidate."""
 RING_BYTES = 128 << 20
-"""Memory for the copies of a model with meshes; it bounds the chunk, and is kept for the next
-rollout of the same scene."""
+"""Memory for the copies of a model with meshes, which limits the number of candidates simulated at
+once. The copies are kept for the next rollout of the same scene."""
 
 
 class NativeEngine(BatchEngine):
-    """C MuJoCo on the CPU; compiles nothing, and is bit-identical at any number of threads.
+    """C MuJoCo on the CPU. Compiles nothing; results are bit-identical for any number of threads.
 
-    With early stopping, contact components at rest sleep (`mjENBL_SLEEP`) until something touches
-    them, so only moving components take time. Over fourteen benchmark scenes, 3 of 1 344 verdicts
-    differed from full rollouts, as close trajectories diverge in chaotic systems.
+    With early stopping, islands of bodies at rest sleep (`mjENBL_SLEEP`) until something touches
+    them, so only moving islands take time. Over fourteen benchmark scenes, 3 of 1 344 verdicts
+    differed from those of full rollouts, since nearby trajectories of chaotic systems diverge.
     """
 
     name = "native"
@@ -49,7 +51,7 @@ class NativeEngine(BatchEngine):
         """Simulate every candidate, in the precision of its poses; see `Engine.rollout`."""
         poses = jax.tree.map(np.asarray, poses)
         sleeps = schedule.early_stop is not None
-        # Removed while in use, so that a rollout in another thread creates its own copies.
+        # Remove the copies while in use, so that a rollout in another thread makes other copies.
         ring = _rings.pop(scene.static, [])
 
         def run(chunk: Poses) -> Rollout:
@@ -69,7 +71,7 @@ class NativeEngine(BatchEngine):
 
 
 _rings: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = weakref.WeakKeyDictionary()
-"""Model copies of scenes with meshes; overwriting one takes a quarter of the time of copying."""
+"""Model copies of scenes with meshes. Overwriting a copy takes a quarter of the time of copying."""
 
 
 def has_meshes(scene: SceneModel) -> bool:
@@ -85,15 +87,15 @@ def open_batch(
     *,
     sleeps: bool = False,
 ) -> Batch:
-    """Build a batch whose simulation k runs candidate k's model, in its initial state.
+    """Build a batch in which simulation k runs the model of candidate k from its initial state.
 
     Args:
         scene: the compiled scene.
         poses: initial poses of the candidates' objects, NumPy arrays.
         threads: number of threads; 0 uses all cores.
-        ring: copies of the scene's model to overwrite, when it has meshes; extended as needed. An
-            earlier batch built from the same ring becomes invalid.
-        sleeps: True if contact components at rest sleep.
+        ring: copies of the scene's model, which are overwritten if the scene has meshes. The list
+            is extended as needed. A batch built earlier from the same list becomes invalid.
+        sleeps: if True, islands of bodies at rest sleep.
     """
     wide = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
     fields = model_fields(scene, wide, np)
@@ -118,7 +120,7 @@ def open_batch(
 def _model_ring(
     scene: SceneModel, fields: dict[str, np.ndarray], scale: AnyArray, ring: list[mujoco.MjModel]
 ) -> list[mujoco.MjModel]:
-    """Write each candidate's fields and meshes into its own copy of the scene's model."""
+    """Write the fields and meshes of each candidate into a separate copy of the scene's model."""
     base, pop = scene.static.mjm, len(scale)
     ring.extend(copy.copy(base) for _ in range(pop - len(ring)))
     data = mujoco.MjData(base)
@@ -135,7 +137,7 @@ def _model_ring(
 
 
 def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the object of each mesh, mesh vertex and bounding volume; -1 where none."""
+    """Return the object of each mesh, mesh vertex and bounding volume; -1 if there is none."""
     base, mesh = scene.static.mjm, mesh_object(scene)
     box, count = np.full(base.nbvh, -1), base.mesh_bvhnum
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
@@ -148,7 +150,7 @@ def _simulate(batch: Batch, recorder: Recorder, schedule: Schedule, bodies: Held
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
     applied, guidance = batch.bind("qfrc_applied"), schedule.guidance
     timestep = float(batch.model.opt.timestep)
-    # For a sleeping tree MuJoCo reports gravity as the acceleration.
+    # MuJoCo reports gravity as the acceleration of a sleeping tree.
     tree, asleep = batch.model.dof_treeid, batch.bind("tree_asleep")
     for time, steps in itertools.product(range(schedule.records), recorder.segments()):
         if guidance is not None and len(rows := recorder.active):

@@ -14,14 +14,14 @@ from .support import posed_pieces
 HULL_DIRECTIONS = 256
 """Number of evenly spread directions in which an object's extreme points are stored."""
 ROUND_SHARE = 0.04
-"""Largest relative variation of a round object's radius about its axis; polygons of twelve corners
-or more count as round."""
+"""Largest relative variation of the radius of a round object about its axis. Regular polygons with
+at least twelve corners count as round."""
 
 
 def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
-    """Return the extreme points in HULL_DIRECTIONS, in the object's frame at scale 1 [m].
+    """Return the extreme points of an object, in the object's frame at scale 1 [m].
 
-    The image box of a smooth object is too small by half a percent at most.
+    An image box computed from these points is at most half a percent too small for a smooth object.
     """
     return _farthest(item, _directions())
 
@@ -58,7 +58,7 @@ def _farthest(item: SceneObject, directions: NDArray) -> NDArray:
 
 
 def _support(piece: Piece, d: NDArray) -> NDArray:
-    """Return a piece's support points [n, 3] along unit directions, in its frame."""
+    """Return the support points [n, 3] of a piece along unit directions, in the piece's frame."""
     if piece.kind == "mesh":
         v = np.asarray(piece.vertices, float)
         return v[np.argmax(d @ v.T, axis=1)]

@@ -1,4 +1,4 @@
-"""Standard deviations that the photograph leaves to the objects of an aligned scene."""
+"""Standard deviations of the objects of a scene that is aligned with the photograph."""
 
 import math
 
@@ -12,11 +12,12 @@ from ..spec.pose import yaw_of
 def photo_deviations(
     scene: SceneSpec,
 ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, "object 2"]]:
-    """Return the deviations of every object's place; zero for objects that were not aligned.
+    """Return the standard deviations of every object; zeros for objects that were not aligned.
 
     Returns:
-        Columns are the deviations of the position along and across the view [m], in the frame of
-        the object's support; and the deviations of the yaw [rad] and of the log scale.
+        Deviations of the positions, shape [object, 2, 2], and of the yaw [rad] and the log scale,
+        shape [object, 2]. The columns of each 2x2 matrix are the deviations along and across the
+        viewing direction, as vectors in the frame of the object's support [m].
     """
     poses = world_poses(scene)
     axes, others = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
@@ -25,7 +26,7 @@ def photo_deviations(
         if known is None or item.parent is None:
             continue
         frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
-        # The camera is above the origin.
+        # The camera is above the world's origin, so the viewing direction is that of the position.
         along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
         c, s = math.cos(along), math.sin(along)
         axes[k] = np.array([[c, -s], [s, c]]) * [known.along, known.across]

@@ -1,4 +1,4 @@
-"""Data of the photograph for scoring: camera, 2D boxes and depths, by object."""
+"""Data of the photograph for scoring: the camera, and 2D boxes and depths of all objects."""
 
 from typing import NamedTuple
 
@@ -10,14 +10,14 @@ from .array_types import AnyArray
 from .sampling import surface_samples
 
 BOX_SAMPLES = 256
-"""Number of surface samples that bound the 2D box of an object without a parsed one."""
+"""Number of surface samples that determine the 2D box of an object without a parsed box."""
 
 BORDER_PX = 2.0
-"""Distance from the image border within which a box counts as cut by it."""
+"""Distance from the image border within which a box counts as cut by the border."""
 
 
 class PhotoView(NamedTuple):
-    """The photograph's camera, boxes and depths, by object."""
+    """The photograph's camera, and the boxes and depths of all objects."""
 
     axes: Float[AnyArray, "3 3"]
     """Columns are the camera's right, down and forward axes in the world."""
@@ -28,26 +28,26 @@ class PhotoView(NamedTuple):
     half_size: Float[AnyArray, " 2"]
     """Half the image's width and height [px]."""
     boxes: Float[AnyArray, "object 4"]
-    """2D boxes: left, top, right, bottom from the image centre [px]."""
+    """2D boxes: left, top, right, bottom relative to the image center [px]."""
     parsed: Bool[AnyArray, " object"]
-    """True for parsed boxes, which bound the visible part; others bound the whole object."""
+    """True for parsed boxes, which bound the visible part. Other boxes bound the whole object."""
     depth: Float[AnyArray, " object"]
-    """Distance along the view [m]."""
+    """Depth along the viewing direction [m]."""
     judged: Bool[AnyArray, " object"]
     """True for scored objects: all but environment supports."""
     whole: Bool[AnyArray, " object"]
     """True for objects that are entirely visible."""
     hides: Bool[AnyArray, " object"]
-    """True for objects that occlude others; transparent objects do not."""
+    """True for objects that occlude other objects. Transparent objects do not."""
     evidence: Float[AnyArray, "object cell cell"]
-    """Evidence of each pixel near an object that the object is visible there [1/px^2], by row and
-    column of its window; see `align.photo_evidence`. Without cells if no pixels are given."""
+    """Evidence that the object is visible in each cell of its window [1/px^2], by row and column;
+    see `align.photo_evidence`. There are no cells if the pixels of the photograph are not given."""
     window: Float[AnyArray, "object 4"]
-    """Window of the evidence: left, top, right, bottom from the image centre [px]."""
+    """Window of the evidence: left, top, right, bottom relative to the image center [px]."""
 
 
 def photo_view(spec: SceneSpec) -> PhotoView:
-    """Collect the photograph's boxes and depths; missing ones come from the composed scene."""
+    """Collect the photograph's boxes and depths; compute missing ones from the composed scene."""
     camera = spec.camera or _camera_for(spec)
     middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
     poses = world_poses(spec)

@@ -1,7 +1,7 @@
 """Placed candidates: poses, penetration depths and visibility.
 
-This is the expensive part of scoring before physics. It compiles two programs for each bucket of
-scenes, which serve any population and reward: one places layouts, the other measures poses.
+This is the expensive part of scoring before physics. For each bucket of scenes, two functions are
+compiled that serve any population and reward. One places layouts, the other measures poses.
 """
 
 from collections.abc import Callable
@@ -22,8 +22,8 @@ from .scene_arrays import SceneArrays
 from .visibility import Visible, as_parsed, visibility
 
 CPU_CHUNK = 16
-"""Number of candidates that are measured at once on CPUs, where a single candidate costs as much
-as a chunk and larger chunks gain nothing."""
+"""Number of candidates measured at once. On CPUs, a single candidate costs as much as such a chunk,
+and larger chunks are no faster."""
 Out = TypeVar("Out")
 
 
@@ -35,22 +35,23 @@ class Placed(eqx.Module):
     """Penetration depths [m]; see `pair_depths`."""
     visible: Visible
     settled: Float[AnyArray, "pop object"]
-    """Displacement of each object by settling, as `settled_by` returns it; 0 without settling."""
+    """Displacement of each object by settling, from `settled_by`; 0 without settling."""
 
 
 BALL_EXTENT = 0.03
-"""Largest relative difference between a ball's extents."""
+"""Largest relative difference between the extents of a ball."""
 TILTED, TOPPLED = float(np.radians(15.0)), float(np.radians(45.0))
-"""Bounds of the change of tilt [rad]: of objects placed upright; and of those placed tilted, which
-lie or lean, and of COMPACT ones, which roll."""
+"""Bounds of the change of tilt by settling [rad]. TILTED applies to objects placed upright. TOPPLED
+applies to objects placed tilted, which lie or lean, and to objects that roll."""
 UPRIGHT = float(np.cos(np.radians(2.0)))
 COMPACT = 0.8
-"""Least ratio of the extents of an object that rolls."""
+"""Least ratio between the smallest and the largest extent of an object that rolls."""
 SIDEWAYS, DOWN = 0.25, (0.1, 0.01)
-"""Bounds of the horizontal shift of the center, relative to the object's size, and of the change of
-its height, relative to the size plus a constant [m]."""
+"""Bounds of the shift of an object's center by settling: SIDEWAYS * size horizontally, and
+DOWN[0] * size + DOWN[1] vertically [m]."""
 SMALL_M = 0.05
-"""Size [m] below which an object may lie in another way than the response placed it."""
+"""Size below which the tilt of an object is ignored, since the object may come to rest in another
+orientation than the one in the response [m]."""
 LEAST_SIZE_M = 1e-6
 """Least size of an object [m]."""
 
@@ -58,7 +59,7 @@ LEAST_SIZE_M = 1e-6
 def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
     """Return the penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
 
-    Depths are those of the canonical colliders; zero between environment supports.
+    Depths are measured in the canonical colliders. They are zero between environment supports.
     """
     turn = jnp.asarray(rotation(poses.quat))
     pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
@@ -67,10 +68,10 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
 
 
 def pair_gaps(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
-    """Return the signed distance [m] of each pair of objects, negative where they penetrate.
+    """Return the signed distance of each pair of objects [m], negative if they penetrate.
 
-    It is the smaller one of the two directions of `neoworld_kernels.pair_gap`; inf between
-    environment supports and on the diagonal.
+    The distance of objects i and j is the smaller of the distances of `neoworld_kernels.pair_gap`
+    at (i, j) and (j, i). It is inf between environment supports and on the diagonal.
     """
     turn = jnp.asarray(rotation(poses.quat))
     pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
@@ -87,7 +88,7 @@ def _measure(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object
 def measured_poses(
     scene: SceneArrays, poses: Poses
 ) -> tuple[Float[AnyArray, "pop object object"], Visible]:
-    """Measure penetration and visibility of candidates; may be vmapped."""
+    """Measure the penetration and visibility of candidates. May be vmapped."""
     return _stored_measure(scene.arrays, poses)
 
 
@@ -97,22 +98,22 @@ _stored_measure = stored_trace(
 
 
 def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Measure settled candidates; may be vmapped."""
+    """Measure settled candidates. May be vmapped."""
     return Placed(end, *measured_poses(scene, end), settled_by(scene, start, end))
 
 
 def settled_by(
     scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
 ) -> Float[AnyArray, "pop object"]:
-    """Return the displacement of objects by settling, in units of its bounds.
+    """Return the displacement of objects by settling, relative to its bounds.
 
-    Beyond 1 an object is no longer where the photograph shows it: it has toppled or fallen off. A
-    ball, and an object smaller than SMALL_M, has no tilt.
+    An object with a value above 1 is no longer where the photograph shows it: it has toppled or
+    fallen off. The tilt of balls and of objects smaller than SMALL_M is ignored.
     """
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
     center = xp.mean(corners, axis=1)
-    # Padded objects have no size.
+    # Padded objects have size zero.
     size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
     before, after = (_z_axes(quat, xp) for quat in (start.quat, end.quat))
@@ -140,10 +141,10 @@ def _z_axes(quat: Any, xp: Any) -> Any:
 
 
 def poses_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
-    """Place candidates in chunks of CPU_CHUNK, so that one program serves all populations.
+    """Place candidates in chunks of CPU_CHUNK, so that all populations share a compiled function.
 
     Returns:
-        Arrays on the host.
+        Poses, on the host.
     """
     return _in_chunks(SceneArrays.place, scene, layouts)
 
@@ -162,7 +163,7 @@ def _in_chunks(
     pop = jax.tree.leaves(candidates)[0].shape[0]
     parts: list[Out] = []
     for first in range(0, pop, CPU_CHUNK):
-        # The first candidate pads the last chunk.
+        # The last chunk is padded with copies of its first candidate.
         rows = np.arange(first, first + CPU_CHUNK)
         rows = np.where(rows < pop, rows, first)
         chunk = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], candidates)

@@ -1,4 +1,4 @@
-"""Recording of rollouts: states, statuses, and the candidates that have stopped."""
+"""Recording of rollouts: states, statuses and early stopping of candidates."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,11 +14,11 @@ from .layout import Poses
 from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
-"""Absolute coordinate above which a candidate has diverged, as in MuJoCo (mjMAXVAL)."""
+"""Absolute value of a coordinate above which a candidate has diverged, as in MuJoCo (mjMAXVAL)."""
 SIMULATED = ("pos", "quat", "joint_shift", "status", "steps")
 """Fields of a rollout that a simulation computes."""
 LINGER_SHARE = 0.15
-"""Share of the stability bounds within which a lingering object stays."""
+"""Fraction of the stability bounds within which a lingering object stays."""
 
 
 class Recorder:
@@ -27,7 +27,7 @@ class Recorder:
     def __init__(
         self, static: StaticScene, start: Poses, schedule: Schedule, failed: NDArray | None = None
     ) -> None:
-        """Start with all candidates active except those masked by `failed` [pop]."""
+        """Start with all candidates active, except candidates in the mask `failed` [pop]."""
         self.static, self.start = static, start
         records, self.every, self.rule, self.guidance = schedule
         pop = start.scale.shape[0]
@@ -50,12 +50,12 @@ class Recorder:
         self._anchor = self._start.copy()
         """Poses [pop, free object, 7] about which a candidate's objects linger."""
         self._since = np.zeros(pop, np.int32)
-        """Step at which they arrived there."""
+        """Step at which a candidate's objects reached these poses."""
         if failed is not None:
             self.drop(failed, RolloutStatus.FAILED)
 
     def segments(self) -> list[int]:
-        """Split the steps between two records at early-stop checks and updates of forces."""
+        """Return the steps between two records, split at early-stop checks and force updates."""
         intervals = [] if self.rule is None else [self.rule.interval]
         intervals += [] if self.guidance is None else [INTERVAL_S]
         if not intervals:
@@ -65,7 +65,7 @@ class Recorder:
         return np.diff(np.arange(count + 1) * self.every // count).tolist()
 
     def drop(self, stopped: NDArray, status: RolloutStatus) -> None:
-        """Deactivate candidates, given by a mask [active], with a status."""
+        """Deactivate the candidates in a mask [active], and set their status."""
         self.status[self.active[stopped]] = int(status)
         self.active = self.active[~stopped]
 
@@ -77,14 +77,14 @@ class Recorder:
         qacc: NDArray | None,
         steps: int | None = None,
     ) -> NDArray:
-        """Record the active candidates' states after a segment, and stop those that may stop.
+        """Record the active candidates' states after a segment, and stop candidates early.
 
         Args:
-            time: index of the record; a later segment of the same record overwrites it.
+            time: index of the record. A later segment of the same record overwrites it.
             qpos: coordinates [active, nq].
             qvel: velocities [active, nv]; not needed without early stopping.
             qacc: accelerations [active, nv]; not needed without early stopping.
-            steps: steps of the segment; None counts all between two records.
+            steps: number of steps of the segment; if None, all steps between two records.
 
         Returns:
             A mask [active] of the candidates that remain active.
@@ -103,7 +103,7 @@ class Recorder:
         return running
 
     def _stop(self, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
-        """Stop candidates early; return a mask [active] of those that remain."""
+        """Stop candidates early, and return a mask [active] of candidates that remain active."""
         rule, rows = self.rule, self.active
         assert rule is not None
         length = self.static.characteristic_length
@@ -136,7 +136,7 @@ class Recorder:
         return running
 
     def rollout(self) -> Rollout:
-        """Return the rollout, on the host; a candidate's last state fills its remaining records."""
+        """Return the rollout on the host. A candidate's last state fills its remaining records."""
         pop, records, _ = self.qpos.shape
         time = np.minimum(np.arange(records), np.maximum(self.last, 0)[:, None])
         states = read_states(self.static, self.start, self.qpos[np.arange(pop)[:, None], time], np)
@@ -158,7 +158,7 @@ class Recorder:
 
 
 class _Motion(NamedTuple):
-    """Motion of free objects between two states, without square roots and arc cosines."""
+    """Motion of free objects between two states, computed without square roots and arc cosines."""
 
     squared: NDArray
     """Squared distances [m^2], shape [candidate, object]."""
@@ -173,7 +173,7 @@ class _Motion(NamedTuple):
         return cls(squared, np.abs(np.einsum("cok,cok->co", after[..., 3:], before[..., 3:])))
 
     def beyond(self, distance: float, angle: float) -> NDArray:
-        """Return a mask of candidates in which an object moved or rotated farther."""
+        """Return a mask of candidates in which an object moved or rotated beyond a bound."""
         far = self.squared > distance**2
         return (far | (self.cosine < np.cos(min(angle, np.pi) / 2))).any(axis=1)
 
@@ -185,7 +185,7 @@ def record_times(static: StaticScene, records: int, every: int) -> NDArray:
 
 
 def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """Extract object poses and joint shifts from recorded coordinates; static objects stay.
+    """Extract object poses and joint shifts from recorded coordinates. Static objects do not move.
 
     Returns:
         `pos`, `quat` and `joint_shift` of a `Rollout`, in single precision.
@@ -209,7 +209,7 @@ def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[
 
 
 def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: Any, xp: Any) -> Any:
-    """Return the distance of joint k from its initial position, [pop, time], [m] or [rad]."""
+    """Return the distance of joint k from its initial position [m or rad], shape [pop, time]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
     if m.jnt_type[joint] == BALL:
@@ -234,9 +234,10 @@ def in_chunks(
     schedule: Schedule,
     run: Callable[[Poses], Rollout],
 ) -> Rollout:
-    """Roll out the placeable candidates in chunks; the others fail at no cost.
+    """Roll out the placeable candidates in chunks. All other candidates fail at no cost.
 
-    Populations of several runs are padded with unplaceable candidates to few distinct sizes.
+    Populations of several runs are padded with unplaceable candidates, so that there are few
+    distinct sizes.
 
     Returns:
         The rollout of all candidates, on the host.

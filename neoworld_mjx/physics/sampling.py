@@ -11,13 +11,13 @@ from .support import posed_pieces
 
 
 def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3"]:
-    """Spread points over an object's outer surface, corners and edge middles first.
+    """Spread points over an object's outer surface, with corners and midpoints of edges first.
 
-    Points of a piece inside another are omitted. Deterministic.
+    Points of a piece that are inside another piece are omitted. The result is deterministic.
 
     Args:
-        item: the object; points are in its own frame at scale 1 [m].
-        count: number of points; the last is repeated if the surface yields fewer.
+        item: the object. Points are in the object's frame at scale 1 [m].
+        count: number of points. The last point is repeated if the surface yields fewer points.
     """
     pieces = posed_pieces(item, tilted=False)
     areas = np.array([_area(piece) for piece, _ in pieces])
@@ -42,7 +42,7 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
 
 
 class _Solid:
-    """A piece in the object's frame that may contain points of other pieces."""
+    """A piece of an object that may contain points of other pieces."""
 
     def __init__(self, piece: Piece, pose: Pose) -> None:
         self.piece, self.pose, self.turn = piece, pose, matrix(pose.quat)
@@ -57,7 +57,7 @@ class _Solid:
         )
 
     def hide(self, points: NDArray, hidden: NDArray) -> None:
-        """Mark the points [n, 3] inside the piece."""
+        """Set `hidden` [n] to True for the points [n, 3] inside the piece."""
         near = np.flatnonzero(((points - self.centre) ** 2).sum(axis=1) < self.radius**2)
         if len(near):
             local = (points[near] - self.pose.pos) @ self.turn
@@ -65,7 +65,7 @@ class _Solid:
 
 
 def _farthest(points: NDArray, count: int, near: NDArray) -> NDArray:
-    """Pick points one by one, each the farthest from those already picked and from `near`."""
+    """Pick points one by one, each the farthest from `near` and the points already picked."""
     if not len(points) or count <= 0:
         return np.zeros((0, 3))
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1)
@@ -94,7 +94,7 @@ def _area(piece: Piece) -> float:
     if piece.kind == "sphere":
         return float(4 * np.pi * s[0] ** 2)
     if piece.kind == "ellipsoid":
-        a, b, c = s**1.6075  # Thomsen's formula, within 1.1 %
+        a, b, c = s**1.6075  # Thomsen's formula, accurate to 1.1 %
         return float(4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6075))
     side = 4 * np.pi * s[0] * s[1]
     return float(side + (4 if piece.kind == "capsule" else 2) * np.pi * s[0] ** 2)
@@ -163,7 +163,7 @@ def _faces(piece: Piece, count: int) -> NDArray:
 
 
 def _inside(piece: Piece, half: NDArray | None, x: NDArray) -> NDArray:
-    """Return a mask of points [n, 3] inside a piece by more than a thousandth of its size."""
+    """Return a mask of points [n, 3] that are deeper in a piece than a thousandth of its size."""
     s = np.asarray(piece.size, float)
     if half is not None:
         deep = (half[:, 3] - x @ half[:, :3].T).min(axis=1)

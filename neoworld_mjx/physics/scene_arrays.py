@@ -22,17 +22,17 @@ PADDING_DEPTH_M = 1e4
 
 
 class SceneArrays(eqx.Module):
-    """Arrays that placing and scoring need, padded or not; an argument of jitted functions.
+    """Arrays for placing and scoring candidates, padded or not; an argument of jitted functions.
 
     `SceneModel` adds the scene's data on the host.
     """
 
     arrangement: Arrangement
-    """Parameters of placing, in single precision."""
+    """Parameters of `place`, in single precision."""
     samples: Float[AnyArray, "object sample 3"]
     """Surface points in object frames [m]."""
     outline: Float[AnyArray, "object point 3"]
-    """Extreme points of each object's convex hull in evenly spread directions [m]."""
+    """Extreme points of each object in evenly spread directions, in object frames [m]."""
     round: Bool[AnyArray, " object"]
     """True for objects that are symmetric about their frame's z axis."""
     colliders: Colliders
@@ -46,13 +46,13 @@ class SceneArrays(eqx.Module):
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
     photo_sigma: Float[AnyArray, "object 4"]
-    """Standard deviations that the photograph leaves: x and y in the support's frame [m], yaw
-    [rad], log scale; inf for objects that were not aligned."""
+    """Standard deviations after alignment with the photograph: x and y in the support's frame [m],
+    yaw [rad] and log scale; inf for objects that were not aligned."""
     corners: Float[AnyArray, "object 8 3"]
     """Corners of each object's bounding box in its frame, at its joint state [m]."""
     pair_mask: Bool[AnyArray, "object object"]
-    """True for pairs of objects whose penetration depends on the layout: not both environment
-    supports."""
+    """True for pairs of different objects that are not both environment supports, whose penetration
+    does not depend on the layout."""
     joint_object: Int[AnyArray, " joint"]
     """Object of each joint except free joints."""
     joint_slides: Bool[AnyArray, " joint"]
@@ -65,14 +65,14 @@ class SceneArrays(eqx.Module):
 
     @property
     def arrays(self) -> "SceneArrays":
-        """The arrays alone: scenes of the same shapes share what is compiled for them."""
+        """The arrays without the host data. Scenes with equal shapes share compiled functions."""
         return SceneArrays(**{name: vars(self)[name] for name in SceneArrays.__dataclass_fields__})
 
     def place(self, layouts: Layout) -> Poses:
         """Place every object of every candidate; see `layout.place`.
 
-        May be jitted, vmapped over further leading axes of the layouts, and differentiated.
-        Compiled once for all scenes with the same number of objects.
+        This method may be jitted, vmapped over further leading axes of the layouts, and
+        differentiated. It is compiled once for all scenes with equally many objects.
         """
         return _place(self.arrangement, layouts)
 
@@ -96,11 +96,12 @@ class Bucket(NamedTuple):
 
 
 SMALLEST_BUCKET = Bucket(16, 16, 64, 64, 16, 32, 16, 128, 32)
-"""Bucket of a table with a few objects; larger buckets double it, and their faces separately."""
+"""Bucket of a table with a few objects. Larger buckets multiply all lengths by one power of two,
+except the number of faces, which has a separate power of two."""
 
 
 def bucket_of(scene: SceneArrays) -> Bucket:
-    """Return the smallest bucket that a scene fits into."""
+    """Return the smallest bucket into which a scene fits."""
     groups = scene.colliders._asdict()
     need = Bucket(
         objects=scene.count,
@@ -118,7 +119,7 @@ def bucket_of(scene: SceneArrays) -> Bucket:
 
 
 def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
-    """Pad a scene's arrays to a bucket; by default the smallest that fits."""
+    """Pad a scene's arrays to a bucket; by default, to the smallest bucket that fits."""
     b = bucket or bucket_of(scene)
     n, photo = b.objects, scene.photo
     pair_mask = np.zeros((n, n), bool)
@@ -152,7 +153,7 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
 
 
 def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
-    """Pad an arrangement, on the host, to a number of objects, which lie far below the scene."""
+    """Pad an arrangement on the host to `objects` objects; padding lies far below the scene."""
     count = len(a.parent)
     ancestors = np.eye(objects)
     ancestors[:count, :count] = a.ancestors
@@ -172,7 +173,7 @@ def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
 
 
 def object_bucket(count: int) -> int:
-    """Return the length of the object axis that `count` objects are padded to."""
+    """Return the length of the object axis to which `count` objects are padded."""
     return SMALLEST_BUCKET.objects << (-(-count // SMALLEST_BUCKET.objects) - 1).bit_length()
 
 
@@ -186,9 +187,9 @@ _heights = jax.jit(heights)
 
 
 def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, "pop object"]:
-    """Return the heights [m] at which candidates are snapped.
+    """Return the snapped heights of the candidates' objects [m], shape [pop, object].
 
-    Compiled once for all scenes of a bucket and each number of candidates.
+    The computation is compiled once for each bucket and number of candidates.
     """
     count = len(arrangement.parent)
     wide = object_bucket(count)
@@ -198,7 +199,7 @@ def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarra
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:
-    """Pad with empty pieces, far from all objects."""
+    """Pad a group with empty pieces that are far from all objects."""
     spare = np.array([0.0, 0.0, 0.0, SPARE])
     planes = np.moveaxis(pad_axis(np.moveaxis(np.asarray(group.planes), 1, 0), faces, spare), 0, 1)
     empty = np.tile(spare, (faces, 1))
@@ -208,7 +209,7 @@ def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> Piece
         "owner": pad_axis(group.owner, pieces, owner),
         "pos": pad_axis(group.pos, pieces, np.array([0.0, 0.0, PADDING_DEPTH_M])),
         "rot": pad_axis(group.rot, pieces, np.eye(3)),
-        # Nonzero, since ellipsoids divide by their sizes, and sectors by their repeats.
+        # Nonzero, since distances are divided by the sizes of ellipsoids and repeats of sectors.
         "size": pad_axis(group.size, pieces, np.array([1.0, 1e-6, 1e-6])),
         "planes": pad_axis(planes, pieces, empty),
         "extent": pad_axis(group.extent, pieces),
@@ -225,7 +226,7 @@ def pad_axis(x: Any, length: int, fill: Any = 0) -> np.ndarray:
 
 
 def on_device(tree: Any) -> Any:
-    """Put the arrays of a tree on the device, in single precision; nothing is compiled."""
+    """Put the arrays of a tree on the device in single precision, without compiling anything."""
 
     def put(x: Any) -> Array:
         x = np.asarray(x)

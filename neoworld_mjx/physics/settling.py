@@ -1,7 +1,7 @@
-"""Settling under guidance: candidates on any engine, and a single scene exactly in C MuJoCo.
+"""Settling under guidance, for candidates on any engine and for a single scene in C MuJoCo.
 
-Objects are placed, held near their placed poses by springs that fade (`guidance`), and settle on
-what they touch. Joints keep their positions.
+Springs that fade (`guidance`) hold the objects near their placed poses while the objects settle on
+whatever they touch. Joints keep their positions.
 """
 
 import copy
@@ -25,8 +25,8 @@ from .model import FREE, SceneModel, StaticScene, is_rotational
 from .recorder import DIVERGED
 
 HOLD_RATE = 1e5
-"""Damping of joints while objects settle, in units of their inertia [1/s]. A joint that gravity
-accelerates by a moves at a / HOLD_RATE."""
+"""Damping of joints while objects settle, divided by the joint's inertia [1/s]. If gravity
+accelerates a joint by a, the joint moves with velocity a / HOLD_RATE."""
 
 
 def guidance(o: SettleOptions) -> Guidance:
@@ -37,16 +37,16 @@ def guidance(o: SettleOptions) -> Guidance:
 def settle(scene: SceneModel, poses: Poses, engine: Engine, o: SettleOptions) -> Poses:
     """Settle placed candidates under guidance.
 
-    A candidate that fails keeps its placed poses.
+    A candidate whose simulation fails keeps its placed poses.
 
     Args:
         scene: the compiled scene.
         poses: placed poses of the candidates' objects.
         engine: the engine.
-        o: duration, springs and limit of speed.
+        o: duration, springs and speed limit.
 
     Returns:
-        Resting poses, on the host; `height` is that of the placed poses.
+        Settled poses, on the host. `height` is the height of the placed poses.
     """
     rollout = jax.device_get(
         engine.rollout(
@@ -73,7 +73,7 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, o: SettleOptions) ->
 
 
 def with_damped_joints(scene: SceneModel) -> SceneModel:
-    """Return a scene in which damping holds all joints at any scale."""
+    """Return a scene in which damping keeps all joints in place, at any scale of the objects."""
     if not len(scene.static.joints):
         return scene
     known = _damped_joints.get(scene.static)
@@ -97,19 +97,19 @@ def _static_with_damped_joints(static: StaticScene) -> StaticScene:
 
 
 def damp_joints(model: mujoco.MjModel) -> None:
-    """Set damping that holds all joints except free ones."""
+    """Set the damping of all joints except free joints so high that the joints stay in place."""
     of_joint = model.jnt_type[model.dof_jntid] != FREE
     model.dof_damping[of_joint] = HOLD_RATE * model.dof_M0[of_joint]
 
 
 def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) -> SceneSpec:
-    """Return a scene with every movable object at rest, settled under guidance in C MuJoCo.
+    """Return a scene whose movable objects have settled under guidance in C MuJoCo.
 
-    A simulation that diverges returns the scene as it was placed.
+    If the simulation diverges, return the scene unchanged.
 
     Args:
-        scene: the scene; its joints keep their positions.
-        o: duration, springs and limit of speed.
+        scene: the scene. Joints keep their positions.
+        o: duration, springs and speed limit.
         timestep: time step of the simulation [s].
     """
     model, data = start_state(scene, timestep)
@@ -131,7 +131,7 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
 
 
 def at_state(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> SceneSpec:
-    """Return a scene with its movable objects where they are in a simulation."""
+    """Return a scene with the poses of its movable objects in a simulation."""
     mujoco.mj_forward(model, data)
     names = [item.name for item in scene.objects if not item.static]
     bodies = [data.body(name) for name in names]
@@ -142,7 +142,7 @@ def at_state(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Sc
 
 
 def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
-    """Return a scene with new world poses of some objects; the others move with their parents."""
+    """Return a scene with new world poses of some objects. All others move with their parents."""
     starts = world_poses(scene)
     placed = dict(starts)
     objects: list[SceneObject] = []
@@ -159,7 +159,7 @@ def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
 
 
 def _placed(item: SceneObject, rest: Pose) -> SceneObject:
-    """Return an object at a pose in its parent's frame, split into a tilt followed by a yaw."""
+    """Return an object at a pose in its support frame, split into a tilt followed by a yaw."""
     turn = yaw_of(quat_mul(rest.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
     yaw = math.remainder(item.yaw + turn, 2 * math.pi)
     tilt = quat_mul(conjugate(from_yaw(yaw)), rest.quat)

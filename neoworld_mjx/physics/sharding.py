@@ -1,4 +1,4 @@
-"""Candidates or runs shared by several devices, each of which computes its part alone."""
+"""Distribution of candidates or runs over several devices that compute independently."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -8,11 +8,11 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 PART, WHOLE = PartitionSpec("part"), PartitionSpec()
-"""Specifications of an array that is split along its leading axis, and of one that is copied."""
+"""Partition specifications: PART splits an array along its leading axis, WHOLE copies it."""
 
 
 def mesh_of(devices: Sequence[Any]) -> Mesh | None:
-    """Return the mesh of several devices, None for a single one."""
+    """Return a mesh of several devices, or None for a single device."""
     return Mesh(np.array(devices), ("part",)) if len(devices) > 1 else None
 
 
@@ -24,13 +24,14 @@ def put(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
 def by_part(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[..., Any]:
     """Return a function that calls `fn` on every device with that device's part of the arguments.
 
-    The parts must not depend on each other. Without it, XLA would compute some operations, such as
-    `top_k`, for all parts on every device, which then wait for each other in every step.
+    The parts must not depend on each other. With automatic sharding instead, XLA would compute some
+    operations, such as `top_k`, for all parts on every device, and the devices would wait for each
+    other in every step.
 
     Args:
-        fn: function of arrays whose results have the leading axis that is split.
-        mesh: the devices; None for a single one, which calls `fn` itself.
-        specs: PART or WHOLE for each argument, or a tree of them.
+        fn: function of arrays. Its results must have the leading axis that is split.
+        mesh: the devices; if None, there is a single device, and `fn` itself is returned.
+        specs: for each argument, PART, WHOLE, or a tree of both.
     """
     if mesh is None:
         return fn

@@ -1,4 +1,4 @@
-"""Opening of engines by name, and rollouts of layouts in one call."""
+"""Functions that open an engine by name, and that roll out layouts in one call."""
 
 import contextlib
 from importlib import import_module
@@ -16,11 +16,11 @@ from .model import SceneModel
 def open_engine(name: str = "auto") -> Engine:
     """Return an engine by name.
 
-    `auto` is `native` without an accelerator; otherwise each rollout uses the engine with the least
-    measured cost on this machine; see `automatic`.
+    If there is no accelerator, `auto` is `native`. Otherwise, each rollout of `auto` uses the
+    engine with the least predicted cost on this machine; see `automatic`.
 
     Raises:
-        EngineError: the engine is unknown, or cannot run here.
+        EngineError: the engine is unknown or cannot run on this machine.
     """
     if name == "auto":
         return _open_automatic()
@@ -54,19 +54,19 @@ def rollout(
 ) -> Rollout:
     """Place candidate layouts and roll them out; see `Engine.rollout`.
 
-    Runs on the host and cannot be jitted, vmapped or differentiated; placing (`SceneModel.place`)
-    and functions of a `Rollout` can.
+    This function runs on the host and cannot be jitted, vmapped or differentiated. By contrast,
+    `SceneModel.place` and functions of a `Rollout` can.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        engine: name of an engine, or an opened one.
+        engine: name of an engine, or an opened engine.
         duration: simulated time [s].
         record_every: time between recorded poses [s].
-        early_stop: conditions for stopping candidates early; None simulates all to the end.
+        early_stop: conditions for stopping candidates early; if None, all are simulated to the end.
 
     Raises:
-        EngineError: the engine is unknown, or cannot run here.
+        EngineError: the engine is unknown or cannot run on this machine.
         SpecError: `scene` is not a SceneModel, or `layouts` not a Layout of it.
     """
     if not isinstance(scene, SceneModel):
@@ -94,10 +94,11 @@ def rollout(
 
 
 def on_cpu() -> contextlib.AbstractContextManager[object]:
-    """Run JAX on the CPU, for computations in which kernel launches dominate on a GPU.
+    """Return a context in which JAX runs on the CPU.
 
-    Does nothing if JAX has no CPU backend, or no other: naming the default device would compile
-    every program once more.
+    It is meant for computations that a GPU would spend mainly on kernel launches. The context does
+    nothing if JAX has no CPU backend, or if the CPU is the default backend: naming the default
+    device would compile every function once more.
     """
     if jax.default_backend() == "cpu":
         return contextlib.nullcontext()

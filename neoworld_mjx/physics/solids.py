@@ -1,6 +1,7 @@
-"""Collision geoms of a MuJoCo model as convex solids of one form, padded to the same shape.
+"""Collision geoms of a MuJoCo model as convex solids with one common representation.
 
-Code that takes any two solids is traced once, for any number and type of geoms.
+All solids are padded to the same shape, so code that takes two solids is traced only once for any
+number and type of geoms.
 """
 
 from typing import NamedTuple
@@ -15,8 +16,8 @@ from ..errors import EngineError
 from .array_types import AnyArray
 
 RIM_CORNERS, WALL_FACES = 8, 12
-"""Corners of the polygon that approximates a cylinder's rim, and faces of its wall; the cylinder is
-rotated so that one of each points at the other solid.
+"""Number of corners of the polygon that approximates a cylinder's rim, and number of faces that
+approximate its wall. A cylinder is rotated so that a corner and a face point at the other solid.
 """
 
 _GEOM = mujoco.mjtGeom
@@ -25,22 +26,23 @@ _GEOM = mujoco.mjtGeom
 class Solids(NamedTuple):
     """Convex solids in their geoms' frames at scale 1 [m].
 
-    A solid is the Minkowski sum of the hull of `vert`, a disc about its z axis and an ellipsoid: a
-    sphere is a point with radii, a cylinder a segment with a disc.
+    A solid is the Minkowski sum of the hull of `vert`, a disc about the z axis and an ellipsoid.
+    For example, a sphere is a point with radii, and a cylinder is a segment with a disc. Vertices,
+    edges and planes are padded with copies of the first one.
     """
 
     vert: Float[AnyArray, "*solid vert 3"]
-    """Vertices, padded with the first one."""
+    """Vertices."""
     edge: Float[AnyArray, "*solid edge 2 3"]
     """Ends of the edges along which contacts are generated."""
     plane: Float[AnyArray, "*solid face 4"]
-    """Outward normals and offsets of the faces; a zero normal pads the rows."""
+    """Outward normals and offsets of the faces. A solid without faces has zero normals."""
     disc: Float[AnyArray, "*solid"]
-    """Radius of a cylinder, whose edges and planes may be rotated about its axis."""
+    """Radius of a cylinder, otherwise 0. A cylinder's edges and planes may be rotated about z."""
     radii: Float[AnyArray, "*solid 3"]
-    """Semi-axes of the ellipsoid of a sphere, capsule or ellipsoid."""
+    """Semi-axes of the ellipsoid of a sphere, capsule or ellipsoid, otherwise 0."""
     core: Float[AnyArray, "*solid 2 3"]
-    """Ends of the central segment: a cylinder's or capsule's axis, or twice the centre."""
+    """Ends of the central segment: the axis of a cylinder or capsule, or the center, twice."""
 
 
 class GeomPairs(NamedTuple):
@@ -54,7 +56,7 @@ class GeomPairs(NamedTuple):
 
 
 def geom_solids(m: mujoco.MjModel) -> Solids:
-    """Return the solid of every geom of a model; geoms that do not collide become points.
+    """Return the solid of every geom of a model. Geoms that do not collide become points.
 
     Raises:
         EngineError: a collision geom has an unsupported type.
@@ -76,14 +78,14 @@ def collides(m: mujoco.MjModel, geom: int) -> bool:
 
 
 def geom_pairs(m: mujoco.MjModel) -> GeomPairs:
-    """List the pairs of geoms that pass MuJoCo's filters.
+    """List the pairs of geoms that pass MuJoCo's collision filters.
 
     Raises:
-        EngineError: the model has explicit pairs, priorities, margins or another condim than 3.
+        EngineError: the model has explicit pairs, priorities, margins or a condim other than 3.
     """
     if m.npair or np.any(m.geom_priority) or np.any(m.geom_margin) or np.any(m.geom_condim != 3):
         raise EngineError(
-            "engine mjx needs geoms of condim 3 without explicit pairs, priorities and margins; "
+            "engine mjx needs geoms with condim 3 and no explicit pairs, priorities or margins; "
             "use --engine native"
         )
     excluded = set(m.exclude_signature.tolist())
@@ -111,8 +113,8 @@ def _may_touch(m: mujoco.MjModel, a: int, b: int, excluded: set[int]) -> bool:
         return False
     weld, other = int(m.body_weldid[one]), int(m.body_weldid[two])
     above = lambda w: int(m.body_weldid[m.body_parentid[w]])
-    # As in MuJoCo, bodies of one weld never touch, nor do a child and its parent, unless the latter
-    # is the world.
+    # As in MuJoCo, bodies that are welded together never touch. A child and its parent never touch
+    # either, unless the parent is the world.
     related = weld and other and (weld == above(other) or other == above(weld))
     types = (m.geom_contype[a] & m.geom_conaffinity[b]) | (
         m.geom_contype[b] & m.geom_conaffinity[a]
@@ -175,7 +177,7 @@ def _cylinder(radius: float, half: float) -> Solids:
 
 
 def _polytope(points: NDArray) -> Solids:
-    """Build a polytope from the vertices of its hull; coplanar triangles form one face."""
+    """Build the convex hull of points. Coplanar triangles form one face."""
     middle, span = points.mean(axis=0), np.ptp(points, axis=0).max()
     hull = ConvexHull((points - middle) / span)
     normals = hull.equations
@@ -193,7 +195,7 @@ def _polytope(points: NDArray) -> Solids:
     edges = [pair for pair, faces in sides.items() if len(set(faces)) > 1]
     stacked = np.array(planes)
     offset = span * -stacked[:, 3] + stacked[:, :3] @ middle
-    # A point inside a face is no vertex.
+    # A point in the interior of a face is not a vertex.
     used = np.unique(np.array(edges))
     centre = points[used].mean(axis=0)
     return Solids(

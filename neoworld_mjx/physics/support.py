@@ -1,8 +1,8 @@
 """Snapping: the height at which a child touches its support, for every candidate.
 
-Only the yaw, size and position of a child vary, so its underside and the upper surface of its
-support are tabulated once: the underside as points, the support as a grid of heights. Snapping a
-population is then a gather and a maximum.
+Only the yaw, size and position of a child vary. The underside of the child and the upper surface of
+its support are therefore tabulated once, the underside as points and the upper surface as a grid of
+heights. Snapping a population is then a gather and a maximum.
 """
 
 from typing import NamedTuple
@@ -18,18 +18,18 @@ from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate, yaw_of
 from .array_types import AnyArray
 
 GRID = 160
-"""Cells along each side of a support's height grid."""
+"""Number of grid points along each side of a support's height grid."""
 UNDERSIDE_POINTS = 192
 """Number of points that represent a child's underside."""
 LEVEL_SHARE = 0.8
-"""Largest share of the underside's points at one level of height, if there are other levels."""
+"""Largest fraction of the underside's points at one height level if there are other levels."""
 WALL_M = 0.02
-"""Least height [m] of a wall above an object that it encloses, such as a book in a shelf."""
+"""Least height of a wall above the top of an enclosed object, such as a book in a shelf [m]."""
 LEANING_DEG = 5.0
 """Least tilt of an object that leans in its parent [deg]."""
 SOLE_M = 0.005
-"""Largest height [m] of the floor above the lowest point of an object that leans in its parent; the
-object stands on an edge, and the wall next to that edge is no floor."""
+"""Largest height of the floor above the lowest point of an object that leans in its parent [m].
+Such an object stands on an edge, and the wall next to this edge does not count as floor."""
 LINE_MARGIN_M = 1e-6
 """Margin around a piece [m] within which lines are tested."""
 NO_SURFACE = -1e3
@@ -37,25 +37,26 @@ NO_SURFACE = -1e3
 
 
 class Support(NamedTuple):
-    """The surface under one object, in its support frame, at the support's size 1.
+    """The surface under one object, in the object's support frame, with the support at scale 1.
 
     Stacked tables have a leading [object] axis.
     """
 
     heights: Float[AnyArray, "GRID GRID"]
-    """Upper surface [m] at grid points, x first; or NO_SURFACE."""
+    """Height of the upper surface at the grid points, x first [m]; NO_SURFACE if there is none."""
     origin: Float[AnyArray, " 2"]
-    """Grid point (0, 0) [m]."""
+    """Position of grid point (0, 0) [m]."""
     cell: Float[AnyArray, ""]
     """Spacing of grid points [m]."""
     foot: Float[AnyArray, "UNDERSIDE_POINTS 3"]
-    """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
+    """Points of the child's underside, in the child's tilted frame [m]. Unused rows have height
+    inf."""
 
 
 def posed_shapes(
     item: SceneObject, links: set[str] | None = None, *, tilted: bool = False
 ) -> list[tuple[Shape, Pose]]:
-    """List an object's collision shapes with their poses at its joint state."""
+    """List an object's collision shapes with their poses at the object's joint state."""
     moved = link_poses(item.spec, item.joint_state)
     tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
     return [
@@ -79,10 +80,11 @@ def posed_pieces(
 
 
 def column(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
-    """Intersect vertical lines at xy [n, 2] m with a convex piece at a pose.
+    """Intersect vertical lines at positions xy [m], shape [n, 2], with a convex piece at a pose.
 
     Returns:
-        Lowest and highest point [n] m on each line; (inf, -inf) where a line misses.
+        Heights of the lowest and highest point of the piece on each line [m], shape [n]; (inf,
+        -inf) if the line misses the piece.
     """
     if piece.kind in ("box", "mesh"):
         corners = _corners(piece, piece_pose)[:, :2]
@@ -127,7 +129,7 @@ def _through_planes(half: NDArray, o: NDArray, d: NDArray) -> tuple[NDArray, NDA
     outside = np.any((np.abs(slope) < 1e-12) & (gap < -1e-9), axis=1)
     low = np.max(np.where(slope < -1e-12, t, -np.inf), axis=1)
     high = np.min(np.where(slope > 1e-12, t, np.inf), axis=1)
-    # A line along a face or through an edge hits.
+    # A line along a face or through an edge counts as a hit.
     miss = outside | (low > high + 1e-9)
     return np.where(miss, np.inf, low), np.where(miss, -np.inf, np.maximum(low, high))
 
@@ -144,7 +146,10 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def footprint(item: SceneObject) -> NDArray:
-    """Sample an object's underside in its tilted frame: points [n, 3] m, padded at +inf."""
+    """Sample points of an object's underside, in the object's tilted frame [m], shape [n, 3].
+
+    Unused rows have height inf.
+    """
     pieces = posed_pieces(item)
     spots = np.vstack([_corners(piece, piece_pose) for piece, piece_pose in pieces])
     low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
@@ -155,11 +160,11 @@ def footprint(item: SceneObject) -> NDArray:
     z = np.min([column(piece, piece_pose, xy)[0] for piece, piece_pose in pieces], axis=0)
     points = np.column_stack([xy, z])[np.isfinite(z)]
     if item.relation == "in" and _leans(item):
-        # The object stands on its lowest edge; the rest touches the wall.
+        # The object stands on its lowest edge. Everything above touches the wall.
         points = points[points[:, 2] <= points[:, 2].min() + SOLE_M]
     if len(points) > UNDERSIDE_POINTS:
-        # The lowest points matter most, but the points must cover a wide flat base, and the rim of
-        # a lid as well as its plug: take the hull of each low level first, then spread the rest.
+        # The lowest points matter most, but the points must cover a wide flat base, and both the
+        # rim and the plug of a lid: take spread points of each low level first.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
         points = points[_spread(points[:, :2], level)[:UNDERSIDE_POINTS]]
     pad = np.full((UNDERSIDE_POINTS - len(points), 3), np.inf)
@@ -189,9 +194,10 @@ def _corners(piece: Piece, piece_pose: Pose) -> NDArray:
 
 
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
-    """Order points from low to high levels, so that each prefix covers its level evenly.
+    """Order points from low to high levels, so that any first points cover their level evenly.
 
-    No level has more than LEVEL_SHARE of the first UNDERSIDE_POINTS if there are other levels.
+    If there are several levels, no level has more than the fraction LEVEL_SHARE of the first
+    UNDERSIDE_POINTS points.
     """
     first: list[int] = []
     later: list[int] = []
@@ -211,13 +217,22 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     """Tabulate the surface that supports an object.
 
-    There are two candidates: the highest surface under the object's footprint, and, for an object
-    inside its parent, such as a can on a lower shelf, the highest one below pieces that leave space
-    for the object. The one closer to the composed height is chosen. An object inside its parent is
-    never lifted onto a wall; it penetrates the wall instead, where D_pen has a gradient that leads
-    out. A surface counts as a wall if it is above the middle of an object with relation "in",
-    WALL_M above the top of any other object, or SOLE_M above the lowest point of an object that
-    leans in its parent and has a floor there.
+    There are two possible surfaces:
+
+    - the outer surface, which is the highest surface under the object's footprint;
+    - the inner surface, which is the highest floor inside the parent, such as a lower shelf.
+
+    The inner surface supports an object with relation "in". It also supports any other object that
+    fits between this surface and the pieces above, if the composed height is closer to the inner
+    than to the outer surface. An object with relation "in" is thus never lifted onto a wall. It
+    penetrates the wall instead, and the gradient of D_pen leads it out.
+
+    A surface counts as a wall instead of a floor if it is
+
+    - above the middle of an object with relation "in",
+    - more than WALL_M above the top of any other object, or
+    - more than SOLE_M above the lowest point of an object that leans in its parent, provided that
+      there is a floor below this height.
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
@@ -241,7 +256,7 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     middle = item.z + (finite[:, 2].min() + top) / 2
     outside = np.max(high, axis=0, initial=NO_SURFACE)
     under = low < middle
-    # A wall does not hide its own floor.
+    # Surfaces above this height are walls and do not hide the floor.
     wall = middle if item.relation == "in" else item.z + top + WALL_M
     floor = under & (high <= wall)
     if item.relation == "in" and _leans(item):
@@ -271,7 +286,7 @@ def _leans(item: SceneObject) -> bool:
 
 
 def link_frame(parent: SceneObject, link: str | None) -> Pose:
-    """Return a support frame relative to the parent's origin, in the parent's yaw frame."""
+    """Return a link's support frame, relative to the parent's origin, in the parent's yaw frame."""
     moved = pose((0, 0, 0), parent.base_tilt)
     if link is not None:
         moved = moved.then(link_poses(parent.spec, parent.joint_state)[link])
@@ -297,11 +312,11 @@ def height_above(
     size: Float[Array, ""],
     parent_size: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Return the height of an object's origin at which it touches its support.
+    """Return the height of an object's origin at which the object touches its support.
 
     Returns:
-        Height [m] in the support frame; below NO_SURFACE / 2 if no point of the underside is above
-        the support.
+        Height in the support frame [m]. If no point of the underside is above the support, the
+        height is below NO_SURFACE / 2.
     """
     c, s = jnp.cos(yaw), jnp.sin(yaw)
     x, y = table.foot[:, 0] * size, table.foot[:, 1] * size
@@ -316,7 +331,7 @@ def height_above(
     nearest = jnp.where(v > 0.5, jnp.where(u > 0.5, d, c), jnp.where(u > 0.5, b, a))
     surface = jnp.where(highest - lowest < 2.0 * table.cell, blended, nearest)
     surface = jnp.where(within & between, surface, NO_SURFACE)
-    # An infinite height times the size has the gradient NaN, masked or not.
+    # The gradient of an infinite height times the size would be NaN, even if masked.
     used = jnp.isfinite(table.foot[:, 2])
     gap = surface * parent_size - jnp.where(used, table.foot[:, 2], 0.0) * size
     used &= jnp.isfinite(gap) & (surface > NO_SURFACE / 2)
@@ -330,7 +345,10 @@ def _cell(
     Float[Array, " UNDERSIDE_POINTS"],
     Bool[Array, " UNDERSIDE_POINTS"],
 ]:
-    """Return the cells of coordinates [m] along an axis, fractions within them, and a grid mask."""
+    """Return the cells of coordinates [m] along an axis, the fractions within them, and a mask.
+
+    The mask is True for coordinates that are on the grid.
+    """
     grid = (x - table.origin[axis]) / table.cell
     low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
     return low, jnp.clip(grid - low, 0.0, 1.0), (grid >= 0) & (grid <= GRID - 1)

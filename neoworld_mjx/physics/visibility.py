@@ -1,8 +1,8 @@
 """Visibility of objects in the photograph's camera, for populations of layouts.
 
-Objects occlude one another, and the image border cuts them. Rays are cast through a window for each
-object, its image box clipped at the border, so that small objects are resolved as finely as large
-ones; a raster of the whole image has a single window.
+Objects occlude one another, and the image border cuts them. Each object has a window, which is its
+image box, clipped at the image border. Rays are cast through this window, so that small objects are
+resolved as finely as large objects. The function `raster` uses the whole image as a single window.
 """
 
 from typing import Any, NamedTuple
@@ -29,42 +29,45 @@ from .photo_view import PhotoView
 from .scene_arrays import SceneArrays
 
 WINDOW_TILE, WINDOW_TILES = 8, 3
-"""Cells along a tile, and tiles along an object's window."""
+"""Number of cells along a side of a tile, and of tiles along a side of an object's window."""
 GOLDEN = 0.618034
-"""Offset of rays from the middle of cells, so that an edge along the grid crosses cells at many
-positions."""
+"""Shift of rays within cells from each row or column to the next, as a fraction of a cell, so that
+an edge along the grid crosses cells at many positions."""
 INSET = 0.01
-"""Distance of rays inside an object's extreme points, relative to its box."""
+"""Distance by which the rays through an object's extreme points are moved inward, relative to the
+object's image box."""
 LEAST_DEPTH_M = 1e-3
-"""Least depth [m] of a point that is projected."""
+"""Depth [m] to which smaller depths are raised before a projection."""
 
 
 class Outlines(eqx.Module):
     """Projections of whole objects, occluded or not."""
 
     boxes: Float[Array, "pop object 4"]
-    """left, top, right, bottom from the image centre [px]."""
+    """left, top, right, bottom relative to the image center [px]."""
     extremes: Float[Array, "pop object 4 2"]
     """Leftmost, topmost, rightmost and bottommost points (x, y) [px]."""
     middle: Float[Array, "pop object 2"]
-    """Means of the outline's points [px]."""
+    """Mean of the projected outline points [px]."""
     depth: Float[Array, "pop object"]
-    """Depth of the centre of each object's box [m]."""
+    """Depth of the center of each object's bounding box [m]."""
     inside: Float[Array, "pop object"]
-    """Share of the surface samples within the image."""
+    """Fraction of the surface samples that are projected into the image."""
 
 
 class Visible(eqx.Module):
     """Visible parts of objects."""
 
     boxes: Float[Array, "pop object 4"]
-    """Boxes of the visible parts [px], from the image centre; of zero area where invisible."""
+    """Boxes of the visible parts, relative to the image center [px]. The box of an invisible object
+    has zero area."""
     share: Float[Array, "pop object"]
-    """Visible share of the area that an object would cover without occlusion and image border."""
+    """Visible fraction of the area that the object would cover without occluders and image border.
+    """
     own_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     evidence: Float[Array, "pop object"]
-    """Sum of `PhotoView.evidence` over the pixels of the visible part: 1 if all speak for it."""
+    """Sum of `PhotoView.evidence` over the pixels of the visible part, at most about 1."""
     outlines: Outlines
 
 
@@ -82,12 +85,12 @@ def as_parsed(photo: PhotoView, pop: int) -> Visible:
 
 
 def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
-    """Project objects' outlines. Differentiable."""
+    """Project the outlines of objects into the image. Differentiable."""
     v = scene.photo
     poses = without_spin(scene, poses)
     turn = rotation(poses.quat) * poses.scale[..., None, None]
     gap = poses.pos - v.position
-    # Sums of products, which XLA fuses with the minima; small matrix products are slow on CPUs.
+    # Sums of products, which XLA fuses with the minima: small matrix products are slow on CPUs.
     turn = dot([axis[:, None] for axis in v.axes], [turn[..., None, i, :] for i in range(3)])
     shift = dot(v.axes, [gap[..., None, i] for i in range(3)])
 
@@ -121,7 +124,7 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
 
 
 def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
-    """Remove rotations of round objects about their own axis, which are invisible."""
+    """Remove the rotations of round objects about their axes, since these are invisible."""
     w, x, y, z = jnp.moveaxis(poses.quat, -1, 0)
     square = w * w + z * z
     length = jnp.sqrt(jnp.where(square > 1e-12, square, 1.0))
@@ -152,7 +155,10 @@ def _prepared(scene: SceneArrays, poses: Poses) -> _Prepared:
 
 
 def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> list[Array]:
-    """Return a mask of rows that reach into a window, and not behind a depth, in some candidate."""
+    """Return masks of the rows that meet a window, in some candidate, and are not behind a depth.
+
+    There is one mask for each family of rows. `behind` is an inverse depth [1/m].
+    """
     masks = []
     for rows, box in zip(prepared.families, prepared.boxes, strict=True):
         meets = (box[:, 0] <= window[2]) & (box[:, 2] >= window[0])
@@ -162,7 +168,7 @@ def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> li
 
 
 def _grid() -> Float[np.ndarray, "2 tile cell"]:
-    """Return the position of each cell's ray in the window, from 0 to 1, by tile."""
+    """Return the position of each cell's ray in the window, from 0 to 1, ordered by tiles."""
     n = WINDOW_TILE * WINDOW_TILES
     row, column = np.mgrid[:n, :n]
     x = (column + (0.5 + GOLDEN * row) % 1) / n
@@ -174,8 +180,9 @@ def _grid() -> Float[np.ndarray, "2 tile cell"]:
 def visibility(scene: SceneArrays, poses: Poses) -> Visible:
     """Return the visible part of each scored object.
 
-    Sides of boxes are exact where the object itself or the image ends, and accurate to about a
-    hundredth of the object's size at an occluder. Without gradients; may be jitted and vmapped.
+    A side of a box is exact if the object itself or the image ends there. At an occluder, it is
+    accurate to about a hundredth of the object's size. The result has no gradient. The function may
+    be jitted and vmapped.
     """
     scene, poses = jax.tree.map(lax.stop_gradient, (scene, poses))
     return _visible(scene, poses, outlines(scene, poses))
@@ -204,7 +211,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         window = jnp.clip(full[k], low, high)
         window = window.at[2:].set(jnp.maximum(window[2:], window[:2] + 1e-6))
         span = window[2:] - window[:2]
-        # Tiles of cells, then one block whose first rays go just inside the extreme points.
+        # Tiles of cells, followed by a block of rays just inside the four extreme points.
         size = full[k, 2:] - full[k, :2]
         inward = middle[k] - extremes[k]
         length = jnp.maximum(jnp.max(jnp.abs(inward) / jnp.maximum(size, 1e-6), axis=1), 1e-6)
@@ -237,7 +244,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         in_picture = (full[k] >= low) & (full[k] <= high)
         tips = slice(None, None, WINDOW_TILE * WINDOW_TILE // 4)
         tip_shown, tip_own = shown[-1][tips], hit[-1][tips]
-        # The ray may miss a thin tip; then the adjacent cells decide.
+        # If the ray misses a thin tip, the adjacent cells decide.
         by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
         ends_here = in_picture & (tip_shown | by_cells)
         cut = ~in_picture & (jnp.abs(sampled - window) < 1.5 * cell)
@@ -262,7 +269,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
 def _support(
     photo: PhotoView, k: Array, x: Float[Array, "*ray"], y: Float[Array, "*ray"]
 ) -> Float[Array, "*ray"]:
-    """Return the evidence for an object at pixels; beyond its window, that of the nearest cell."""
+    """Return the evidence for object k at pixels. Outside the window, the nearest cell counts."""
     cells = photo.evidence.shape[1]
     if not cells:
         return jnp.zeros_like(x)
@@ -291,10 +298,10 @@ def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "objec
 def raster(
     scene: SceneArrays, poses: Poses, *, columns: int = 96, rows: int = 72
 ) -> tuple[Int[Array, "pop row column"], Float[Array, "pop row column"]]:
-    """Return the object at each cell of the image, -1 for none, and its depth along the view [m].
+    """Return the object that is visible in each cell of the image, and its depth [m].
 
-    Environment supports count as objects. Depth is inf where there is none. `columns` and `rows`
-    are multiples of WINDOW_TILE.
+    Environment supports count as objects. If a cell shows no object, the object is -1 and the depth
+    is inf. `columns` and `rows` must be multiples of WINDOW_TILE.
     """
     prepared = _prepared(scene, poses)
     half = scene.photo.half_size / scene.photo.focal
@@ -302,7 +309,7 @@ def raster(
     row, column = np.mgrid[:rows, :columns]
 
     def slopes(index: np.ndarray, number: int, axis: int) -> Array:
-        """Return the slopes of rays through the cells, by tile."""
+        """Return the slopes of the rays through the cells, ordered by tiles."""
         tiles = index.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE).swapaxes(1, 2)
         middle = (tiles.reshape(-1, WINDOW_TILE**2) + 0.5) / number * 2 - 1
         return jnp.repeat(middle[..., None] * half[axis], pop, axis=-1)

@@ -1,8 +1,8 @@
 """Rollouts on NVIDIA GPUs with MuJoCo Warp; each candidate is one world.
 
-Every candidate has its own values of the model's batched fields. Mesh vertices are not batched, so
-the vertices of all candidates are concatenated, and each world's `geom_dataid` refers to its own:
-scales are exact.
+The batched fields of the model have separate values for each candidate. Mesh vertices are not
+batched, so the vertices of all candidates are concatenated, and the `geom_dataid` of each world
+refers to the vertices of that world. Scales are therefore exact.
 """
 
 import ctypes
@@ -34,19 +34,20 @@ WARP_CHUNK = 8192
 """Largest number of candidates simulated at once."""
 
 GROWTHS = 3
-"""Doublings of an overflowing contact pool before candidates move to `native`."""
+"""Number of times that an overflowing contact pool is doubled before `native` takes over."""
 
 BUCKETS = 8
-"""Parts of a power of two in which worlds are launched, so that few graphs are captured."""
+"""Number of parts of a power of two. Worlds are launched in whole parts, so that few graphs are
+captured."""
 
 FILLER = np.iinfo(int).max
-"""Index of a world that only pads a bucket."""
+"""Index of a world that only fills the launched number of worlds."""
 
 _NOT_FIELDS = ("qpos", "site_pos")
 
 
 class Counts(NamedTuple):
-    """Counters of an engine's rollouts so far."""
+    """Counters of all rollouts of an engine so far."""
 
     candidates: int = 0
     truncated: int = 0
@@ -61,10 +62,10 @@ class WarpEngine(BatchEngine):
     name = "warp"
 
     def __init__(self, device: str | None = None):
-        """Use a warp device, such as "cuda:1"; None uses the current NVIDIA GPU.
+        """Use a warp device, such as "cuda:1"; if None, the current NVIDIA GPU.
 
         Raises:
-            EngineError: warp is not installed, or there is no NVIDIA GPU and no device is named.
+            EngineError: warp is not installed, or `device` is None and there is no NVIDIA GPU.
         """
         self.device = warp_device(device)
         self.counts = Counts()
@@ -73,10 +74,10 @@ class WarpEngine(BatchEngine):
     def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`.
 
-        Results vary in the last bits between runs, since a GPU sums in any order.
+        Results vary in the last bits between runs, since the order of sums on a GPU varies.
 
         Raises:
-            EngineError: MuJoCo Warp cannot simulate the scene, or the GPU's memory is short.
+            EngineError: MuJoCo Warp cannot simulate the scene, or the GPU's memory is too small.
         """
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         size = self._chunk_size(scene, poses)
@@ -92,7 +93,7 @@ class WarpEngine(BatchEngine):
         return whole
 
     def worlds(self, scene: SceneModel, pop: int, poses: Poses) -> "Worlds":
-        """Return device memory and compiled steps for at least `pop` candidates of a scene."""
+        """Return worlds with memory and captured steps for at least `pop` candidates of a scene."""
         from .warp_worlds import Worlds, probe
 
         known = self._worlds.get(scene.static)
@@ -107,7 +108,7 @@ class WarpEngine(BatchEngine):
                     raise
                 raise EngineError(
                     f"warp: {room.worlds} worlds do not fit into the GPU's memory ({error}); "
-                    "where JAX has taken it, import neoworld_mjx before JAX starts, or set "
+                    "if JAX has allocated it, import neoworld_mjx before JAX starts, or set "
                     "XLA_PYTHON_CLIENT_PREALLOCATE=false"
                 ) from None
         return known
@@ -119,7 +120,7 @@ class WarpEngine(BatchEngine):
         return min(WARP_CHUNK, self.worlds(scene, 1, fine).room())
 
     def _chunk(self, scene: SceneModel, poses: Poses, *, schedule: Schedule) -> Rollout:
-        """Roll candidates out at once; those whose contacts did not fit are TRUNCATED."""
+        """Roll out candidates at once; candidates whose contacts do not fit become TRUNCATED."""
         pop = len(poses.scale)
         if scene.static.mjm.nv == 0:
             return Recorder(scene.static, poses, schedule).rollout()
@@ -157,7 +158,7 @@ def _advance(
 
     Returns:
         A mask [pop] of candidates that ran out of constraints; and True if a pool that all worlds
-        share was full, which invalidates all of them.
+        share was full, which invalidates all candidates.
     """
     pop = len(recorder.status)
     truncated = np.zeros(pop, bool)
@@ -192,7 +193,7 @@ def _advance(
         if launched < len(rows) or failed:
             if qvel is None or qacc is None:
                 _, qvel, qacc, _ = (x[active] for x in worlds.read())
-            # Active candidates move to the front; the first of them pads the last bucket.
+            # Active candidates move to the front. Copies of the first one fill the rest.
             fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)
             keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
@@ -217,7 +218,7 @@ def _guided_steps(
 
 @eqx.filter_jit
 def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
-    """Return the candidates' model fields as [pop, n], and their initial states."""
+    """Return the candidates' model fields, flattened to [pop, n], and their initial states."""
     static = scene.static
     every = model_fields(scene, poses) | invweights(scene, poses)
     start = every["qpos"]
@@ -236,22 +237,22 @@ def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
 
 
 def warp_device(device: str | None = None) -> Any:
-    """Return the warp device to run on.
+    """Return the warp device of a name; if None, the current NVIDIA GPU.
 
     Raises:
-        EngineError: warp or MuJoCo Warp is not installed; or no device is named and there is no
+        EngineError: warp or MuJoCo Warp is not installed, or `device` is None and there is no
             NVIDIA GPU.
     """
     missing = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
     if missing:
         raise EngineError(
             f"engine warp needs its extra ({missing[0]} is missing): "
-            "uv sync --inexact --extra warp, or take --engine native"
+            "uv sync --inexact --extra warp, or use --engine native"
         )
     if device is None and not _driver():
         raise EngineError(
-            "engine warp needs an NVIDIA GPU and its driver, and finds none here: take --engine "
-            "native, or mjx on another accelerator"
+            "engine warp needs an NVIDIA GPU and its driver, and found none: use --engine native, "
+            "or mjx on another accelerator"
         )
     import warp as wp
 
@@ -261,7 +262,7 @@ def warp_device(device: str | None = None) -> Any:
 
 
 def _driver() -> bool:
-    """Return whether NVIDIA's driver loads and has a GPU; much faster than initializing warp."""
+    """Return whether NVIDIA's driver finds a GPU. This is much faster than initializing warp."""
     try:
         cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:

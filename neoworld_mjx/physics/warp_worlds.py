@@ -1,7 +1,7 @@
 """Worlds of a scene on a GPU: one MuJoCo Warp model and data, loaded with one population at a time.
 
-Kernels are launched over the first `count` worlds only, so stopped candidates cost nothing once the
-others have moved to the front.
+Kernels are launched over the first `count` worlds only. Stopped candidates therefore cost nothing
+once the running candidates have moved to the front.
 """
 
 import copy
@@ -21,13 +21,13 @@ from .model import MESH, SceneModel, StaticScene
 from .native import open_batch
 
 PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
-"""Candidates, steps, and steps between counts of contacts before a scene's first rollout."""
+"""Number of candidates, of steps, and of steps between two counts of contacts in `probe`."""
 
 WORLDS_MEMORY_SHARE = 0.4
 """Share of a device's free memory for the worlds of one scene."""
 
 WARP_ITERATIONS = 100
-"""Largest number of solver iterations, as all worlds wait for the slowest."""
+"""Largest number of solver iterations, which is limited since all worlds wait for the slowest."""
 
 
 class Capacity(NamedTuple):
@@ -35,13 +35,13 @@ class Capacity(NamedTuple):
 
     worlds: int
     contacts: int
-    """Contacts per world on average; the pool is shared."""
+    """Average number of contacts per world. All worlds share a pool of contacts."""
     constraints: int
-    """Constraints of one world."""
+    """Number of constraints of each world."""
 
 
 def probe(scene: SceneModel, poses: Poses) -> Capacity:
-    """Return twice the contacts and constraints of a few candidates, evenly chosen, in C MuJoCo."""
+    """Return the capacity for twice the contacts of a few evenly chosen candidates in C MuJoCo."""
     pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBED).astype(int))
     batch = open_batch(scene, jax.tree.map(np.asarray, poses)[pick])
     contacts, constraints = [0], [0]
@@ -64,9 +64,9 @@ class Worlds:
     """Model, data and captured steps of one scene for up to `capacity.worlds` candidates."""
 
     SHARED = int(mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.CCD)
-    """Overflows that take contacts from any world."""
+    """Overflows in which any world may lose contacts."""
     OWN = int(mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.EPA_HORIZON)
-    """Overflows of one world alone."""
+    """Overflows that affect a single world."""
 
     def __init__(self, static: StaticScene, capacity: Capacity, device: Any) -> None:
         """Allocate memory for a scene on a warp device.
@@ -104,7 +104,7 @@ class Worlds:
                 self._own_meshes()
 
     def grown(self) -> "Worlds":
-        """Return empty worlds with twice the contacts."""
+        """Return empty worlds with twice the capacity for contacts."""
         room = self.capacity._replace(contacts=2 * self.capacity.contacts)
         return type(self)(self.static, room, self.device)
 
@@ -112,9 +112,9 @@ class Worlds:
         """Load candidates into the first worlds, at rest.
 
         Args:
-            fields: values of model fields, [pop, n] in single precision, JAX arrays; also
-                "geom_xpos", "geom_xmat" of the data and "mesh_vert".
-            qpos: initial states [pop, nq].
+            fields: values of model fields, JAX arrays in single precision, shape [pop, n]. They
+                include "geom_xpos" and "geom_xmat" of the data, and "mesh_vert".
+            qpos: initial states, shape [pop, nq].
         """
         with wp.ScopedDevice(self.device):
             self._source = {name: _words(_on_device(v, self.device)) for name, v in fields.items()}
@@ -140,11 +140,11 @@ class Worlds:
         """Continue with a subset of the worlds.
 
         Args:
-            rows: indices of the current worlds [count]; a world may be repeated.
-            qpos: their coordinates.
-            qvel: their velocities.
-            qacc: their accelerations, the solver's warm start.
-            scrub: True if diverged worlds may have left NaN in memory.
+            rows: indices of the worlds that continue, shape [count]. A world may be repeated.
+            qpos: coordinates of these worlds.
+            qvel: velocities of these worlds.
+            qacc: accelerations of these worlds, from which the solver starts.
+            scrub: if True, zero memory in which diverged worlds may have left NaN.
         """
         with wp.ScopedDevice(self.device):
             if scrub:
@@ -172,7 +172,10 @@ class Worlds:
     def read(
         self, *, moving: bool = True
     ) -> tuple[NDArray, NDArray | None, NDArray | None, NDArray]:
-        """Return qpos, qvel, qacc (None unless `moving`) and overflow flags of the used worlds."""
+        """Return qpos, qvel, qacc and overflow flags of the worlds in use.
+
+        Unless `moving` is True, qvel and qacc are None.
+        """
         d, n = self.data, self.count
         qvel, qacc = (x[:n].numpy() if moving else None for x in (d.qvel, d.qacc_warmstart))
         return d.qpos[:n].numpy(), qvel, qacc, d.overflow[:n].numpy()
@@ -187,7 +190,7 @@ class Worlds:
         return max(64, 1 << (fit.bit_length() - 1))
 
     def _own_meshes(self) -> None:
-        """Give every world its own meshes, numbered world * nmesh + mesh."""
+        """Give every world a separate copy of all meshes, numbered world * nmesh + mesh."""
         m, base, n = self.model, self.static.mjm, self.capacity.worlds
         shift = np.arange(n)[:, None]
         number = np.where(
@@ -196,7 +199,7 @@ class Worlds:
         m.geom_dataid.assign(number.astype(np.int32))
         m.mesh_vertadr = _ints((base.mesh_vertadr + shift * base.nmeshvert).ravel())
         m.mesh_vert = wp.array(np.tile(base.mesh_vert, (n, 1)), dtype=wp.vec3)
-        # Addresses into tables of topology and normals, which no scale changes.
+        # Addresses into tables of topology and normals, which are independent of scales.
         for name in ("vertnum", "graphadr", "polynum", "polyadr", "polymapadr", "polymapnum"):
             setattr(m, f"mesh_{name}", _ints(np.tile(getattr(base, f"mesh_{name}"), n)))
 
@@ -229,7 +232,7 @@ class Worlds:
                     value.zero_()
 
     def _capture(self) -> None:
-        # Kernels must be compiled and loaded outside a capture; the step that does so is undone.
+        # Kernels must be compiled and loaded outside a capture. The step that does so is undone.
         d = self.data
         state = (d.qpos, d.qvel, d.qacc_warmstart, d.time, d.overflow)
         if not self._graphs:
@@ -280,7 +283,7 @@ def _ints(values: np.ndarray) -> wp.array:
 
 
 def _on_device(value: Any, device: Any) -> wp.array:
-    """Hand a JAX array to warp, without a copy where both use one GPU."""
+    """Convert a JAX array to a warp array, without a copy if both are on the same GPU."""
     where = next(iter(value.devices()))
     if device.is_cuda and where.platform == "gpu" and where.local_hardware_id == device.ordinal:
         return wp.from_jax(value.block_until_ready())

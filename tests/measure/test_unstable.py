@@ -84,9 +84,9 @@ def test_the_reason_is_the_first_that_applies():
 
 def test_the_deepest_overlap_is_named_if_it_is_over_a_millimeter():
     deep = measure({"b": 0.1}, depths={"a|b": 0.002, "b|c": 0.0034, "a|c": 0.9})
-    assert named(unstable_objects(scene(), deep))["b"][1] == "it begins 3.4 mm deep in c"
+    assert named(unstable_objects(scene(), deep))["b"][1] == "it initially penetrates c by 3.4 mm"
     other = measure({"b": 0.1}, depths={"a|b": 0.002})
-    assert named(unstable_objects(scene(), other))["b"][1] == "it begins 2.0 mm deep in a"
+    assert named(unstable_objects(scene(), other))["b"][1] == "it initially penetrates a by 2.0 mm"
     shallow = measure({"b": 0.1}, depths={"a|b": 0.001})
     assert named(unstable_objects(scene(), shallow))["b"][1] == "it does not rest on table"
 
