@@ -52,8 +52,6 @@ def refine(
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
-    """Refine a composed scene (paper Section 3.3, Step 5).
-
     The composed scene is settled under guidance. If the settled scene passes the final check, it is
     the result. Otherwise the search perturbs the composed scene. It ends after T iterations, or as
     soon as it has converged (see `algorithm.converged`).
