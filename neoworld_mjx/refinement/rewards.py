@@ -1,8 +1,8 @@
 """Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-`d_pen`, `d_drift`, `s_sem` and `s_photo` are compiled when they are first called with arrays of
-given shapes. You can call them inside `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` adds such a
-function, built-in or user-defined, to the reward.
+`d_pen`, `d_drift`, `s_sem` and `s_photo` are compiled at the first call with given array shapes.
+You can call them inside `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` adds such a function,
+built-in or user-defined, to the reward.
 """
 
 import inspect
@@ -46,11 +46,8 @@ class TermValue(eqx.Module):
 
 
 TermFunction = Callable[[Any, Layout, Rollout], Any]
-"""Function of (scene, layouts, rollout) that returns Float[Array, " pop"] or a TermValue.
-
-JAX must be able to trace the function. The scene is a SceneModel, or the SceneArrays of a padded
-scene if `Term.padded` is True.
-"""
+"""Function of (scene, layouts, rollout) that JAX can trace; returns values [pop] or a TermValue.
+The scene is a SceneModel, or the SceneArrays of a padded scene if `Term.padded` is True."""
 
 
 def _number(x: Any) -> Array:
@@ -65,8 +62,8 @@ def _number_or_none(x: Any) -> Array | None:
 class Term(eqx.Module):
     """One term of the reward R(z), which is the sum of weight * normalized value over all terms.
 
-    The weight, the scale and the cap are traced, so they can be swept by `vmap`. The function is
-    static, and so is whether there is a scale and a cap.
+    Weight, scale and cap are traced, so they can be swept by `vmap`. The function is static, and so
+    is the presence of a scale and a cap.
     """
 
     name: str = eqx.field(static=True)
@@ -76,18 +73,15 @@ class Term(eqx.Module):
     weight: Float[Array, ""] = eqx.field(converter=_number)
     """Positive for a reward, negative for a cost."""
     scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
-    """Scale of the absolute reward, which uses value / (value + scale). If None, it uses the value
-    itself."""
+    """Scale of value / (value + scale) in the absolute reward. If None, it uses the plain value."""
     cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
-    """Cap at which the value is clipped before it is normalized. If None, the value is used as it
-    is."""
+    """Cap at which the value is clipped before it is normalized. If None, it is not normalized."""
     padded: bool = eqx.field(static=True, default=False)
     """True if the function accepts a padded scene.
 
-    If all terms accept padded scenes, scoring and sampling are compiled once for many scenes, and
-    the function is called with a `SceneArrays` whose object axis is padded. In the padding,
-    `optimised`, `movable`, `photo.judged` and `pair_mask` are False. Otherwise scoring and sampling
-    are compiled for each scene. Measuring is compiled once for many scenes in either case.
+    If all terms accept padded scenes, scoring and sampling are compiled once for many scenes, else
+    once for each scene. In the first case the function is called with a `SceneArrays` whose object
+    axis is padded; `optimised`, `movable`, `photo.judged` and `pair_mask` are False for padding.
     """
 
 
@@ -140,10 +134,9 @@ def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = N
 
 
 def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """Compute the geometric S_sem, and the score of each object.
+    """Compute the geometric S_sem, and the score of each object; the gradient is zero.
 
-    The gradient is zero. Visibility has no gradient, and the gradient of the other parts alone
-    would be misleading.
+    Visibility has no gradient, and the gradient of the other parts alone would be misleading.
     """
     layouts, rollout = lax.stop_gradient((layouts, rollout))
     visible = _visible(scene, layouts, rollout)
@@ -185,11 +178,9 @@ def _settled(rollout: Rollout) -> Any:
 
 
 class Prior(eqx.Module):
-    """Squared distance to the initial layout, in units of the initial standard deviations.
+    """Distance to the initial layout: mean of (z / sigma)^2 over optimized objects and variables.
 
-    The prior is the mean of (z / sigma)^2 over the optimized objects and their four variables, so
-    it is about 1 for a sample from the initial Gaussian. Without the prior, the elites drift, and
-    shrinking all objects lowers D_pen.
+    It is about 1 for a typical sample. Without it, elites drift, and objects shrink to lower D_pen.
     """
 
     sigma: Float[Array, " 3"] = eqx.field(converter=_number)
@@ -212,9 +203,9 @@ class Prior(eqx.Module):
 def drifts(
     scene: SceneArrays, rollout: Rollout
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
-    """Return the largest distance [m] and angle [rad] of each object from its initial pose.
+    """Return each object's largest distance [m] and angle [rad] from its initial pose.
 
-    The pose is that of the object's base. `joint_drift` measures the motion of joints.
+    The pose is that of the object's base; see also `joint_drift`.
     """
     distance = length(rollout.pos - rollout.start.pos[:, None], jnp)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
@@ -229,8 +220,7 @@ def drift_by_object(
 ) -> Float[Array, "pop object"]:
     """Return each object's largest drift, in units of the stability bounds.
 
-    This is the larger one of the drift of the object's joints and, if its base is free, the drift
-    of the base.
+    It is the larger one of the drift of its joints and, if its base is free, the drift of its base.
     """
     moved, turned = drifts(scene, rollout)
     base = jnp.where(scene.movable, jnp.maximum(moved / distance, turned / angle), 0.0)
@@ -247,8 +237,7 @@ def joint_drift(
 ) -> Float[Array, "pop object"]:
     """Return the largest displacement of a joint of each object, in units of the stability bounds.
 
-    Displacements of slides are divided by `distance` [m], those of all other joints by `angle`
-    [rad].
+    The bound of slides is `distance` [m]; the bound of all other joints is `angle` [rad].
     """
     largest = jnp.max(rollout.joint_shift, axis=1)
     shift = largest / jnp.where(scene.joint_slides, distance, angle)
@@ -282,7 +271,7 @@ def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) 
         found = np.shape(getattr(layouts, part))
         if found != shape:
             raise ValueError(
-                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it is "
+                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it must be "
                 f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
             )
     if rollout is not None:
@@ -290,7 +279,7 @@ def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) 
         if moving[:1] + moving[2:3] != (pop, count):
             raise ValueError(
                 f"{name}: rollout.pos has shape {list(moving)}, for {pop} candidates of {count} "
-                f"objects it is [{pop}, time, {count}, 3]"
+                f"objects it must be [{pop}, time, {count}, 3]"
             )
 
 
@@ -299,10 +288,9 @@ def d_pen(
 ) -> Float[Array, " pop"]:
     """Compute D_pen, the sum of the penetration depths of all pairs of objects [m].
 
-    For objects i and j, the depth is the larger one of the depth of i's surface samples in j and
-    that of j's surface samples in i. Depths are computed at the placed poses; `rollout` is unused.
-    This function is compiled. It can be jitted, vmapped, and differentiated with respect to the
-    layouts.
+    The depth of a pair is the larger one of its two directions (see `placed.pair_depths`), at the
+    placed poses; `rollout` is unused. The function is compiled; it can be jitted, vmapped, and
+    differentiated with respect to the layouts.
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
@@ -322,11 +310,9 @@ def d_drift(
     """Compute D_drift, the sum over objects of the largest drift, in units of the stability bounds.
 
     The drift of an object is the largest of three ratios: its translation divided by `distance`
-    [m], its rotation divided by `angle` [rad], and the displacement of any of its joints divided by
-    `distance` or `angle`. An object with a drift of 1 is at the bound.
-
-    This function is compiled. It can be jitted, vmapped, and differentiated with respect to the
-    poses of the rollout. The rollout itself is not differentiable.
+    [m], its rotation divided by `angle` [rad], and the displacement of a joint divided by the
+    respective bound. The function is compiled; it can be jitted, vmapped, and differentiated with
+    respect to the poses of the rollout, but rollouts themselves give no gradients.
 
     Raises:
         TypeError: an argument is of another type.
@@ -342,8 +328,7 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """Compute the geometric S_sem in [0, 1] at the placed poses; see `semantic`.
 
-    `rollout` is unused. This function is compiled. It can be jitted and vmapped; its gradient is
-    zero.
+    `rollout` is unused. The function is compiled; it can be jitted and vmapped. Its gradient is 0.
 
     Raises:
         TypeError: an argument is of another type.
@@ -357,16 +342,12 @@ def s_photo(
 ) -> Float[Array, " pop"]:
     """Compute S_photo, the agreement of the placed candidates with the colors of the photograph.
 
-    Every pixel of the photograph near an object has a log likelihood ratio: of its color belonging
-    to the object rather than to what is behind the object. For each object, the ratios of the
-    pixels that show it are summed, and divided by the sum of their absolute values in the composed
-    scene. The result is about 1 if all these pixels have colors of the object.
+    S_photo is the mean of a score over the objects whose colors differ from their surroundings. The
+    score is the sum of the log likelihood ratios (object against background) of the pixels that
+    show the object, divided by the sum of their absolute values in the composed scene. It is about
+    1 if all pixels have the object's colors, and 0 without a photograph (see `with_photo`).
 
-    S_photo is the mean over the objects whose colors differ from their surroundings. It is 0 if the
-    scene has no photograph; `align.photo_evidence.with_photo` adds one.
-
-    `rollout` is unused. This function is compiled. It can be jitted and vmapped, but it is not
-    differentiable.
+    `rollout` is unused. The function is compiled; it can be jitted and vmapped. It has no gradient.
 
     Raises:
         TypeError: an argument is of another type.
@@ -394,9 +375,8 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
         layouts: the candidates.
 
     Raises:
-        ConfigError: the term is not a function, takes other arguments, raises an exception, or
-            does not return one finite number per candidate. The message names the term and the file
-            and line of its function.
+        ConfigError: the term is not a function, takes other arguments, raises an exception, or does
+            not return one finite number per candidate. The message gives the file and line of fn.
     """
     pop = layouts.yaw.shape[0]
     where = f"reward term {term.name} ({source(term.fn)})"
@@ -431,7 +411,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
     if not np.isfinite(values).all():
         raise ConfigError(
             f"{where} returned {values[~np.isfinite(values)][0]} for "
-            f"{int((~np.isfinite(values)).sum())} of {pop} candidates in which nothing moves"
+            f"{int((~np.isfinite(values)).sum())} of {pop} candidates in which no object moves"
         )
 
 
