@@ -108,7 +108,7 @@ def measured_rollout(
 
 
 def deeper(depth: Float[AnyArray, "pop object object"]) -> Float[Array, "pop object object"]:
-    """Return the larger one of the two penetration depths of each pair."""
+    """Return the larger one of the two penetration depths of each pair of objects."""
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
 
@@ -203,10 +203,7 @@ class Prior(eqx.Module):
 def drifts(
     scene: SceneArrays, rollout: Rollout
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
-    """Return each object's largest distance [m] and angle [rad] from its initial pose.
-
-    The pose is that of the object's base; see also `joint_drift`.
-    """
+    """Return the largest distance [m] and angle [rad] of each object's base from its first pose."""
     distance = length(rollout.pos - rollout.start.pos[:, None], jnp)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(distance, axis=1), jnp.max(angle, axis=1)
@@ -366,17 +363,17 @@ def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:
 
 
 def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -> None:
-    """Call a term once on a few candidates, before the search.
+    """Call a term once on a few candidates in which no object moves, before the search.
 
     Args:
         term: a user-defined term.
         scene: the compiled scene.
-        rollout: rollout of the candidates in which no object moves.
+        rollout: rollout of the candidates.
         layouts: the candidates.
 
     Raises:
         ConfigError: the term is not a function, takes other arguments, raises an exception, or does
-            not return one finite number per candidate. The message gives the file and line of fn.
+            not return one finite number per candidate. The message gives the function's location.
     """
     pop = layouts.yaw.shape[0]
     where = f"reward term {term.name} ({source(term.fn)})"

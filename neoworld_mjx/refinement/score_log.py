@@ -201,8 +201,8 @@ class Recorded:
                 content = "no score" if score is None else "the score of another layout"
                 raise ModelError(
                     f"{self._path} has {content} for candidate {candidate} of iteration "
-                    f"{iteration}: a record can only be replayed in the same run "
-                    f"(same scene, options, seed, engine)"
+                    f"{iteration}: scores can only be replayed in a run with the same scene, "
+                    f"options, seed and engine"
                 )
             self._put.append(score)
 

@@ -76,7 +76,7 @@ class ScoreWorkers:
         if options.max_cost_usd is not None and self._price is None and panel.provider.online:
             raise ConfigError(
                 f"refine.semantic.max_cost_usd is set but {panel.options.critic.model!r} has no "
-                f"price: add its price to a YAML file and name that in mllm.prices"
+                f"price: add the price to a YAML file, and name this file in mllm.prices"
             )
         self._spent_before = panel.ledger.spent_usd
         self._changed = threading.Condition()

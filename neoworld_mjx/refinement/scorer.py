@@ -226,13 +226,13 @@ class SemanticScorer:
             source = "geometry alone" if len(failed) == len(scores) else "estimates"
             unrequested = sum(score.asked is None for score in failed)
             return (
-                f"S_sem by {source}, as {unrequested} of {len(self._jobs)} candidates were not "
-                f"requested: {self.stopped}",
+                f"S_sem comes from {source}, because scores of {unrequested} of {len(self._jobs)} "
+                f"candidates were not requested: {self.stopped}",
             )
         if failed:
             return (
-                f"S_sem by estimates for {len(failed)} of {len(scores)} candidates whose scores "
-                f"failed; the first: {failed[0].error}",
+                f"S_sem comes from estimates for {len(failed)} of {len(scores)} candidates, because "
+                f"their scores failed; the first error: {failed[0].error}",
             )
         return ()
 
