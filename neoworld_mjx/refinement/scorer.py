@@ -231,7 +231,7 @@ class SemanticScorer:
             )
         if failed:
             return (
-                f"S_sem comes from estimates for {len(failed)} of {len(scores)} candidates, because "
+                f"S_sem is estimated for {len(failed)} of {len(scores)} candidates, because "
                 f"their scores failed; the first error: {failed[0].error}",
             )
         return ()

@@ -281,7 +281,7 @@ def test_a_failed_score_is_estimated(model, rounds):
     assert failed
     assert [k for k in range(POP) if marks[k] == Mark.ESTIMATED] == failed
     assert scorer.stopped is None
-    assert scorer.fallbacks[0].startswith(f"S_sem comes from estimates for {len(failed)} of {POP}")
+    assert scorer.fallbacks[0].startswith(f"S_sem is estimated for {len(failed)} of {POP}")
     assert "gave no valid response" in scorer.fallbacks[0]
 
 
