@@ -46,7 +46,7 @@ The population axis then differs in length from the object axis, so a term that 
 def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
     """Return the initial standard deviations of x and y, yaw and log scale.
 
-    That of x and y is a fraction of the object's diagonal, that of yaw is in rad.
+    The value for x and y is a fraction of the object's diagonal; the value for yaw is in rad.
     """
     c = options.cem
     return np.array([c.sigma_xy, np.radians(c.sigma_yaw_deg), c.sigma_log_scale], np.float32)
@@ -178,7 +178,7 @@ def named_terms(options: RefineOptions) -> list[Term]:
     for path, weight in options.reward.terms.items():
         if path in ALWAYS:
             raise ConfigError(
-                f"refine.reward.terms: {path} is always included; set its weight by its own option"
+                f"refine.reward.terms: {path} is always included; its weight has a separate option"
             )
         if path in TERMS:
             terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))

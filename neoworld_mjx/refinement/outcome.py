@@ -59,7 +59,7 @@ class Refined:
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
     delivered: dict[str, float] = field(default_factory=dict)
-    """`absolute`, `merit` and the terms of `scene`. The history has those of its candidate."""
+    """`absolute`, `merit` and the terms of `scene`; `history` contains those of the candidate."""
     first_valid: FirstValid | None = None
     """When the search found its first valid candidate; None if no candidate was valid."""
 

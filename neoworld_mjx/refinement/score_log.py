@@ -115,7 +115,8 @@ def layout_digest(layout: Layout) -> str:
 def layout_numbers(layout: Layout) -> tuple[float, ...]:
     """Return the variables of a single candidate's layout, rounded to 1e-6.
 
-    They are x, y [m], yaw [rad] and log scale of the first object, then those of the next.
+    The order is x, y [m], yaw [rad] and log scale of the first object, then of the second object,
+    and so on.
     """
     columns = np.stack([*np.asarray(layout.xy)[0].T, layout.yaw[0], layout.log_scale[0]], axis=1)
     return tuple(np.round(columns.astype(float), 6).ravel().tolist())

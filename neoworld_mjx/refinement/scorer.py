@@ -150,9 +150,9 @@ class SemanticScorer:
 
         The option `wait` selects the scores to wait for:
 
-        - `all`: those of every submitted candidate. The result then does not depend on the order in
+        - `all`: scores of all submitted candidates. The result then does not depend on the order in
           which responses arrive.
-        - `bounded`: those of candidates that were submitted at least `late` iterations ago.
+        - `bounded`: scores of candidates that were submitted at least `late` iterations ago.
         - `none`: no scores.
 
         All other scores that have arrived are collected, too.

@@ -25,7 +25,7 @@ class Ranks(NamedTuple):
     points: list[str]
     """Labels of the points, best first."""
     means: list[float]
-    """Mean rank of each point. Rank 1 is the best; ties have their average rank."""
+    """Mean rank of each point; 1 is the best. Tied points get the average of their ranks."""
     scenes: int
     """Number of scenes."""
     critical: float

@@ -52,7 +52,7 @@ def sweep(
         plan: a plan, or its YAML file, or a mapping.
         out: folder for results.parquet, table.md, sweep.json and other files. If None, no files are
             written.
-        cases: scenes in addition to those of the plan.
+        cases: scenes in addition to the scenes of the plan.
         sources: functions that return the scenes named KIND:NAME, by KIND. If None, the scenes of
             the benchmark are available as `bench:NAME`, `crowded:N` and `photo:NAME`.
         engine: physics engine. If None, the options name the engine.

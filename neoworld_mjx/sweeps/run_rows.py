@@ -64,8 +64,8 @@ COLUMNS: dict[str, type] = {
   whether it was valid.
 - `xy_error_m`, `yaw_error_deg`, `scale_error` and `box_iou`: errors of the delivered scene, if the
   scene has ground truth. `box_iou` compares visible boxes with the parsed boxes.
-- `iterations_to_valid` and `rollouts_to_valid`: numbers up to the end of the first iteration with a
-  valid candidate. They are 0 and 1 if the initial layout is valid.
+- `iterations_to_valid` and `rollouts_to_valid`: iterations and rollouts up to the end of the first
+  iteration with a valid candidate. They are 0 and 1 if the initial layout is valid.
 - `seconds`: time of the search without compilation. Runs in one computation have equal shares of
   its time.
 """

@@ -30,7 +30,7 @@ class StudyTask(NamedTuple):
     trial: int
     """Index of the trial among those that run at the same time."""
     plan: Plan
-    """Plan whose only point is that of the trial."""
+    """Plan whose only point is the point of the trial."""
     case: Case
 
 

@@ -138,4 +138,4 @@ def test_the_first_failure_is_reported(model, layouts, tmp_path):
         scorer.submit(0, [0, 1], layouts, model.place(layouts))
         scorer.collect(0)
     (note,) = scorer.fallbacks
-    assert note.endswith("failed; the first: no answer")
+    assert note.endswith("failed; the first error: no answer")
