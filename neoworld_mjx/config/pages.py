@@ -21,9 +21,9 @@ _YAML_HEAD = """\
 _OPTIONS_HEAD = """\
 # Options
 
-All options with their defaults. `python -m neoworld_mjx.config --write` generates this page and
-`configs/default.yaml` from the declarations in `neoworld_mjx/config/`. Set options in a YAML file
-(`--config`) or individually (`--set refine.cem.population=64`).
+This page lists all options with their defaults. `python -m neoworld_mjx.config --write` generates
+it, and `configs/default.yaml`, from the declarations in `neoworld_mjx/config/`. Set options in a
+YAML file (`--config`) or individually (`--set refine.cem.population=64`).
 
 If you resume a run after you have changed options of a group (`parse`, `program`, `verify`,
 `compose`, `refine`), the step of this group is repeated, and so are all steps that read its files.

@@ -30,7 +30,7 @@ from .search_options import RefineOptions
 class Config(Options):
     """All options of a run."""
 
-    seed: int = option(0, "Seed of all random draws of the run.", ge=0)
+    seed: int = option(0, "Seed of all random numbers of the run.", ge=0)
     provider: str = option(
         "auto",
         "Source of the models' responses: auto, anthropic, openai, replay or mailbox; see "
