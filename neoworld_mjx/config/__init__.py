@@ -1,4 +1,4 @@
-"""Configuration: every option is declared once, validated, and read from YAML.
+"""Configuration: declarations of all options, and their validation and reading from YAML.
 
 `python -m neoworld_mjx.config --write` generates `configs/default.yaml`, `docs/options.md` and
 `docs/differences-from-the-paper.md` from the declarations.

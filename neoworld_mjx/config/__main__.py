@@ -1,4 +1,7 @@
-"""Generate the pages of options of this checkout: `python -m neoworld_mjx.config --write`."""
+"""Write the generated pages of options into this checkout.
+
+Run `python -m neoworld_mjx.config --write`.
+"""
 
 import sys
 from pathlib import Path

@@ -14,19 +14,19 @@ _KEY_HEADER = re.compile(r"authorization|key|token|secret|cookie", re.IGNORECASE
 
 
 class RoleOptions(Options):
-    """Model of one role (Section 3.2 of the paper)."""
+    """Options of the model that plays one role (Section 3.2 of the paper)."""
 
     model: str = option("claude-sonnet-5-5", "Name of the model, as its provider calls it.")
     max_tokens: int = option(
         16384,
-        "Maximum length of a response, including the reasoning of models that think first.",
+        "Maximum length of a response, including the reasoning that some models write first.",
         unit="token",
         ge=256,
     )
 
 
 class MLLMOptions(Options):
-    """Requests to multimodal models: reasoner (Step 1), programmer (Step 2), critic (all steps)."""
+    """Options of multimodal models: reasoner (Step 1), programmer (Step 2), critic (all steps)."""
 
     model_config = ConfigDict(hide_input_in_errors=True)
 
@@ -35,23 +35,23 @@ class MLLMOptions(Options):
     critic: RoleOptions = RoleOptions()
     base_url: str | None = option(
         None,
-        "URL of a server with the provider's API, such as vLLM or Ollama; null is the "
-        "provider's own.",
+        "URL of a server that offers the provider's API, such as vLLM or Ollama. If null, the "
+        "provider's own server is used.",
     )
     headers: dict[str, str] = option(
         {},
-        "Headers sent with every request. Give keys as environment variables: "
+        "Headers that are sent with every request. Give keys as environment variables: "
         '`{"x-api-key": "${MY_KEY}"}`.',
     )
     timeout_s: float = option(
         120.0,
-        "Maximum time without data from the server.",
+        "Maximum time to wait for the next data from the server.",
         unit="s",
         gt=0,
     )
     call_timeout_s: float = option(
         600.0,
-        "Maximum time that the server may take for one request, all its retries together.",
+        "Maximum time that the server may take for one request, including all retries.",
         unit="s",
         gt=0,
         le=600,
@@ -64,17 +64,18 @@ class MLLMOptions(Options):
     )
     concurrency: int = option(8, "Maximum number of concurrent requests.", ge=1)
     validation_rounds: int = option(
-        3, "Maximum number of attempts at a response that matches the schema.", ge=1
+        3, "Maximum number of attempts to get a response that matches the schema.", ge=1
     )
     max_cost_usd: float | None = option(
         None,
-        "Cost that a run may not exceed: it stops before a call that would, and can be resumed "
-        "with a higher limit. null means no limit.",
+        "Maximum cost of a run. The run stops before a call that would exceed this limit, and can "
+        "be resumed with a higher limit. If null, the cost is not limited.",
         unit="USD",
         gt=0,
     )
     prices: Path | None = option(
-        None, "YAML file of prices in USD per million tokens; null is the built-in table."
+        None,
+        "YAML file of prices in USD per million tokens. If null, the built-in prices are used.",
     )
 
     @field_validator("headers", "base_url")
@@ -85,5 +86,5 @@ class MLLMOptions(Options):
             if _KEY_HEADER.search(name) and "${" not in text:
                 raise ValueError(f"{name} would be written into run.json: give it as ${{VARIABLE}}")
         if isinstance(value, str) and re.search(r"://[^/]*@|[?&][^=]*(key|token)=", value, re.I):
-            raise ValueError("holds a key, which would be written into run.json: use headers")
+            raise ValueError("contains a key, which would be written into run.json: use headers")
         return value

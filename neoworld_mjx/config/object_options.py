@@ -7,11 +7,11 @@ from pydantic import model_validator
 from ..options import Options, PaperDifference, option
 
 Language = Literal["sdk", "blender"]
-"""Languages of object programs."""
+"""Languages in which object programs can be written."""
 
 
 class ParseOptions(Options):
-    """Step 1, scene parsing."""
+    """Options of Step 1, scene parsing."""
 
     critic_rounds: int = option(
         1, "Maximum number of revisions of the parse that the critic may request.", ge=0
@@ -25,15 +25,15 @@ class ParseOptions(Options):
     )
     min_side_px: int = option(
         512,
-        "Minimum longer side of a photograph: a smaller one is enlarged by an integer factor.",
+        "Minimum length of the longer side of a photograph. A smaller photograph is enlarged by an "
+        "integer factor.",
         unit="px",
         ge=16,
         le=1024,
     )
     fit: bool = option(
         True,
-        "Fit the camera and the 3D boxes to the 2D boxes by least squares, where the image "
-        "contradicts the response.",
+        "Fit the camera and the 3D boxes of the model's response to its 2D boxes by least squares.",
         difference=PaperDifference(
             False,
             "Models estimate sizes and distances less accurately than 2D boxes.",
@@ -42,7 +42,7 @@ class ParseOptions(Options):
 
 
 class JointSweepOptions(Options):
-    """The joint sweep of Steps 2 and 3.
+    """Options of the joint sweep in Steps 2 and 3.
 
     `program` and `verify` both have these options. Set them to the same values; otherwise Step 3
     may reject an object that Step 2 accepted.
@@ -53,19 +53,24 @@ class JointSweepOptions(Options):
     )
     touch_gap_m: float = option(
         0.002,
-        "Maximum gap between a part and the part that it is attached to. Step 3 allows twice as "
-        "much, or 1 % of the object's size if that is larger.",
+        "Maximum gap between a part and the part to which it is attached. Step 3 allows twice this "
+        "gap, or 1 % of the object's size if that is larger.",
         unit="m",
         ge=0,
     )
-    sweep_steps: int = option(13, "Positions tested over the range of each joint.", ge=3, le=1000)
+    sweep_steps: int = option(
+        13, "Number of positions that are tested over the range of each joint.", ge=3, le=1000
+    )
     sweep_combinations: int = option(
-        16, "Joint configurations tested with all joints moved at once.", ge=0, le=10_000
+        16,
+        "Number of tested configurations in which all joints are moved at once.",
+        ge=0,
+        le=10_000,
     )
 
 
 class ProgramOptions(JointSweepOptions):
-    """Step 2, procedural asset programming."""
+    """Options of Step 2, procedural asset programming."""
 
     stages: Literal["one", "three"] = option(
         "one",
@@ -86,7 +91,9 @@ class ProgramOptions(JointSweepOptions):
         ),
     )
     debug_rounds: int = option(
-        1, "Maximum number of revisions of a program that fails, requested with its errors.", ge=0
+        1,
+        "Maximum number of revisions of a program that fails. Each request contains the errors.",
+        ge=0,
     )
     critic_rounds: int = option(
         1, "Maximum number of revisions of a program that the critic may request.", ge=0
@@ -100,13 +107,13 @@ class ProgramOptions(JointSweepOptions):
     )
     sandbox: Literal["monty", "cpython"] = option(
         "monty",
-        "monty: run programs in a sandbox. cpython: run them in this process without isolation; "
-        "for trusted programs only.",
+        "monty: run programs in a sandbox. cpython: run programs in this process without "
+        "isolation; use this only for trusted programs.",
     )
     type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
         1.0,
-        "Time limit for the program's own code, and again for the shapes that it builds.",
+        "Time limit for the program's own code, and separately for the shapes that it builds.",
         unit="s",
         gt=0,
     )
@@ -124,15 +131,15 @@ class ProgramOptions(JointSweepOptions):
     max_pieces: int = option(4000, "Maximum number of convex collision geoms of an object.", ge=1)
     blender_timeout_s: float = option(
         20.0,
-        "CPU time limit of a program in Blender, and again for the convex decomposition of its "
-        "shapes.",
+        "CPU time limit for a program in Blender, and separately for the convex decomposition of "
+        "its shapes.",
         unit="s",
         ge=1,
         le=3600,
     )
     blender_memory_mib: int = option(
         3072,
-        "Address space of the Blender process; Blender itself needs about 1300.",
+        "Maximum address space of the Blender process. Blender itself needs about 1300 MiB.",
         unit="MiB",
         ge=1536,
         le=65_536,
@@ -142,7 +149,7 @@ class ProgramOptions(JointSweepOptions):
 
 
 class VerifyOptions(JointSweepOptions):
-    """Step 3, object-level physics."""
+    """Options of Step 3, object-level physics."""
 
     duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", ge=0.5, le=100)
     timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", ge=1e-4, le=0.02)
@@ -180,22 +187,23 @@ class VerifyOptions(JointSweepOptions):
     )
     min_mobility: float = option(
         0.9,
-        "Minimum fraction of its range that a joint covers when driven in both directions.",
+        "Minimum fraction of its range that a joint must cover when it is driven in both "
+        "directions.",
         gt=0,
         le=1,
     )
     hand_force_n: float = option(
         100.0,
-        "Maximum force that drives a joint, applied at the far end of the part; half the part's "
-        "weight is added for heavy parts.",
+        "Maximum force that drives a joint, applied at the far end of the part. Half of the part's "
+        "weight is added to this force.",
         unit="N",
         gt=0,
     )
-    high_drop_m: float = option(0.02, "Height of the second, higher drop.", unit="m", ge=0)
+    high_drop_m: float = option(0.02, "Height of the second, higher free fall.", unit="m", ge=0)
     drop_tilt_deg: float = option(3.0, "Initial tilt of the tilted drops.", unit="deg", ge=0, lt=45)
     min_loss: float = option(
         0.05,
-        "Minimum fraction of its velocity that a freely moving joint loses in 0.5 s.",
+        "Minimum fraction of its velocity that a freely moving joint must lose in 0.5 s.",
         ge=0,
         lt=1,
     )
@@ -225,8 +233,9 @@ class VerifyOptions(JointSweepOptions):
     critic: Literal["auto", "always", "never"] = option(
         "auto",
         "auto: if a model is available, show the critic key frames of failed and borderline "
-        "checks, and try the reasoner's edits. always: also show it every object in the two "
-        "standard scenarios; a tape must hold its responses. never: query no model.",
+        "checks, and try the edits that the reasoner suggests. always: also show the critic every "
+        "object in the two standard scenarios; a tape must contain the critic's responses. never: "
+        "query no model.",
         difference=PaperDifference(
             "always", "Calls about objects that clearly pass find no faults."
         ),
@@ -241,14 +250,14 @@ class VerifyOptions(JointSweepOptions):
     def _check_push(self) -> "VerifyOptions":
         if self.push_duration_s > self.duration_s / 2:
             raise ValueError(
-                f"push_duration_s: got {self.push_duration_s:g}, at most half of duration_s "
-                f"({self.duration_s / 2:g})"
+                f"push_duration_s: must be at most half of duration_s ({self.duration_s / 2:g}), "
+                f"got {self.push_duration_s:g}"
             )
         return self
 
 
 class AlignOptions(Options):
-    """The alignment of the composed scene with the photograph's pixels."""
+    """Options of the alignment of the composed scene with the pixels of the photograph."""
 
     enabled: bool = option(
         True,
@@ -256,36 +265,38 @@ class AlignOptions(Options):
         "photograph.",
         difference=PaperDifference(
             False,
-            "Contours in the photograph locate objects and the camera better than a response.",
+            "Contours in the photograph locate objects and the camera better than a model's "
+            "response.",
         ),
     )
     camera: bool = option(True, "Also estimate the camera's pitch, roll, field of view and height.")
     contours: bool = option(
-        True, "Use the contours of objects in the photograph; otherwise only the parsed 2D boxes."
+        True,
+        "Use the contours of objects in the photograph. If false, use only the parsed 2D boxes.",
     )
     creases: bool = option(
         True,
-        "Also use the creases within objects, where two of their faces meet. Requires contours.",
+        "Also use the creases of objects, where two faces of an object meet. Requires `contours`.",
     )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
     joints: bool = option(
         False,
-        "Also estimate the openings of doors, drawers and lids that are composed open. Where the "
-        "shape of a program is wrong, an opening may come out worse.",
+        "Also estimate how far doors, drawers and lids are open if they are composed open. If the "
+        "shape of an object is wrong, this can make its openings less accurate.",
     )
     dimensions: bool = option(
         False,
-        "Where the outline of an object contradicts its proportions, change named constants of its "
+        "If the outline of an object contradicts its proportions, change named constants of its "
         "program one by one, and align again.",
     )
 
 
 class ComposeOptions(Options):
-    """Step 4, scene composition."""
+    """Options of Step 4, scene composition."""
 
     refit: bool = option(
         True,
-        "Before composition, refit the camera, positions, sizes and headings to the 2D boxes "
+        "Before composition, fit the camera, positions, sizes and headings to the 2D boxes again, "
         "with the reconstructed shapes. Requires `parse.fit`.",
         difference=PaperDifference(
             False,
@@ -294,13 +305,13 @@ class ComposeOptions(Options):
     )
     settle: bool = option(
         True,
-        "Find resting poses by simulation for objects that lie tilted on a dish or slope or "
-        "lean in a container. Place contents and lids inside their container rather than on its "
-        "rim, clear of its walls. Move leaning objects, without changing their tilt, until they "
-        "touch what they lean on.",
+        "Simulate objects that lie tilted on a dish or slope, or lean in a container, until they "
+        "are at rest. Place contents and lids inside their container, clear of its walls, rather "
+        "than on its rim. Move leaning objects, without changing their tilt, until they touch what "
+        "they lean on.",
         difference=PaperDifference(
             False,
-            "The search does not change tilts, and objects rarely rest at their parsed tilt.",
+            "The search does not change tilts, and few objects are at rest at their parsed tilt.",
         ),
     )
     hold_joints: bool = option(
@@ -308,36 +319,39 @@ class ComposeOptions(Options):
         "Increase the dry friction of joints that gravity would move from their parsed positions.",
         difference=PaperDifference(
             False,
-            "A half-open joint in a photograph is held by friction; the search does not move "
-            "joints.",
+            "Friction holds a joint that is half open in the photograph, and the search does not "
+            "move joints.",
         ),
     )
     mesh_sizes: bool = option(
         True,
-        "Correct the sizes of another method's meshes by the heights at which they are given, "
-        "unless they are aligned with a photograph; disable it for meshes of known sizes.",
+        "Correct the sizes of another method's meshes by the heights at which the meshes are "
+        "given, unless the meshes are aligned with a photograph. Disable this option for meshes of "
+        "known sizes.",
     )
     align: AlignOptions = AlignOptions()
     looks: bool = option(
         True,
-        "Give the composed scene the looks of the photograph: the photograph as a texture on large "
-        "flat faces, one exposure and white balance for all pictures, and a backdrop of the "
-        "measured color. Shapes, masses and poses do not change.",
+        "Make rendered images of the scene look like the photograph: use the photograph as a "
+        "texture of large flat faces, one exposure and white balance for all images, and a "
+        "backdrop of the measured color. Shapes, masses and poses do not change.",
         difference=PaperDifference(
             False,
-            "Scores by a model and the report compare rendered pictures with the photograph.",
+            "Scores by a model and the report compare rendered images with the photograph.",
         ),
     )
     gap_m: float = option(
         1e-4,
-        "Clearance between a child and the surface that it is snapped onto.",
+        "Clearance between an object and the surface onto which it is snapped.",
         unit="m",
         ge=0,
     )
 
 
 class RenderOptions(Options):
-    """Ray-cast images."""
+    """Options of ray-cast images."""
 
     width: int = option(480, "Width of rendered images.", unit="px", ge=16, le=8192)
-    supersample: int = option(2, "Rays per pixel and axis at edges.", ge=1, le=4)
+    supersample: int = option(
+        2, "Number of rays along each axis of a pixel, for pixels at edges.", ge=1, le=4
+    )

@@ -1,4 +1,4 @@
-"""Generator of configs/default.yaml, docs/options.md and docs/differences-from-the-paper.md."""
+"""Generation of configs/default.yaml, docs/options.md and docs/differences-from-the-paper.md."""
 
 import textwrap
 from collections.abc import Iterator
@@ -21,17 +21,19 @@ _YAML_HEAD = """\
 _OPTIONS_HEAD = """\
 # Options
 
-All options with their defaults. `python -m neoworld_mjx.config --write` generates this page and
-`configs/default.yaml` from the declarations in `neoworld_mjx/config/`. Set options in a YAML file
-(`--config`) or individually (`--set refine.cem.population=64`).
+This page lists all options with their defaults. `python -m neoworld_mjx.config --write` generates
+it, and `configs/default.yaml`, from the declarations in `neoworld_mjx/config/`. Set options in a
+YAML file (`--config`) or individually (`--set refine.cem.population=64`).
 
-A resumed run repeats a step if the options of its group have changed (`parse`, `program`, `verify`,
-`compose`, `refine`), and all steps that read its files. The last column gives the cost of changing
-an option during the search, and so in a [sweep](how-to/sweeps.md):
+If you resume a run after you have changed options of a group (`parse`, `program`, `verify`,
+`compose`, `refine`), the step of this group is repeated, and so are all steps that read its files.
 
-- **nothing**: the value is used outside compiled code;
+The last column gives the cost of changing an option during the search, which is also its cost in a
+[sweep](how-to/sweeps.md):
+
+- **nothing**: the value is used outside compiled code.
 - **nothing, traced**: the value is an array argument of compiled code, so all values in a sweep
-  share one computation;
+  share one computation.
 - **recompiles**, with the reason: the value is part of the compiled code.
 """
 
@@ -39,32 +41,37 @@ an option during the search, and so in a [sweep](how-to/sweeps.md):
 _DIFFERENCES_HEAD = """\
 # Differences from the paper
 
-Every option whose default differs from the paper, with the reason and the measured effect.
-`configs/paper.yaml` sets all of them to the paper's values, and a test compares that file with this
-list. `python -m neoworld_mjx.config --write` generates the page from the declarations in
-`neoworld_mjx/config/`.
+The table lists every option whose default differs from the paper, with the reason and the measured
+effect. `configs/paper.yaml` sets all of these options to the paper's values, and a test compares
+that file with this list. `python -m neoworld_mjx.config --write` generates this page from the
+declarations in `neoworld_mjx/config/`.
 
-Three differences have no option: MuJoCo replaces Isaac Sim; valid candidates rank before invalid
-ones of higher reward, those closer to the photograph first; and the returned scene is settled, or
-snapped exactly onto its supports if settling is disabled, before the final check.
+Three differences have no option:
 
-The last column gives measurements with the default and with the paper's value, and the commit that
-was measured; [the figure](benchmarks/differences.md) says which code has changed since. An empty
-cell means that the effect was not measured; the plans `configs/ablations/refine.yaml` and
-`differences.yaml` measure the options of the search.
+- MuJoCo replaces Isaac Sim.
+- Valid candidates rank before invalid candidates, even if these have a higher reward. Among valid
+  candidates, those closer to the photograph rank first.
+- Before the final check, the returned scene is settled. If settling is disabled, its objects are
+  snapped exactly onto their supports.
+
+The last column gives the results with the default and with the paper's value, and the commit that
+was measured. [Effects of the differences](benchmarks/differences.md) states which code has changed
+since then. If a cell is empty, the effect was not measured. The plans
+`configs/ablations/refine.yaml` and `configs/ablations/differences.yaml` measure the options of the
+search.
 
 | option | default | paper | reason | effect |
 |---|---|---|---|---|
 """
 _MEASURED = "benchmarks/figures/differences.yaml"
-"""Effects of options outside the search: option, effect, n and commit."""
+"""Measured effects of options outside the search, in the columns option, effect, n and commit."""
 _ABLATIONS = {
     "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
     "configs/ablations/differences.yaml": "benchmarks/figures/differences_ablation.yaml",
 }
-"""Plans of ablations, and their results, once they are measured."""
+"""Plans of ablations, and the files of their results, which exist after they were measured."""
 _EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
-"""Columns of the ablations' results that the page of differences shows."""
+"""Columns of the results of ablations that the page of differences shows, and their formats."""
 
 
 def write_pages(root: Path) -> None:
@@ -78,10 +85,10 @@ def write_pages(root: Path) -> None:
 
 
 def differences_page(root: Path) -> str:
-    """Return docs/differences-from-the-paper.md.
+    """Return the text of docs/differences-from-the-paper.md.
 
     Args:
-        root: a checkout of the repository, for the figures and the plans of ablations.
+        root: a checkout of the repository, which contains the figures and the plans of ablations.
     """
     measured = {
         path.strip("`"): f"{effect} (n: {n}; commit {commit})"
@@ -108,7 +115,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _ablated(
     variants: dict[str, dict[str, Any]], results: dict[str, Any]
 ) -> dict[tuple[str, Any], str]:
-    """Return the effect of each variant that changes a single option, by option and value."""
+    """Return the effects of the variants that change a single option, by option and value."""
     rows = {row[0]: row for row in results["rows"]}
     base, effects = rows["as it is"], {}
     for name, change in variants.items():
@@ -125,12 +132,12 @@ def _flow(value: object) -> str:
 
 
 def default_yaml() -> str:
-    """Return configs/default.yaml: every option, preceded by its meaning."""
+    """Return the text of configs/default.yaml: every option, preceded by its meaning."""
     return _YAML_HEAD + "".join(_yaml_group(Config(), "", ""))
 
 
 def options_page() -> str:
-    """Return docs/options.md: one table per group of options."""
+    """Return the text of docs/options.md: one table for each group of options."""
     return _OPTIONS_HEAD + "".join(_options_group(Config(), "", "The run"))
 
 

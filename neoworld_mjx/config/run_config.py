@@ -1,7 +1,7 @@
 """Configuration of a run: a validated tree of all options, read from YAML.
 
-A configuration file contains only values that differ from the defaults. An unknown key is an error
-whose message names the key and the valid ones.
+A configuration file needs only the values that differ from the defaults. An unknown key is an
+error; the message names this key and the valid keys.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ from .search_options import RefineOptions
 class Config(Options):
     """All options of a run."""
 
-    seed: int = option(0, "Seed of all random draws of the run.", ge=0)
+    seed: int = option(0, "Seed of all random numbers of the run.", ge=0)
     provider: str = option(
         "auto",
         "Source of the models' responses: auto, anthropic, openai, replay or mailbox; see "
@@ -55,7 +55,7 @@ def load_config(path: Path | None = None, overrides: dict[str, Any] | None = Non
     """Load the configuration from a YAML file and overrides.
 
     Args:
-        path: the file; None means the defaults.
+        path: the file. If None, all values that `overrides` lacks are the defaults.
         overrides: nested mapping that takes precedence over the file, such as {"seed": 3}.
 
     Raises:
@@ -74,7 +74,7 @@ def load_config(path: Path | None = None, overrides: dict[str, Any] | None = Non
 
 
 def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return a nested mapping updated recursively with another."""
+    """Return a copy of the nested mapping `base` that is updated recursively with `over`."""
     result = base | over
     for key in base.keys() & over.keys():
         if isinstance(base[key], dict) and isinstance(over[key], dict):

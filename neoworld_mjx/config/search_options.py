@@ -1,7 +1,7 @@
 """Options of Step 5: search, rewards, rollouts, semantic scores and the final check.
 
-Options are host, traced or static; `tests/sweeps/test_grouping.py` compares the declarations with
-the search's actual compilations.
+Every option is declared as host, traced or static (see `options.Kind`).
+`tests/sweeps/test_grouping.py` compares the declarations with what the search compiles.
 """
 
 from typing import Literal
@@ -9,16 +9,16 @@ from typing import Literal
 from ..engines import ENGINES_HELP, EngineChoice
 from ..options import Options, PaperDifference, option, static, traced
 
-_PROGRAM, _SHAPE = "changes the program", "sets array shapes"
+_PROGRAM, _SHAPE = "changes the compiled code", "sets array shapes"
 _SHARED = "is shared by all candidates of a rollout"
 _EARLY_STOP = "sets the early-stop rule"
-"""Reason of options that are traced in the reward, but static if `rollout.early_stop` is on."""
+"""Reason of options that are traced in the reward, but static if `rollout.early_stop` is true."""
 
 
 class CEMOptions(Options):
-    """The Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
+    """Options of the Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
 
-    population: int = static(_SHAPE, 64, "Candidates per iteration.", ge=2, le=100_000)
+    population: int = static(_SHAPE, 64, "Number of candidates per iteration.", ge=2, le=100_000)
     iterations: int = option(8, "Maximum number of iterations.", ge=1, le=10_000)
     elite_ratio: float = static(
         _SHAPE,
@@ -41,156 +41,176 @@ class CEMOptions(Options):
     )
     photo_sigma: bool = option(
         False,
-        "Initial standard deviations of aligned objects are no larger than what the photograph "
-        "leaves, the covariance of the alignment.",
+        "Limit the initial standard deviations of aligned objects to the standard deviations that "
+        "the alignment with the photograph estimated.",
     )
     hold_resting: bool = option(
         True,
-        "Hold objects that rest where they should in the initial layout, so that only the others, "
-        "and what they support, move. In a sweep, they are fixed only if all runs start at the "
-        "composed scene; otherwise they are free, but not perturbed. With custom reward terms, "
-        "scores by a model, or another optimizer, all objects move.",
+        "Fix the objects that rest in the settled initial layout, so that only the other objects, "
+        "and the objects that these support, move. In a sweep, objects are fixed only if all runs "
+        "start at the composed scene; otherwise objects that rest are free, but not perturbed. "
+        "With further reward terms, scores by a model, or an optimizer that is passed from Python, "
+        "all objects move.",
         difference=PaperDifference(
             False, "Moving an object that already rests where it should can only make it worse."
         ),
     )
     widest: float = traced(
         8.0,
-        "Limit of the factor on an object's deviations. The factor doubles in every iteration in "
-        "which the object rests in no candidate; for yaw and scale it is at most 1. The search "
-        "ends if the object rests in no candidate at the limit. 1 disables the rule with `credit: "
-        "scene`.",
+        "Upper limit of a factor that multiplies the standard deviations of an object. The factor "
+        "doubles in every iteration in which the object rests in no candidate; for yaw and scale "
+        "it is at most 1. The search ends if an object rests in no candidate although its factor "
+        "is at the limit, unless a candidate has been valid. `credit: scene` disables the rule.",
         ge=1,
         le=1000,
         difference=PaperDifference(
-            1.0, "An object next to its support is never drawn onto it from too narrow a Gaussian."
+            1.0,
+            "If an object is next to its support, samples from too narrow a Gaussian never reach "
+            "the support.",
         ),
     )
     sigma_floor: float = traced(
         0.02,
-        "Minimum standard deviation, as a fraction of the initial one.",
+        "Minimum standard deviation, as a fraction of the initial standard deviation.",
         ge=0,
         difference=PaperDifference(
-            0.0, "Elites that agree in one variable would freeze it for the rest of the search."
+            0.0,
+            "Otherwise, if the elites agree in a variable, its value cannot change in the rest of "
+            "the search.",
         ),
     )
     smoothing: float = traced(
         0.0,
-        "Weight of the previous mean and standard deviation in the update; 0 is Algorithm 1.",
+        "Weight of the previous mean and standard deviation in an update; Algorithm 1 uses 0.",
         ge=0,
         lt=1,
     )
     zero_candidate: bool = static(
         _PROGRAM,
         True,
-        "Include the mean as a candidate; in the first iteration it is the initial layout.",
+        "Include the mean of the Gaussian as a candidate. In the first iteration, this is the "
+        "initial layout.",
         difference=PaperDifference(False, "A valid initial layout should be accepted immediately."),
     )
     credit: Literal["scene", "object"] = static(
         _PROGRAM,
         "object",
-        "Reward that selects elites until a candidate is valid. scene: the reward of the scene. "
-        "object: for each object, that of the terms that involve it, among the candidates in which "
-        "it rests.",
+        "Reward that selects the elites until a candidate is valid. scene: the reward of the whole "
+        "scene, for all objects. object: a separate reward for each object, from the terms that "
+        "involve the object, among the candidates in which it rests.",
         difference=PaperDifference(
             "scene",
-            "In a scene of many objects hardly any candidate is good for all of them.",
+            "In a scene of many objects, hardly any candidate is good for all objects.",
         ),
     )
     stop_by: Literal["best", "elites"] = traced(
         "best",
-        "Quantity whose gain decides when the search stops. best: the best valid candidate so far. "
-        "elites: the mean absolute reward of the elites, as in Algorithm 1.",
+        "Quantity whose gain decides when the search stops. best: the merit of the best valid "
+        "candidate so far. elites: the mean absolute reward of the elites, as in Algorithm 1.",
         difference=PaperDifference(
             "elites", "The result is the best candidate; the mean of the elites does not matter."
         ),
     )
     stop_gain: float = traced(
-        0.005, "Gain in absolute reward below which an iteration counts towards `patience`.", ge=0
+        0.005,
+        "Gain in the quantity of `stop_by` below which an iteration counts toward `patience`.",
+        ge=0,
     )
     patience: int = traced(
-        1, "Consecutive iterations below `stop_gain` that end the search; 1 is Algorithm 1.", ge=1
+        1,
+        "Number of consecutive iterations with a gain below `stop_gain` that end the search; "
+        "Algorithm 1 uses 1.",
+        ge=1,
     )
 
 
 class RewardOptions(Options):
-    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper)."""
+    """Options of the reward R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3)."""
 
     w_sem: float = traced(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
     w_pen: float = traced(1.0, "Weight of D_pen, the penetration.", ge=0)
     w_drift: float = traced(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
     w_prior: float = traced(
         0.3,
-        "Weight of the prior, the distance to the initial layout: the mean of (z / sigma)^2 over "
-        "objects and their four variables, where sigma is the initial standard deviation.",
+        "Weight of the prior, the mean of (z / sigma)^2 over all objects and their four variables. "
+        "z is the distance of a variable from the initial layout, and sigma is its initial "
+        "standard deviation.",
         ge=0,
         difference=PaperDifference(
             0.0,
-            "Otherwise unconstrained variables drift, and objects shrink to reduce overlap.",
+            "Without the prior, unconstrained variables drift, and objects shrink to reduce "
+            "penetration.",
         ),
     )
     normalisation: Literal["iteration", "fixed"] = static(
         _PROGRAM,
         "fixed",
-        "Normalization of D_pen and D_drift. iteration: over the candidates of the iteration. "
-        "fixed: by the caps below.",
+        "Normalization of D_pen and D_drift. iteration: by their ranges over the candidates of an "
+        "iteration. fixed: by `d_pen_cap_m` and `d_drift_cap`.",
         difference=PaperDifference(
-            "iteration", "Rewards are comparable between iterations and bounded before physics."
+            "iteration",
+            "Rewards are comparable between iterations, and their bounds are known before physics.",
         ),
     )
-    d_pen_cap_m: float = traced(0.005, "Upper clip of D_pen.", unit="m", gt=0)
+    d_pen_cap_m: float = traced(0.005, "Value at which D_pen is clipped.", unit="m", gt=0)
     d_drift_cap: float = traced(
         3.0,
-        "Upper clip of D_drift: 3 is 3 cm or 15 degrees. A small cap keeps the difference between "
-        "valid and nearly valid candidates large compared with that between two bad ones.",
+        "Value at which D_drift is clipped; 3 is 3 cm or 15 degrees. A small cap keeps the "
+        "difference between valid and nearly valid candidates large compared with the difference "
+        "between two bad candidates.",
         unit="drift scales",
         reason=_EARLY_STOP,
         gt=0,
     )
     drift_free: float = traced(
         0.1,
-        "Drift of an object without a penalty: 0.1 is 1 mm or 0.5 degrees, by which stable "
-        "objects settle.",
+        "Drift of an object that costs nothing; 0.1 is 1 mm or 0.5 degrees. Stable objects move by "
+        "about this much when they settle.",
         unit="drift scales",
         ge=0,
         difference=PaperDifference(
             0.0,
-            "All objects settle slightly, which would penalize valid candidates.",
+            "All objects move slightly when they settle, which should not penalize valid "
+            "candidates.",
         ),
     )
     pen_scale_m: float = traced(
         0.001,
-        "Scale of D_pen in the absolute reward, which compares iterations.",
+        "Scale of D_pen in the absolute reward, which is comparable between iterations.",
         unit="m",
         gt=0,
     )
     drift_scale_m: float = traced(
         0.01,
-        "Scale of displacement in D_drift.",
+        "Displacement that counts as a drift of 1 in D_drift.",
         unit="m",
         reason=_EARLY_STOP,
         gt=0,
     )
     tilt_scale_deg: float = traced(
-        5.0, "Scale of rotation in D_drift.", unit="deg", reason=_EARLY_STOP, gt=0
+        5.0,
+        "Rotation that counts as a drift of 1 in D_drift.",
+        unit="deg",
+        reason=_EARLY_STOP,
+        gt=0,
     )
     terms: dict[str, float] = traced(
         {},
-        "Further reward terms and their weights: custom terms by import path "
-        '"package.module:function", built-in terms by name. Weights are traced; other terms '
-        "compile another program.",
+        "Further reward terms and their weights. Name a built-in term by its name, and a "
+        'user-defined term by its import path "package.module:function". Weights are traced; a '
+        "change of the terms recompiles.",
     )
 
 
 class RolloutOptions(Options):
-    """Free-fall rollouts of candidate layouts."""
+    """Options of the free-fall rollouts of candidate layouts."""
 
     engine: EngineChoice = static(_PROGRAM, "auto", f"{ENGINES_HELP}.")
     duration_s: float = static(
         _SHARED,
         1.0,
-        "Simulated time; 0 evaluates candidates without simulation, and only the final check tests "
-        "stability.",
+        "Simulated time. If 0, candidates are scored without simulation, and only the final check "
+        "tests stability.",
         unit="s",
         ge=0,
         le=100,
@@ -207,25 +227,25 @@ class RolloutOptions(Options):
     early_stop: bool = static(
         _PROGRAM,
         True,
-        "End a candidate's rollout once it has settled, stays beyond the stability thresholds, "
-        "or has drifted beyond the cap.",
+        "End the rollout of a candidate as soon as its objects have settled, linger beyond the "
+        "stability bounds, or have drifted beyond the cap.",
         difference=PaperDifference(
             False, "Most candidates settle or fail long before the end of the rollout."
         ),
     )
     samples_per_object: int = static(
-        _SHAPE, 256, "Surface samples per object for D_pen.", ge=16, le=10_000
+        _SHAPE, 256, "Number of surface samples per object for D_pen.", ge=16, le=10_000
     )
 
 
 class SemanticOptions(Options):
-    """S_sem, the agreement of candidates with the photograph."""
+    """Options of S_sem, the term that scores how well a candidate agrees with the photograph."""
 
     scorer: Literal["geometric", "mllm"] = option(
         "geometric",
-        "geometric: computed from the parsed boxes and depths, for every candidate. mllm: the "
-        "critic scores rendered images of the best candidates while physics runs; requires a "
-        "photograph.",
+        "geometric: S_sem of every candidate is computed from the parsed boxes and depths. mllm: "
+        "the critic scores rendered images of the best candidates while physics runs; this "
+        "requires a photograph.",
         difference=PaperDifference(
             "mllm",
             "One call per candidate is slow and expensive; the geometric score costs nothing.",
@@ -233,7 +253,8 @@ class SemanticOptions(Options):
     )
     top: int = option(
         8,
-        "Candidates per iteration that the model scores; a surrogate scores the others.",
+        "Number of candidates per iteration that the model scores. A surrogate estimates the "
+        "scores of the others.",
         ge=1,
         difference=PaperDifference(
             256, "The model scores only the best candidates of an iteration."
@@ -241,57 +262,65 @@ class SemanticOptions(Options):
     )
     wait: Literal["all", "bounded", "none"] = option(
         "all",
-        "Scores to wait for before selecting elites: all requested ones, those that are `late` "
-        "iterations old (bounded), or none.",
+        "Scores to wait for before elites are selected. all: all requested scores. bounded: the "
+        "scores of candidates that were submitted at least `late` iterations ago. none: no scores.",
     )
     late: int = option(
-        1, "With `wait: bounded`, iterations by which a score may be late; 0 is `wait: all`.", ge=0
+        1,
+        "Number of iterations by which a score may be late with `wait: bounded`; 0 is equivalent "
+        "to `wait: all`.",
+        ge=0,
     )
     picture_px: int = option(
         320,
-        "Width of a candidate's rendered image; rendering competes with physics for the CPU.",
+        "Width of the rendered image of a candidate. Rendering competes with physics for the CPU.",
         unit="px",
         ge=64,
     )
     shadows: bool = option(
         False,
-        "Render shadows and texture instead of flat colors with outlines, at five times the cost.",
+        "Render shadows and textures instead of flat colors with outlines; this takes five times "
+        "as long.",
     )
     timeout_s: float = option(
-        90.0, "Time limit for a score with all its retries, once sent.", unit="s", gt=0
+        90.0,
+        "Time limit for a score from the moment when it is requested, including all retries.",
+        unit="s",
+        gt=0,
     )
     give_up_after: int = option(
-        5, "Consecutive failed scores after which no more are requested.", ge=1
+        5, "Number of consecutive failed scores after which no more scores are requested.", ge=1
     )
     max_cost_usd: float | None = option(
         None,
-        "Cost of scores after which no more are requested; those in flight still arrive. "
-        "`mllm.max_cost_usd` is the hard limit of the run. null means no limit.",
+        "Cost of scores after which no more scores are requested. Scores that have been requested "
+        "still arrive. `mllm.max_cost_usd` is the hard limit of the run. If null, the cost is not "
+        "limited.",
         unit="USD",
         gt=0,
     )
 
 
 class SettleOptions(Options):
-    """Settling under guidance: springs hold objects near their placed poses, and fade."""
+    """Options of settling under guidance, by springs to the placed poses that fade over time."""
 
     enabled: bool = static(
         _SHARED,
         True,
-        "Settle the composed scene and every candidate under guidance, and judge and export them "
-        "at rest. Otherwise candidates are judged where their layouts place them.",
+        "Settle the composed scene and every candidate under guidance, and score, check and export "
+        "the settled poses. If false, the placed poses are used.",
         difference=PaperDifference(
             False,
-            "Objects that lean, lie in a container or roll rest at a pose that no layout can "
-            "express; only simulation finds it.",
+            "Some objects lean, roll or lie in a container. They come to rest at poses that no "
+            "layout can express and only simulation finds.",
         ),
     )
     duration_s: float = static(_SHARED, 2.0, "Simulated time.", unit="s", gt=0, le=20)
     rate: float = static(
         _SHARED,
         12.0,
-        "Natural frequency of the critically damped springs on position and rotation, in units of "
-        "each object's mass and inertia; an object sags by g / rate^2.",
+        "Natural frequency of the critically damped springs on position and rotation. The springs "
+        "scale with the mass and inertia of each object, which sags by g / rate^2.",
         unit="1/s",
         ge=0,
         le=50,
@@ -300,27 +329,28 @@ class SettleOptions(Options):
         _SHARED, 1.4, "Time in which the springs fade linearly to zero.", unit="s", gt=0, le=20
     )
     max_speed_m_s: float = static(
-        _SHARED, 2.0, "Limit of an object's speed while it settles.", unit="m/s", gt=0, le=100
+        _SHARED, 2.0, "Maximum speed of an object while it settles.", unit="m/s", gt=0, le=100
     )
 
 
 class RefineOptions(Options):
-    """Step 5, scene refinement: search, rewards, rollouts and the final check."""
+    """Options of Step 5, scene refinement: search, rewards, rollouts and the final check."""
 
     optimizer: str = static(
         _PROGRAM,
         "cem",
-        "cem, random, cma_es or evosax:STRATEGY such as evosax:SNES (extra `baselines`), or the "
-        'import path "package.module:function" of a function that builds an optimizer from the '
-        "scene and `cem`.",
+        "Optimizer: cem, random, cma_es, evosax:STRATEGY such as evosax:SNES, or the import path "
+        '"package.module:function" of a function that builds an optimizer from the scene and the '
+        "options `cem`. cma_es and evosax require the extra `baselines`.",
     )
     strategy: dict[str, float] = static(
         _PROGRAM,
         {},
-        "Parameters of the strategy evosax:STRATEGY by their names in evosax, such as `std_init`, "
-        "in units of the initial deviations; `learning_rate` is that of Adam where it has a "
-        "gradient optimizer. `restart_spread` starts a strategy of a distribution again at the "
-        "initial layout where the absolute rewards of a population differ by less.",
+        "Parameters of evosax:STRATEGY by their names in evosax. `std_init` is in units of the "
+        "initial standard deviations. Two further parameters are defined here. `learning_rate` is "
+        "the learning rate of Adam in strategies that use a gradient optimizer. With "
+        "`restart_spread`, a distribution-based strategy restarts from the initial layout if the "
+        "absolute rewards of a population differ by less than this value.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()
@@ -335,28 +365,31 @@ class RefineOptions(Options):
     max_drift_m: float = option(0.01, "Maximum displacement in the final check.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in the final check.", unit="deg", gt=0)
     max_depth_m: float = traced(
-        0.001, "Maximum penetration of a valid candidate and in the final check.", unit="m", gt=0
+        0.001,
+        "Maximum penetration depth in a valid candidate and in the final check.",
+        unit="m",
+        gt=0,
     )
     settle: SettleOptions = SettleOptions()
     merit: Literal["fidelity", "absolute"] = traced(
         "fidelity",
-        "Value by which valid candidates compete to be the result, and by whose gain `cem.stop_by: "
-        "best` stops; all others rank behind them by the absolute reward. fidelity: the absolute "
-        "reward without D_pen and D_drift, less a cost for displacement by settling. absolute: the "
+        "Value that ranks valid candidates, and whose gain `cem.stop_by: best` tests. All other "
+        "candidates rank behind the valid candidates, by absolute reward. fidelity: the absolute "
+        "reward without D_pen and D_drift, minus a cost of displacement by settling. absolute: the "
         "absolute reward.",
         difference=PaperDifference(
             "absolute",
-            "Within the bounds of a valid candidate, penetration and drift hardly differ from what "
-            "settling leaves.",
+            "In valid candidates, penetration and drift are hardly larger than what settling "
+            "leaves.",
         ),
     )
     finalists: int = option(
         4,
-        "Number of best candidates whose final scenes may be checked.",
+        "Maximum number of candidates whose final scenes are checked, best first.",
         ge=1,
         difference=PaperDifference(
             1,
-            "The best candidate of the coarse rollouts may fail the finer check while the next "
-            "passes.",
+            "The best candidate may fail the final check, which is finer than the rollouts, while "
+            "the next candidate passes.",
         ),
     )

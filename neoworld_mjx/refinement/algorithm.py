@@ -1,7 +1,8 @@
 """Algorithm 1 of the paper as data and pure functions: init, propose, evaluate, update, converged.
 
-They may be jitted, vmapped over problems and states from `stack`, and sharded. `loop.search` calls
-them for one run or many; docs/architecture.md maps them to the paper's lines.
+The functions can be jitted, sharded, and vmapped over problems and states that `stack` combines.
+`loop.search` calls them for one run or many. docs/architecture.md maps them to the lines of
+Algorithm 1.
 
     problem = open_problem(scene, RefineOptions())
     state = init(problem, seed=0)
@@ -9,10 +10,15 @@ them for one run or many; docs/architecture.md maps them to the paper's lines.
     scores = evaluate(scene, problem, layouts, nw.rollout(scene, layouts))
     state = update(scene, problem, state, layouts, scores)
 
-Beyond Algorithm 1, one rule says what moves. The deviations of each object have a factor: it is 0
-for an object that rests where it should in the initial layout, and doubles in every iteration in
-which the object rests in no candidate, up to a limit. Until a candidate is valid, an object learns
-from the candidates in which it rests. `configs/paper.yaml` disables the rule.
+One rule is not part of Algorithm 1. An object rests in a candidate if it meets the bounds of a
+valid candidate (see `Scores.rested`). Each object has a factor that multiplies its standard
+deviations:
+
+- The factor is initially 0 for objects that rest in the initial layout, and 1 for all others.
+- It doubles, up to a limit, in every iteration in which the object rests in no candidate.
+
+Until a candidate is valid, the distribution of an object is fitted to the candidates in which this
+object rests. `configs/paper.yaml` disables the rule.
 """
 
 from collections.abc import Sequence
@@ -52,47 +58,51 @@ __all__ = [
 
 
 class Problem(eqx.Module):
-    """Constants of one run; arrays are traced, so runs can be mapped over.
+    """Constants of a run; its arrays are traced, so problems can be batched.
 
-    The scene is an argument of each function instead, so that many runs share its arrays.
+    The scene is not part of a problem, but a separate argument of each function. Many runs can
+    therefore share the arrays of one scene.
     """
 
     objective: Objective
     optimizer: Optimizer | Strategy
     origin: Layout
-    """Initial layout, pop axis of length 1."""
+    """Initial layout, with a population axis of length 1."""
     widest: Float[Array, ""]
-    """Limit of the factor of an object's deviations."""
+    """Upper limit of the factor that multiplies an object's standard deviations."""
     by_object: bool = eqx.field(static=True)
-    """True if objects learn from the candidates in which they rest, until one is valid."""
+    """If True, each object is fitted to the candidates in which it rests, until one is valid."""
     stop_by_best: Bool[Array, ""]
-    """True if the gain of the best valid candidate is tested for convergence, False if that of the
-    elites."""
+    """Quantity that is tested for convergence: if True, the merit of the best valid candidate; if
+    False, the mean absolute reward of the elites."""
     stop_gain: Float[Array, ""]
+    """Gain of this quantity below which an iteration counts as stalled."""
     patience: Int[Array, ""]
+    """Number of consecutive stalled iterations that end the run."""
     elite_ratio: float = eqx.field(static=True)
+    """Fraction of the candidates that are elites."""
 
 
 class SearchState(eqx.Module):
     """State of a run between two iterations."""
 
     optimizer: Any
-    """The optimizer's state."""
+    """State of the optimizer."""
     seed: UInt32[Array, ""]
-    """The run's seed; keys are folded from it and the iteration."""
+    """Seed of the run. Random keys are derived from the seed and the iteration number."""
     factor: Float[Array, " object"]
-    """Factor of each object's deviations."""
+    """Factor that multiplies the standard deviations of each object."""
     iteration: Int[Array, ""]
     elite_mean: Float[Array, ""]
-    """Mean absolute reward of the last elites; initially -inf."""
+    """Mean absolute reward of the elites of the last iteration; initially -inf."""
     best: Float[Array, ""]
-    """Merit of the best valid candidate so far; initially -inf."""
+    """Largest merit of a valid candidate so far; initially -inf."""
     seen_valid: Bool[Array, ""]
-    """True once any candidate was valid."""
+    """True as soon as any candidate has been valid."""
     stalled: Int[Array, ""]
     """Number of consecutive iterations that gained less than `stop_gain`."""
     stuck: Bool[Array, " object"]
-    """Objects that rested in no candidate of the last iteration, at the limit of their factor."""
+    """Mask of the objects that rested in no candidate although their factor was at its limit."""
 
 
 def open_problem(
@@ -103,17 +113,19 @@ def open_problem(
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
 ) -> Problem:
-    """Build a run's problem from options.
+    """Build the problem of a run from options.
 
     Args:
         scene: the scene's arrays.
         options: options of the search and the rewards.
-        origin: initial layout, pop axis of length 1; None is the composed scene.
+        origin: initial layout, with a population axis of length 1. If None, the search starts at
+            the composed scene.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
 
     Raises:
-        ConfigError: options exclude each other, or name something that does not exist.
+        ConfigError: two options contradict each other, or an option names something that does not
+            exist.
     """
     o = options
     origin = Layout.zero(1, scene.count) if origin is None else origin
@@ -140,7 +152,7 @@ def init(
     Args:
         problem: the run's problem.
         seed: the run's seed.
-        factor: factors of the objects' deviations; None is 1 for all.
+        factor: initial factors of the objects' standard deviations. If None, all factors are 1.
     """
     if factor is None:
         factor = np.ones(problem.origin.yaw.shape[1])
@@ -160,13 +172,13 @@ def init(
 
 @eqx.filter_jit
 def propose(scene: SceneArrays, problem: Problem, state: SearchState, population: int) -> Layout:
-    """Draw the population of an iteration (Algorithm 1, line 3).
+    """Sample the population of an iteration (Algorithm 1, line 3).
 
     Args:
         scene: the scene's arrays.
         problem: the run's problem.
         state: the run's state.
-        population: N.
+        population: number of candidates, N.
     """
     del scene
     drawn = problem.optimizer.ask(_key(state), state.optimizer, population)
@@ -176,12 +188,12 @@ def propose(scene: SceneArrays, problem: Problem, state: SearchState, population
 
 
 def _key(state: SearchState) -> Key[Array, ""]:
-    """Return the key of an iteration."""
+    """Return the random key of the current iteration."""
     return jax.random.fold_in(jax.random.key(state.seed), state.iteration)
 
 
 def _factors(factor: Float[Array, " object"]) -> Layout:
-    """Return the factors of a layout's numbers; only positions get more than their deviation."""
+    """Return the factor of each layout variable. Factors above 1 apply to positions only."""
     least = jnp.minimum(factor, 1.0)[None]
     return Layout(jnp.tile(factor[None, :, None], 2), least, least)
 
@@ -199,9 +211,10 @@ def evaluate(
         scene: the scene's arrays.
         problem: the run's problem.
         layouts: the candidates.
-        rollout: their free fall.
-        candidates: their poses at the start of the rollout with their measures, from
-            `placed_at_rest` if they were settled; None measures the rollout's initial poses.
+        rollout: rollout of the candidates.
+        candidates: poses of the candidates at the start of the rollout with their measures, from
+            `placed_at_rest` if the candidates were settled. If None, the initial poses of the
+            rollout are measured.
     """
     if candidates is None:
         candidates = placed_at_rest(scene, rollout.start, rollout.start)
@@ -212,7 +225,7 @@ def evaluate(
 def update(
     scene: SceneArrays, problem: Problem, state: SearchState, layouts: Layout, scores: Scores
 ) -> SearchState:
-    """Fit the optimizer to the population's elites (Algorithm 1, lines 11 and 12)."""
+    """Fit the optimizer to the elites of the population (Algorithm 1, lines 11 and 12)."""
     seen_valid = state.seen_valid | jnp.any(scores.valid)
     credit, never = None, jnp.zeros_like(state.stuck)
     if problem.by_object:
@@ -257,8 +270,10 @@ def update(
 def converged(problem: Problem, state: SearchState) -> bool:
     """Return whether a run has converged (Algorithm 1, line 13).
 
-    It has if the best valid candidate (or the elites, by `stop_by`) gained less than `stop_gain`
-    for `patience` iterations.
+    A run has converged if a quantity gained less than `stop_gain` in each of the last `patience`
+    iterations. By default this quantity is the merit of the best valid candidate, and a run
+    converges only after a candidate has been valid. With `stop_by: elites` it is the mean absolute
+    reward of the elites.
     """
     valid = not bool(problem.stop_by_best) or bool(state.seen_valid)
     return valid and int(state.stalled) >= int(problem.patience)

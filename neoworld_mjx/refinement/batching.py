@@ -1,4 +1,4 @@
-"""Map pure functions over runs, and roll out the candidates of all runs together."""
+"""Mapping of pure functions over runs, and rollouts of the candidates of all runs together."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -20,13 +20,16 @@ from ..physics.sharding import PART, WHOLE, by_part, mesh_of, put
 from ..traces import computes_on_cpu
 
 TILE = 8192
-"""Number of candidates that are drawn and scored at once on accelerators."""
+"""Number of candidates that are sampled and scored at once on an accelerator."""
 SHAPES = 4
-"""Largest number of rollout shapes as runs finish; each is half the size of the previous one."""
+"""Largest number of batch sizes for which rollouts are compiled as runs finish.
+
+Each batch size is half of the previous one.
+"""
 
 
 def tile_of(runs: int, population: int) -> int:
-    """Return the number of runs that are drawn and scored at once, on all devices together."""
+    """Return the number of runs that are sampled and scored at once, over all devices."""
     if computes_on_cpu():
         return 1
     count = len(devices())
@@ -35,15 +38,16 @@ def tile_of(runs: int, population: int) -> int:
 
 
 def devices() -> list[Any]:
-    """Return the local devices that share the work: all, unless `jax.default_device` names one."""
+    """Return the devices that share the work: one if `jax.default_device` is set, else all."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     return jax.local_devices() if chosen is None else jax.local_devices()[:1]
 
 
 def split(tree: Any, length: int) -> Any:
-    """Split arrays whose leading axis has a length over the devices, and copy all others to each.
+    """Shard the arrays whose leading axis has a given length over the devices; replicate the rest.
 
-    Nothing changes with one device, or if the length is no multiple of their number.
+    If there is one device, or if the length is not a multiple of the number of devices, return the
+    tree unchanged.
     """
     mesh = mesh_of(devices())
     if mesh is None or length < 1 or length % mesh.size:
@@ -60,18 +64,18 @@ def map_runs(
     tile: int,
     population: int = 0,
 ) -> list[Any]:
-    """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
+    """Call `fn(scene, *row)` for the row of every run, with `vmap` over `tile` runs at a time.
 
-    The last tile is padded by repeating its last row, so that only one shape is compiled. With a
-    tile of one run, `fn` is called without `vmap`, as in a single refinement. Several devices share
-    the runs of a tile, or the candidates of a single run.
+    The last tile is padded by repeating its last row, so that only one shape is compiled. If a tile
+    is a single run, `fn` is called without `vmap`, as in a single refinement. If there are several
+    devices, they share the runs of a tile, or the candidates of a single run.
 
     Args:
         fn: pure function of a scene and a row.
         scene: the scene's arrays.
-        rows: arguments of each run.
-        tile: number of runs at once.
-        population: number of candidates of a run.
+        rows: arguments of `fn` for each run.
+        tile: number of runs that are batched.
+        population: number of candidates of a run; 0 if no argument has a population axis.
     """
     if tile == 1 or len(rows) == 1:
         return [jax.device_get(fn(scene, *split(row, population))) for row in rows]
@@ -102,17 +106,17 @@ def _mapped(fn: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
 
 
 def stack(rows: Sequence[Any]) -> Any:
-    """Stack the arrays of trees, such as problems or states of runs, on a new leading axis.
+    """Stack the arrays of pytrees, such as problems or states of runs, on a new leading axis.
 
-    Other leaves, such as the functions of terms, are taken from the first tree. Stacking on the
-    host transfers one array; on the device each row would be an operation.
+    Leaves that are not arrays, such as the functions of terms, are taken from the first tree.
+    Arrays are stacked on the host, so each stacked array is transferred to the device once.
 
     Raises:
-        ValueError: the trees differ in structure, such as runs with different static options.
+        ValueError: the trees differ in structure, for example because a static option differs.
     """
     form = jax.tree.structure(rows[0])
     if any(jax.tree.structure(row) != form for row in rows[1:]):
-        raise ValueError("stack: the trees differ in structure, such as in a static option")
+        raise ValueError("stack: the trees differ in structure, for example in a static option")
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
     return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])
 
@@ -145,10 +149,10 @@ def roll_out(
         poses: poses of each run's candidates, on the host, including padded objects.
         engine: physics engine.
         o: options of the rollouts.
-        runs: initial number of runs.
+        runs: number of runs at the start of the search.
 
     Returns:
-        One rollout per run, on the host, without padded objects.
+        One rollout per run, on the host and without padded objects.
     """
     together, rows = _concatenate(poses, len(scene.names), runs)
     r = o.rollout
@@ -173,7 +177,7 @@ def roll_out(
 def settle_candidates(
     scene: SceneModel, poses: Sequence[Poses], engine: Engine, o: RefineOptions, runs: int
 ) -> list[Poses]:
-    """Settle the placed candidates of several runs at once; arguments as in `roll_out`."""
+    """Settle the placed candidates of several runs at once; the arguments are as in `roll_out`."""
     object_count = len(scene.names)
     together, rows = _concatenate(poses, object_count, runs)
     ends = settle(scene, together, engine, o.settle)
@@ -190,16 +194,16 @@ def settle_candidates(
 def _concatenate(poses: Sequence[Poses], object_count: int, runs: int) -> tuple[Poses, list[slice]]:
     """Concatenate the candidates of several runs, without padded objects.
 
-    The result is padded with NaN candidates, which no engine simulates, so that few shapes are
-    compiled as runs finish.
+    The result is padded with candidates of NaN, which no engine simulates, so that only a few
+    shapes are compiled as runs finish.
 
     Args:
         poses: poses of each run's candidates, on the host.
         object_count: number of objects without padding.
-        runs: initial number of runs.
+        runs: number of runs at the start of the search.
 
     Returns:
-        The candidates, and each run's rows of them.
+        The poses of all candidates, and for each run the slice of its candidates.
     """
     counts = [len(placed.scale) for placed in poses]
     candidate_count, sizes = sum(counts), [-(-runs // 2**k) * max(counts) for k in range(SHAPES)]
@@ -216,14 +220,14 @@ def _concatenate(poses: Sequence[Poses], object_count: int, runs: int) -> tuple[
 
 
 def replaced(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
-    """Return a copy of an array with the entries at an index replaced."""
+    """Return a copy of an array in which `part` replaces the entries at `index`."""
     copied = np.array(whole)
     copied[index] = part
     return copied
 
 
 def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
-    """Pad a rollout on the host to a padded scene; padded objects do not move."""
+    """Pad a rollout on the host to the size of a padded scene; padded objects do not move."""
     objects, joints = scene.count, len(scene.joint_object)
     start = pad_objects(rollout.start, objects)
 
@@ -242,7 +246,10 @@ def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
 
 
 def early_stop_rule(o: RefineOptions) -> EarlyStop:
-    """Return the drifts beyond which neither validity nor reward changes, so a rollout may stop."""
+    """Return the rule by which rollouts stop early, from the bounds and the cap of D_drift.
+
+    Drift beyond the cap changes neither the validity nor the reward of a candidate.
+    """
     distance, angle = o.reward.drift_scale_m, float(np.radians(o.reward.tilt_scale_deg))
     cap = o.reward.d_drift_cap
     return EarlyStop(distance=distance, angle=angle, drift=cap * distance, tilt=cap * angle)

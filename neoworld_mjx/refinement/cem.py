@@ -1,7 +1,7 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
-Options that set array shapes are static; every other number is traced, so a sweep over numbers,
-seeds included, is one `vmap`.
+The elite ratio and `zero_candidate` are static. All other hyperparameters are traced, and so is the
+random key, so a sweep over hyperparameters and seeds is a single `vmap`.
 """
 
 import equinox as eqx
@@ -16,45 +16,48 @@ from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
 PLATE = 0.3
-"""Largest ratio of a plate's thickness to its next longer side."""
+"""A box is a plate if its thickness is less than this fraction of its second-shortest side."""
 
 
 class CEMParams(eqx.Module):
-    """Traced hyperparameters."""
+    """Traced hyperparameters of CEM."""
 
     sigma: Layout
-    """Initial standard deviations, pop axis of length 1."""
+    """Initial standard deviations, with a population axis of length 1."""
     floor: Float[Array, ""]
-    """Smallest standard deviation, as a fraction of the initial one."""
+    """Smallest standard deviation, as a fraction of the initial standard deviation."""
     smoothing: Float[Array, ""]
-    """Weight of the old mean and deviation in an update; 0 is Algorithm 1."""
+    """Weight of the old mean and standard deviation in an update; Algorithm 1 uses 0."""
 
 
 class CEMState(eqx.Module):
-    """A diagonal Gaussian over (dx, dy, dyaw, log s) of every object, pop axes of length 1."""
+    """A diagonal Gaussian over (dx, dy, dyaw, log s) of every object.
+
+    The population axes of both layouts have length 1.
+    """
 
     mean: Layout
     std: Layout
 
 
 class CEM(eqx.Module):
-    """The sampling and fitting of Algorithm 1; follows `optimizer.Optimizer`."""
+    """The sampling and fitting steps of Algorithm 1; implements `optimizer.Optimizer`."""
 
     params: CEMParams
     elite_ratio: float = eqx.field(static=True)
-    """rho: K = rho N candidates are elites."""
+    """Fraction rho of the candidates that are elites: K = rho N."""
     zero_candidate: bool = eqx.field(static=True, default=True)
-    """True if the mean itself is the first candidate."""
+    """If True, the first candidate is the mean itself."""
 
     def init(self, mean: Layout | None = None) -> CEMState:
-        """Return the initial state; the default mean is the composed scene."""
+        """Return the initial state. If `mean` is None, the mean is the composed scene."""
         zero = on_device(jax.tree.map(lambda s: np.zeros(s.shape), self.params.sigma))
         return CEMState(zero if mean is None else mean, self.params.sigma)
 
     def ask(self, key: Key[Array, ""], state: CEMState, population: int) -> Layout:
-        """Draw a population; `key` is consumed.
+        """Sample a population; `key` must not be used again.
 
-        Objects with zero deviation (environment supports) do not move.
+        Objects whose standard deviations are zero, such as environment supports, do not move.
         """
         drawn = draw(key, state.mean, state.std, population)
         if not self.zero_candidate:
@@ -70,17 +73,17 @@ class CEM(eqx.Module):
         absolute: Float[AnyArray, " pop"] | None = None,
         credit: Float[AnyArray, "pop object"] | None = None,
     ) -> CEMState:
-        """Fit the Gaussian to the top-K candidates.
+        """Fit the Gaussian to the elites, the K candidates of highest reward.
 
         Args:
             state: previous state.
             layouts: the candidates.
-            reward: ranks the candidates; those with -inf or NaN are never elites, and if fewer
-                than K candidates are finite only those are used.
+            reward: reward that ranks the candidates. Candidates whose reward is -inf or NaN are
+                never elites, so there may be fewer than K elites.
             absolute: unused.
-            credit: reward of each object; if given, each object's mean and deviation are fitted
-                to the K candidates with its highest credit, and stay unchanged if none of these is
-                finite.
+            credit: reward of each object. If given, the mean and standard deviation of an object
+                are fitted to the K candidates in which this object has its highest finite credit.
+                They stay unchanged if no credit of the object is finite.
         """
         del absolute
         elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]
@@ -108,8 +111,8 @@ class CEM(eqx.Module):
 
 
 def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Layout:
-    """Draw candidates from a diagonal Gaussian; `key` is consumed."""
-    # One key per object, so that draws do not depend on padding.
+    """Sample candidates from a diagonal Gaussian; `key` must not be used again."""
+    # One key per object, so that samples do not depend on padding.
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(mean.yaw.shape[1]))
     numbers = jax.vmap(lambda k: jax.random.normal(k, (population, 4)), out_axes=1)(keys)
     noise = Layout(numbers[..., :2], numbers[..., 2], numbers[..., 3])
@@ -117,14 +120,14 @@ def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Lay
 
 
 def elite_count(elite_ratio: float, population: int) -> int:
-    """Return K = rho N, at least 1."""
+    """Return the number of elites K = rho N, at least 1."""
     return max(1, round(elite_ratio * population))
 
 
 def elite_rows(
     reward: Float[AnyArray, " pop"], elites: int
 ) -> tuple[Array, Float[Array, " elite"]]:
-    """Return the best candidates in order, and their weights: 0 if not finite, else 1."""
+    """Return the indices of the elites, best first, and their weights: 0 if not finite, else 1."""
     reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
     # The sort is stable: candidates of equal reward keep the order of the population.
     best = jnp.argsort(-reward, stable=True)[:elites]
@@ -132,11 +135,12 @@ def elite_rows(
 
 
 def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
-    """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
+    """Return the initial standard deviations, with a population axis of length 1 (Appendix B).
 
-    sigma_xy is a fraction of each object's horizontal bounding-box diagonal. Environment supports
-    have zero deviation. Objects attached to an upright plate, such as a wall, move along it and do
-    not turn. With `photo_sigma`, no deviation is larger than what the photograph leaves.
+    `sigma_xy` is a fraction of each object's horizontal bounding-box diagonal. The standard
+    deviations of environment supports are zero. Objects attached to an upright plate, such as a
+    wall, move only along the plate and do not turn. With `photo_sigma`, no standard deviation
+    exceeds the one that the alignment with the photograph estimated.
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
@@ -154,9 +158,10 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
 
 
 def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
-    """Return the axis (x or y of the parent's frame) along which an attached object is fixed.
+    """Return a mask of the axes (x and y of the parent) along which an attached object is fixed.
 
-    It is the thickness direction of a parent that is a plate (see PLATE).
+    An object is fixed along the thickness direction of its parent if the parent is a plate; see
+    PLATE.
     """
     parent = np.asarray(scene.arrangement.parent)
     attached = (parent >= 0) & ~np.asarray(scene.arrangement.snapped) & np.asarray(scene.optimised)
@@ -168,7 +173,7 @@ def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
 
 
 def open_cem(scene: SceneArrays, options: CEMOptions) -> CEM:
-    """Build CEM with its hyperparameters for a scene."""
+    """Build CEM for a scene, with the hyperparameters that the options give."""
     sigma = initial_sigma(scene, options)
     floor, smoothing = on_device((options.sigma_floor, options.smoothing))
     params = CEMParams(sigma, floor, smoothing)

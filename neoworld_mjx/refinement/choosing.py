@@ -1,4 +1,4 @@
-"""Choice of the winner: the best candidate whose final scene passes the check."""
+"""Choice of the winner: the best candidate whose final scene passes the final check."""
 
 from dataclasses import dataclass
 
@@ -16,31 +16,31 @@ from .rounds import Round, ranked
 
 @dataclass(frozen=True)
 class Winner:
-    """The winner of a search, with its final check."""
+    """Winner of a search, with its final scene and final check."""
 
     index: tuple[int, int]
-    """(iteration, candidate); with settling, (0, 0) is the initial layout, else (-1, -1)."""
+    """(iteration, candidate). The initial layout is (0, 0) with settling, else (-1, -1)."""
     layout: Layout
-    """Pop axis of length 1."""
+    """Layout of the winner, with a population axis of length 1."""
     finished: Finished
     before: SceneMeasure
-    """Final check of the initial layout."""
+    """Measures of the initial layout's final check."""
     tried: int
     """Number of candidates whose final scene was checked."""
 
     @property
     def scene(self) -> SceneSpec:
-        """The final scene."""
+        """The final scene of the winner."""
         return self.finished.scene
 
     @property
     def measure(self) -> SceneMeasure:
-        """Its final check."""
+        """Measures of the winner's final check."""
         return self.finished.measure
 
     @property
     def passed(self) -> bool:
-        """True if it passes."""
+        """True if the winner passes the final check; see `Finished.passed`."""
         return self.finished.passed
 
 
@@ -54,21 +54,27 @@ def choose(
     *,
     accept_initial: bool = True,
 ) -> Winner:
-    """Choose the best valid candidate that also passes the final check.
+    """Choose the first candidate in the order of `ranked` that passes the final check.
 
-    The check is finer and longer than a rollout. The initial layout wins if it passes, unless
-    `accept_initial` is False, as for user-defined terms. If neither it nor one of the best
-    `finalists` passes, the one closest to passing is returned, so that a search never makes a scene
-    worse; without settling, the best candidates alone are compared, as in Algorithm 1.
+    By default, the final check uses a smaller time step than a rollout and simulates longer.
+
+    - With settling, the initial layout wins if it passes, unless `accept_initial` is False.
+    - Otherwise, the first `finalists` candidates are checked in order, until one passes.
+    - If no candidate passes, the candidate that is closest to passing wins. With settling, the
+      initial layout takes part in this comparison, so a search never makes a scene worse. Without
+      settling, only the candidates are compared, as in Algorithm 1.
 
     Args:
         model: the compiled scene.
         rounds: all iterations.
         o: options of the check.
-        initial: the initial layout's final scene.
-        start: initial layout, pop axis of length 1; None is the composed scene.
-        searched: the scene of the candidates, in which objects may be held; None for `model`.
-        accept_initial: False ranks the initial layout as the other candidates.
+        initial: the final scene of the initial layout.
+        start: initial layout, with a population axis of length 1. If None, it is the composed
+            scene.
+        searched: the scene that was searched, in which some objects may be fixed. If None, it is
+            `model`.
+        accept_initial: if False, the initial layout is ranked like any other candidate. Use this
+            with user-defined terms.
     """
     origin = Layout.zero(1, len(model.names)) if start is None else start
     first = 0 if o.settle.enabled else -1

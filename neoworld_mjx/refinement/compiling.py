@@ -12,16 +12,17 @@ from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
 
 S_PHOTO = "s_photo"
-"""Term that rates candidates by the pixels of the photograph."""
+"""Name of the term that scores candidates by the pixels of the photograph."""
 LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7
-"""Smallest reach, that of the default sigma_xy, and reach per sigma_xy."""
+"""Smallest reach, which fits the default `sigma_xy`, and the ratio of the reach to `sigma_xy`."""
 
 
 def reach_of(options: RefineOptions) -> float:
-    """Return how far from its composed position an object is snapped, over its diagonal.
+    """Return the reach: how far from its composed position an object is still snapped.
 
-    It is a power of two times LEAST_REACH, so that many values of sigma_xy share one compiled scene
-    whatever others a sweep has.
+    The reach is a fraction of the object's horizontal diagonal; `layout.arrange` adds 2 cm. It is
+    LEAST_REACH times a power of two, so that many values of `sigma_xy` share one compiled scene,
+    independent of the other values in a sweep.
     """
     reach = LEAST_REACH
     while reach < 0.999 * REACH_IN_SIGMAS * options.cem.sigma_xy:
@@ -30,7 +31,7 @@ def reach_of(options: RefineOptions) -> float:
 
 
 def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
-    """Compile a scene for a search with these options; the last four results are cached."""
+    """Compile a scene for a search with these options; the last four compiled scenes are cached."""
     r = options.rollout
     return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach_of(options))
 
@@ -38,10 +39,11 @@ def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
 def with_evidence(
     model: SceneModel, options: RefineOptions, photo: UInt8[np.ndarray, "row column 3"] | None
 ) -> SceneModel:
-    """Return a compiled scene with the evidence of its photograph, if a reward term needs it.
+    """Add the evidence of the photograph to a compiled scene if a reward term needs it.
 
     Raises:
-        ConfigError: S_photo is a term, and there is neither a photograph nor its evidence.
+        ConfigError: S_photo is a reward term, but there is no photograph, and the scene does not
+            contain its evidence.
     """
     if S_PHOTO not in options.reward.terms or (photo is None and np.any(model.photo.evidence)):
         return model
@@ -55,6 +57,7 @@ def with_evidence(
 
 @functools.lru_cache(maxsize=4)
 def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
-    # JAX compiles functions of a SceneModel, such as MJX's, again for another one, even if equal.
+    # JAX recompiles functions of a SceneModel, such as those of MJX, for every new SceneModel, even
+    # if it equals an earlier one.
     spec = SceneSpec.model_validate_json(scene)
     return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)

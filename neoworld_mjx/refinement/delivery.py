@@ -1,7 +1,7 @@
-"""Scores of the scene that a search delivers: its winner at rest in C MuJoCo.
+"""Scores of the delivered scene: the final scene of the winner, settled in C MuJoCo.
 
-The final check settles the winning candidate once more, with a finer time step, so the delivered
-scene is close to the candidate but not equal to it.
+The winning candidate is settled again for the final check, with a smaller time step than in the
+search. The delivered scene is therefore close to the winning candidate, but not equal to it.
 """
 
 import time
@@ -25,16 +25,20 @@ def delivered(
     engine: Engine,
     s_sem: float | None = None,
 ) -> list[dict[str, float]]:
-    """Return `absolute`, `merit` and each reward term of every delivered scene, by name.
+    """Return the `absolute` and `merit` of every delivered scene, and the value of each term.
 
     Args:
         results: the searches of runs that were searched together.
-        winners: the winner of each.
-        engine: the physics engine, which rolls all scenes out at once.
-        s_sem: score of the winning candidates by a model; None computes the geometric one.
+        winners: the winner of each run.
+        engine: the physics engine, which rolls out all scenes at once.
+        s_sem: S_sem of the winning candidates by a model. If None, the geometric S_sem is
+            computed.
+
+    Returns:
+        One dictionary per run, by name.
     """
     scores: list[Scores | None] = [
-        # The initial layout was scored at its resting pose.
+        # The search has already scored the initial layout at its settled poses.
         result.rounds[0].scores
         if winner.index == (0, 0)
         and winner.passed

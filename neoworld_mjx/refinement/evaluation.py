@@ -1,4 +1,4 @@
-"""Evaluation of the populations of several runs: placement, settling, rollouts and scores."""
+"""Placement, settling, rollouts and scoring of the populations of several runs."""
 
 import time
 from collections.abc import Sequence
@@ -29,22 +29,27 @@ from .search_run import SearchResult
 
 
 class Evaluation(NamedTuple):
-    """Placement, rollouts and scores of populations, with the time spent on each."""
+    """Places, settles, rolls out and scores populations, and measures the time of each step."""
 
     scene: SceneModel
     arrays: SceneArrays
-    """The scene that terms and optimizers receive, padded or not."""
+    """Scene that terms and optimizers receive: the padded scene if all of them accept it."""
     padded: SceneArrays
-    """The padded scene, in which candidates are measured: scenes of a bucket share the program."""
+    """Padded scene, in which candidates are measured. Scenes of a bucket share compiled
+    functions."""
     engine: Engine
     options: RefineOptions
     runs: int
+    """Number of runs at the start of the search."""
     tile: int
+    """Number of runs that are batched."""
     clock: dict[str, float]
+    """Seconds spent on each step; updated in place."""
     began: float
+    """Start of the search, by `time.perf_counter`."""
 
     def place(self, layouts: Sequence[Layout]) -> list[Placed]:
-        """Place the populations of several runs, settle them if enabled, and measure them."""
+        """Place the populations of several runs, settle them if enabled, and measure the result."""
         began = time.perf_counter()
         on_cpu, pop = computes_on_cpu(), self.options.cem.population
         if on_cpu:
@@ -62,7 +67,7 @@ class Evaluation(NamedTuple):
         return placed
 
     def measured(self, pairs: Sequence[tuple[Poses, Poses]]) -> list[Placed]:
-        """Measure populations from their placed poses and their poses at rest."""
+        """Measure populations, given the placed poses and the settled poses of each."""
         pairs = [pad_objects(pair, self.padded.count) for pair in pairs]
         if computes_on_cpu():
             placed = [measured_in_chunks(self.padded, *pair) for pair in pairs]
@@ -95,10 +100,10 @@ class Evaluation(NamedTuple):
 
         Args:
             live: the runs.
-            layouts: their populations.
-            placed: the placed candidates.
-            rollouts: their rollouts.
-            s_sem: scores by a model, which replace the geometric ones.
+            layouts: population of each run.
+            placed: placed candidates of each run.
+            rollouts: rollout of each run's candidates.
+            s_sem: S_sem by a model, which replaces the geometric S_sem.
         """
         began = time.perf_counter()
         rows: list[tuple[Any, ...]] = [
@@ -110,14 +115,18 @@ class Evaluation(NamedTuple):
         return scored
 
     def initials(self, results: Sequence[SearchResult]) -> list[Round]:
-        """Return each run's initial layout at its exact resting pose: iterations of a candidate."""
+        """Score the initial layout of each run at its settled poses.
+
+        Returns:
+            One iteration for each run, with the initial layout as the only candidate.
+        """
         layouts = [r.problem.origin for r in results]
         rests = [self.resting(r.initial.scene, z) for r, z in zip(results, layouts, strict=True)]
         scores = self.of_each(results, layouts, rests, rests)
         return [self.unpadded_round(*row) for row in zip(layouts, rests, scores, strict=True)]
 
     def resting(self, scene: SceneSpec, layout: Layout) -> Poses:
-        """Return the poses of a scene at rest, padded; the padded layout gives the scales."""
+        """Return the padded poses of a settled scene, with the scales of the padded layout."""
         scale = np.exp(np.asarray(layout.log_scale)[:, : len(self.scene.names)])
         rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
         return jax.tree.map(np.float32, rest)
@@ -130,16 +139,17 @@ class Evaluation(NamedTuple):
         rests: Sequence[Poses],
         s_sem: np.ndarray | None = None,
     ) -> list[Scores]:
-        """Roll out and score one candidate of each run from its resting pose.
+        """Roll out and score one candidate of each run from its settled poses.
 
-        A candidate is repeated to the population size, to reuse compiled programs.
+        The candidate is repeated to the population size, so that functions which were compiled for
+        the search are reused.
 
         Args:
             results: the runs.
-            layouts: their padded layouts, pop axis of length 1.
-            starts: their placed poses, from which they have settled.
-            rests: their resting poses.
-            s_sem: score by a model [pop], which replaces the geometric one.
+            layouts: padded layout of each run's candidate, with a population axis of length 1.
+            starts: placed poses of each candidate.
+            rests: settled poses of each candidate.
+            s_sem: S_sem by a model, which replaces the geometric S_sem in all runs; shape [1].
         """
         population = self.options.cem.population
 
@@ -163,12 +173,12 @@ class Evaluation(NamedTuple):
         return [jax.tree.map(lambda x: np.asarray(x)[:1], of_run) for of_run in scores]
 
     def before_physics(self, r: SearchResult, layouts: Layout, placed: Placed) -> Scores:
-        """Score candidates as if nothing moved, with the geometric S_sem."""
+        """Score candidates as if no object moved, with the geometric S_sem."""
         still = unmoved(self.arrays, placed.poses)
         return jax.device_get(evaluate(self.arrays, layouts, placed, still, r.problem.objective))
 
     def unpadded_round(self, layouts: Layout, poses: Poses, scores: Scores) -> Round:
-        """Return an iteration without padded objects."""
+        """Return an iteration from which padded objects are removed."""
         count = len(self.scene.names)
         per_object = lambda s: (s.drift, s.depth, s.rested)
         cut = tuple(np.asarray(x)[:, :count] for x in per_object(scores))
@@ -176,5 +186,5 @@ class Evaluation(NamedTuple):
         return Round(self.unpadded(layouts), self.unpadded(poses), scores)
 
     def unpadded(self, tree: Any) -> Any:
-        """Return arrays [pop, object, ...] without padded objects."""
+        """Remove padded objects from the arrays [pop, object, ...] of a pytree."""
         return jax.tree.map(lambda x: np.asarray(x)[:, : len(self.scene.names)], tree)

@@ -1,4 +1,4 @@
-"""The final scene of a layout: at rest in C MuJoCo, and checked."""
+"""The final scene of a layout: settled in C MuJoCo, and checked."""
 
 from typing import NamedTuple
 
@@ -16,22 +16,28 @@ from ..spec import SceneSpec, world_poses
 from ..spec.pose import pose
 
 RELEASES = 2
-"""Number of times that a scene which fails its final check is settled again from where it ended
-there, such as a potato that settled on an unstable side."""
+"""Number of times that a scene which fails its final check is settled again.
+
+Each time, the failing objects start where a free fall takes them. A potato that settled on an
+unstable side can thus roll onto a stable one.
+"""
 
 
 class Finished(NamedTuple):
-    """A layout's final scene with its check."""
+    """Final scene of a layout, with its final check."""
 
     scene: SceneSpec
     measure: SceneMeasure
     moved_away: tuple[str, ...]
-    """Objects that rest farther from their placed poses than the bounds of `settled_by`."""
+    """Objects that settled farther from their placed poses than the bounds of `settled_by`."""
     passed: bool
-    """True if the scene passes the final check and nothing moved away."""
+    """True if the scene passes the final check and no object moved away."""
 
     def rests(self, o: RefineOptions) -> Bool[np.ndarray, " object"]:
-        """Return a mask of the objects that overlap nothing, are stable, and did not move away."""
+        """Return a mask of the objects that rest.
+
+        An object rests if it penetrates no other object, is stable, and did not move away.
+        """
         m = self.measure
         pairs = [*m.depths_m.items(), *m.settled_depths_m.items()]
         deep = {n for pair, depth in pairs if depth > o.max_depth_m for n in pair.split("|")}
@@ -47,10 +53,10 @@ class Finished(NamedTuple):
         return np.array([item.name not in faulty for item in self.scene.objects])
 
     def badness(self, o: RefineOptions) -> float:
-        """Return how far the scene is from passing: 0 if it passes.
+        """Return how far the scene is from passing; 0 if it passes.
 
-        The excess of every measure over its bound, in units of the bound and at most 10 each, and 1
-        for every object that moved away.
+        The result is a sum. Every failed check adds 0.1 and the excess of the measure over its
+        bound, relative to the bound, but at most 10. Every object that moved away adds 1.
         """
         over = [c.value / c.threshold - 1 for c in scene_checks(self.measure, o) if not c.passed]
         return sum(min(max(excess, 0.0) + 0.1, 10.0) for excess in over) + len(self.moved_away)
@@ -64,16 +70,20 @@ def finish(
     rest: Poses | None = None,
     searched: SceneModel | None = None,
 ) -> Finished:
-    """Return a candidate's final scene: settled exactly, or snapped if settling is disabled.
+    """Return the final scene of a candidate, with its final check.
+
+    The candidate is settled in C MuJoCo. If settling is disabled, its objects are snapped exactly
+    onto their supports instead.
 
     Args:
         model: the compiled scene.
         layouts: the candidates, padded or not.
         k: index of the candidate.
         o: options of settling and of the check.
-        rest: resting poses of the candidates, from which the exact settling starts; None for the
-            placed poses.
-        searched: the scene of the candidates, in which objects may be held; None for `model`.
+        rest: settled poses of the candidates, from which settling in C MuJoCo starts. If None, it
+            starts from the placed poses.
+        searched: the scene that was searched, in which some objects may be fixed. If None, it is
+            `model`.
     """
     placed = (searched or model).apply(layouts, k, rest)
     placed = placed.model_copy(
@@ -112,7 +122,7 @@ def _checked(
 
 
 def _released(finished: Finished, o: RefineOptions) -> SceneSpec:
-    """Return a scene whose failing objects are where a free fall takes them."""
+    """Move the failing objects of a final scene to where a free fall takes them."""
     free = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
     end = settle_scene(finished.scene, free)
     poses = world_poses(end)
@@ -140,13 +150,13 @@ def moved_away(
     end: SceneSpec,
     log_scale: Float[np.ndarray, " object"],
 ) -> tuple[str, ...]:
-    """Return the objects that settled farther than the bounds of `settled_by`.
+    """Return the names of the objects that settled farther than the bounds of `settled_by`.
 
     Args:
         model: the compiled scene.
         start: the placed scene.
         end: the settled scene.
-        log_scale: log scales of the layout [object].
+        log_scale: log scales of the objects in the layout; shape [object].
     """
     size = np.exp(log_scale)[None]
     far = settled_by(model, resting_poses(start, size), resting_poses(end, size), np)[0] > 1.0
@@ -154,8 +164,9 @@ def moved_away(
 
 
 def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, " object"]:
-    """Return a mask of the objects that a search frees: those that do not rest where they should,
-    and what they support.
+    """Return a mask of the objects that are free to move in a search.
+
+    An object is free if it does not rest, or if it is supported by a free object.
     """
     free: set[str] = set()
     for item, at_rest in zip(scene.objects, rests, strict=True):  # parents come first
@@ -165,10 +176,10 @@ def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarr
 
 
 def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
-    """Return a composed scene in which objects that are not `freed` are fixed at their resting
-    poses.
+    """Return a composed scene in which all objects that are not `freed` are fixed.
 
-    The freed objects stay at their composed poses. The fewer objects move, the faster is a search.
+    Fixed objects have the poses at which they settled; freed objects keep their composed poses. The
+    fewer objects move, the faster is a search.
     """
     free = freed(composed, initial.rests(o))
     objects = [
@@ -179,7 +190,7 @@ def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
 
 
 def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Poses:
-    """Return the poses of a scene's objects, as those of a single candidate."""
+    """Return the poses of a scene's objects as a single candidate."""
     poses = list(world_poses(scene).values())
     pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
     return Poses(pos, quat, scale, pos[..., 2])

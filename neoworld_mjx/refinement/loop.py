@@ -1,10 +1,12 @@
 """The loop of Algorithm 1, over one run or many.
 
 The host measures time, reports progress, settles and rolls out candidates, and requests scores from
-a model; the rest are the pure functions of `algorithm` and `objective`. A sweep is this loop over
-many runs, a refinement over one. On accelerators the functions are mapped over runs by `vmap`, in
-tiles. On a CPU a tile is one run: `vmap` would not be faster, and every number is bit-identical to
-that of a separate refinement.
+a model. The pure functions of `algorithm` and `objective` do everything else. A refinement is this
+loop over one run; a sweep is this loop over many runs.
+
+On accelerators the functions are mapped over runs by `vmap`, in tiles. On a CPU a tile is a single
+run, because `vmap` would not be faster. All results on a CPU are bit-identical to those of separate
+refinements.
 """
 
 import dataclasses
@@ -44,7 +46,7 @@ from .search_run import FirstValid, SearchResult, SearchRun
 PADDED = ("cem", "random")
 """Optimizers that accept a padded scene."""
 CLOCKS = ("propose", "settle", "rollout", "score", "wait")
-"""Parts of a search whose time is measured."""
+"""Steps of a search whose time is measured."""
 
 
 def search(
@@ -59,23 +61,25 @@ def search(
     clock: dict[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> list[SearchResult]:
-    """Run Algorithm 1 for all runs at once, without the exact check of the winners.
+    """Run Algorithm 1 for all runs at once, without the final check of the winners.
 
-    The initial layout is settled and checked first. If it passes, it is the result.
+    The initial layout of each run is settled and checked first. If it passes, the run ends with it,
+    unless there are user-defined terms, another optimizer or a scorer.
 
     Args:
         scene: the compiled scene.
-        runs: runs whose options differ only in traced values and in options of the host.
+        runs: the runs. Their options may differ only in traced values and in values that the host
+            uses.
         engine: physics engine of the rollouts.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
-        scorer: semantic scores by a model; for a single run.
-        keep: True to keep all candidates, False to keep only possible finalists.
-        clock: seconds spent, by step; updated in place.
+        scorer: source of S_sem by a model; only for a single run.
+        keep: if True, keep all candidates; if False, keep only the possible finalists.
+        clock: seconds spent on each step; updated in place.
         progress: called with one line per run and iteration.
 
     Raises:
-        ConfigError: options exclude each other, or a reward term is invalid or not finite.
+        ConfigError: two options contradict each other, or a reward term is invalid or not finite.
     """
     clock = {} if clock is None else clock
     clock |= dict.fromkeys(CLOCKS, 0.0) | clock
@@ -131,7 +135,10 @@ def search(
 def _initial_scenes(
     scene: SceneModel, runs: Sequence[SearchRun], progress: Callable[[str], None] | None
 ) -> list[Finished]:
-    """Return the initial layout of every run at rest; runs with equal layouts share it."""
+    """Return the final scene of every run's initial layout.
+
+    Runs whose initial layouts and options of the check are equal share one final scene.
+    """
     known: dict[Any, Finished] = {}
     initials = []
     for run in runs:
@@ -150,7 +157,7 @@ def _initial_scenes(
 def _searched(
     scene: SceneModel, runs: Sequence[SearchRun], initials: Sequence[Finished]
 ) -> SceneModel:
-    """Return the scene to search: with what rests held, if the runs agree on it."""
+    """Return the scene to search, in which resting objects are fixed if this suits all runs."""
     first = initials[0]
     shared = all(run.start is None and run.options.cem.hold_resting for run in runs)
     shared &= all(initial is first for initial in initials)
@@ -170,10 +177,10 @@ def _opened(
     *,
     plain: bool,
 ) -> list[SearchResult]:
-    """Initialize every run, with its initial layout as the first iteration.
+    """Initialize every run. With settling, the initial layout is its first iteration.
 
-    With user-defined terms, another optimizer or scores by a model (not `plain`), every object
-    moves, and a scene that passes is searched, too.
+    If `plain` is False (user-defined terms, another optimizer or scores by a model), every object
+    moves, and a scene that passes the final check is searched, too.
     """
     scene, arrays, padded = evaluation.scene, evaluation.arrays, evaluation.padded
     results = []
@@ -199,7 +206,7 @@ def _opened(
 
 
 def _note_valid(r: SearchResult, began: float) -> None:
-    """Record the iteration as the first with a valid candidate, unless an earlier one had one."""
+    """Record the current iteration as the first one with a valid candidate, if it is the first."""
     if r.first_valid is None:
         r.first_valid = FirstValid(_drawn(r), r.rollouts)
         r.first_valid_s = time.perf_counter() - began
@@ -208,7 +215,10 @@ def _note_valid(r: SearchResult, began: float) -> None:
 def _factors(
     count: int, initial: Finished, holds: bool, o: RefineOptions
 ) -> Float[np.ndarray, " object"]:
-    """Return the initial factor of each object's deviations: 0 for those that rest, if held."""
+    """Return the initial factor of each object's standard deviations.
+
+    The factor is 0 for objects that rest in the initial layout if `holds` is True, and else 1.
+    """
     factors = np.ones(count, np.float32)
     if holds:
         rests = initial.rests(o)
@@ -235,7 +245,7 @@ def _propose(evaluation: Evaluation, live: Sequence[SearchResult]) -> list[Layou
 def _submit(
     evaluation: Evaluation, r: SearchResult, layouts: Layout, placed: Any, scorer: SemanticScorer
 ) -> np.ndarray:
-    """Submit the candidates that are best before physics; return their geometric scores."""
+    """Submit the candidates that score best before physics; return the geometric S_sem of all."""
     before = evaluation.before_physics(r, layouts, placed)
     poses = evaluation.unpadded(placed.poses)
     order = scorer.best(np.asarray(before.reward))
@@ -250,7 +260,7 @@ def _collect(
     geometric: np.ndarray,
     scorer: SemanticScorer,
 ) -> np.ndarray:
-    """Return the scores of a model for an iteration's candidates."""
+    """Wait for scores by a model, and return S_sem of all candidates of an iteration."""
     began = time.perf_counter()
     scorer.collect(len(r.rounds))
     evaluation.clock["wait"] += time.perf_counter() - began
@@ -260,7 +270,7 @@ def _collect(
 
 
 def _finalists(round_: Round, o: RefineOptions) -> Round:
-    """Keep the candidates of an iteration that may be among the best `finalists` of all."""
+    """Keep the candidates of an iteration that may be among the `finalists` of the whole run."""
     host: Round = jax.tree.map(np.asarray, round_)
     scores = host.scores
     order = best_first(*map(np.asarray, (scores.valid, scores.merit, scores.absolute)))
@@ -281,7 +291,7 @@ def _summary(scores: Scores) -> dict[str, Any]:
 
 
 def _drawn(r: SearchResult) -> int:
-    """Return the number of iterations without the initial layout."""
+    """Return the number of iterations so far, not counting the initial layout."""
     return len(r.rounds) - r.run.options.settle.enabled
 
 
@@ -296,7 +306,7 @@ def _line(r: SearchResult, scores: Scores) -> str:
 def _update_progress(
     results: Sequence[SearchResult], runs: Sequence[SearchRun], began: float
 ) -> None:
-    """Report the iteration, the rate of candidates and the longest remaining time."""
+    """Report the number of iterations, the candidates per second and the longest remaining time."""
     seconds = time.perf_counter() - began
     done = sum(map(_drawn, results))
     total = sum(run.options.cem.iterations for run in runs)

@@ -1,4 +1,4 @@
-"""Quantities for reward terms of one's own: clearances of objects and their speeds."""
+"""Quantities for user-defined reward terms: distances between objects, and speeds of objects."""
 
 from typing import Any
 
@@ -17,14 +17,15 @@ def gaps(
 ) -> Float[Array, "pop object object"]:
     """Return the signed distance [m] of each pair of objects, negative where they penetrate.
 
-    Surface samples are compared with convex pieces. Beside the edge of a polytope the distance is
-    at most the true one. It is inf between environment supports and on the diagonal. Traceable and
-    differentiable.
+    The distance is measured from surface samples of one object to the convex pieces of the other.
+    Outside an edge of a convex polytope, it is at most the true distance. It is inf between
+    environment supports and on the diagonal. This function can be jitted and differentiated.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        rollout: their rollout, at whose start they are measured; None measures them as placed.
+        rollout: rollout of the candidates. Distances are measured at its start, or at the placed
+            poses if it is None.
     """
     return pair_gaps(scene, scene.place(layouts) if rollout is None else rollout.start)
 
@@ -32,11 +33,12 @@ def gaps(
 def speeds(
     rollout: Rollout,
 ) -> tuple[Float[Array, "pop time object"], Float[Array, "pop time object"]]:
-    """Return the mean speed [m/s] and rate of rotation [rad/s] of each object between two records.
+    """Return each object's mean speed [m/s] and angular speed [rad/s] between successive records.
 
-    The first interval begins at the start of the rollout. Engines record poses alone, every
-    `refine.rollout.record_every_s`, and a rollout that stopped early repeats its last pose: for
-    peaks, record often and set `refine.rollout.early_stop: false`. Traceable.
+    The first interval begins at the start of the rollout. Engines record only poses, every
+    `refine.rollout.record_every_s`, and a rollout that stopped early repeats its last pose. To
+    measure peak speeds, record often and set `refine.rollout.early_stop: false`. This function can
+    be jitted.
     """
     start: Any = rollout.start
     pos = jnp.concatenate([start.pos[:, None], rollout.pos], axis=1)

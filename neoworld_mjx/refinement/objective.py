@@ -1,4 +1,4 @@
-"""Objective of Step 5: the reward as a sum of terms, and the validity of a candidate."""
+"""Objective of Step 5: the reward of a candidate, which is a sum of terms, and its validity."""
 
 import dataclasses
 import importlib
@@ -37,11 +37,17 @@ from .rewards import (
 )
 
 EXTRA_CANDIDATES = 5
-"""Number of trial candidates beyond the object count, so that the two axes differ in length."""
+"""Number of trial candidates in excess of the number of objects.
+
+The population axis then differs in length from the object axis, so a term that confuses them fails.
+"""
 
 
 def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
-    """Return the initial deviations of xy (over diagonals), yaw [rad] and log scale."""
+    """Return the initial standard deviations of x and y, yaw and log scale.
+
+    The value for x and y is a fraction of the object's diagonal; the value for yaw is in rad.
+    """
     c = options.cem
     return np.array([c.sigma_xy, np.radians(c.sigma_yaw_deg), c.sigma_log_scale], np.float32)
 
@@ -67,11 +73,15 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
     ),
     "s_photo": lambda o: Term("s_photo", photo_agreement, 1.0, padded=True),
 }
-"""Built-in terms. Those of ALWAYS have their own options; others are used if `refine.reward.terms`
-names them, with the weight given there."""
+"""Factories of the built-in terms, by name.
+
+The weights of the terms in ALWAYS have options of their own. Any other term is used only if
+`refine.reward.terms` names it, with the weight given there.
+"""
 ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
+"""Names of the terms that every objective has."""
 PHYSICAL = ("d_pen", "d_drift")
-"""Terms that the validity bounds limit for a valid candidate."""
+"""Terms whose values the bounds of a valid candidate limit."""
 RESERVED = (
     "reward",
     "absolute",
@@ -84,11 +94,11 @@ RESERVED = (
     "s_sem_from",
 )
 RESERVED += ("object_names", "term_names", "term_weights")
-"""Keys of the history, which are not available as names of terms."""
+"""Keys of the history, which terms cannot have as names."""
 
 
 class Objective(eqx.Module):
-    """Reward terms and validity bounds; numbers are traced, so a sweep over them is one `vmap`."""
+    """Reward terms and validity bounds. Their values are traced, so they can be swept by `vmap`."""
 
     terms: tuple[Term, ...]
     max_depth: Float[Array, ""]
@@ -96,9 +106,9 @@ class Objective(eqx.Module):
     distance: Float[Array, ""]
     """Stability bound of an object's translation [m]."""
     angle: Float[Array, ""]
-    """Stability bound of its rotation [rad]."""
+    """Stability bound of an object's rotation [rad]."""
     by_fidelity: Bool[Array, ""]
-    """True if the merit is the fidelity, False if it is the absolute reward; see `Scores.merit`."""
+    """If True, the merit is the fidelity, else the absolute reward; see `Scores.merit`."""
     normalisation: str = eqx.field(static=True)
     """`fixed` or `iteration`; see `contribution`."""
 
@@ -117,11 +127,11 @@ def open_objective(
 
     Args:
         options: weights, scales, caps and bounds, and the names of further terms.
-        origin: center of the prior; None is the composed scene.
+        origin: center of the prior. If None, it is the composed scene.
         terms: terms in addition to those that the options name.
 
     Raises:
-        ConfigError: a term cannot be found, or two have the same name.
+        ConfigError: a term cannot be found, or the name of a term is already taken.
     """
 
     def scalar(x: float) -> Array:
@@ -131,7 +141,7 @@ def open_objective(
     names = [term.name for term in all_terms]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
-            raise ConfigError(f"reward term {name}: the name is taken; give the term another one")
+            raise ConfigError(f"reward term {name}: the name is taken; give the term another name")
     if origin is not None:
         for k, term in enumerate(all_terms):
             if isinstance(term.fn, Prior):
@@ -149,16 +159,16 @@ def open_objective(
 def has_builtin_terms_only(objective: Objective) -> bool:
     """Return whether the objective has only the terms of ALWAYS.
 
-    A user-defined term may reward moving an object that already rests where it should.
+    Any other term may reward moving an object that already rests.
     """
     return all(term.name in ALWAYS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
-    """Return the terms of `refine.reward.terms`: built-in ones by name, others by import path.
+    """Return the terms of `refine.reward.terms`, given by name or by import path.
 
-    A term with an import path "package.module:function" is named after its function, or by the
-    whole path if that name is taken.
+    A term with the import path "package.module:function" gets the name of its function. If that
+    name is taken, the name of the term is the whole path.
 
     Raises:
         ConfigError: a name is unknown, or a path is malformed or does not name a function.
@@ -168,7 +178,7 @@ def named_terms(options: RefineOptions) -> list[Term]:
     for path, weight in options.reward.terms.items():
         if path in ALWAYS:
             raise ConfigError(
-                f"refine.reward.terms: {path} is always included; set its weight by its own option"
+                f"refine.reward.terms: {path} is always included; its weight has a separate option"
             )
         if path in TERMS:
             terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
@@ -186,9 +196,9 @@ def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any
     """Import the function that an option names as "package.module:function".
 
     Args:
-        option: path of the option, for messages.
+        option: path of the option, which error messages name.
         path: value of the option.
-        table: built-in names, for messages.
+        table: built-in objects by name, which error messages suggest.
 
     Raises:
         ConfigError: the path is malformed, or does not name a callable.
@@ -208,10 +218,10 @@ def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any
 
 
 def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -> None:
-    """Call every user-defined term once before anything is simulated.
+    """Call every user-defined term once, before anything is simulated.
 
     Raises:
-        ConfigError: see `rewards.try_term`.
+        ConfigError: a term is invalid; see `rewards.try_term`.
     """
     user_terms = [term for term in objective.terms if term.name not in TERMS]
     if not user_terms:
@@ -234,11 +244,12 @@ def refuse_not_finite(
     Args:
         objective: the objective.
         scores: scores of an iteration's candidates.
-        status: status of their rollouts.
-        iteration: which iteration, for the message.
+        status: status of the candidates' rollouts.
+        iteration: name of the iteration in the error message.
 
     Raises:
-        ConfigError: a term is not finite; the message names the term, its file and line.
+        ConfigError: a term is not finite. The message names the term and the file and line of its
+            function.
     """
     went = ~np.isin(status, (RolloutStatus.FAILED, RolloutStatus.TRUNCATED))
     for term in objective.terms:
@@ -253,7 +264,7 @@ def refuse_not_finite(
 
 
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
-    """Return a rollout without motion or penetration, with all objects visible as parsed."""
+    """Return a rollout without motion or penetration, in which every object looks as parsed."""
     still = unmoved(scene, scene.place(layouts))
     motion = (still.pos, still.quat, still.joint_shift)
     still = eqx.tree_at(
@@ -272,27 +283,32 @@ class Scores(eqx.Module):
     terms: Mapping[str, Float[AnyArray, " pop"]]
     """Value of every term, by name."""
     valid: Bool[AnyArray, " pop"]
-    """True if no pair is deeper than max_depth and no object exceeds the stability bounds."""
+    """True if all objects rest; see `rested`."""
     status: Int[AnyArray, " pop"]
-    """RolloutStatus; FAILED also if a term is not finite."""
+    """RolloutStatus of each candidate. It is FAILED also if a term is not finite."""
     reward: Float[AnyArray, " pop"]
-    """Reward by which Algorithm 1 ranks; -inf for failed candidates."""
+    """Reward by which Algorithm 1 ranks candidates; -inf for failed candidates."""
     absolute: Float[AnyArray, " pop"]
-    """Reward with fixed scales, comparable between iterations; -inf as in `reward`."""
+    """Reward with fixed scales, comparable between iterations; -inf for failed candidates."""
     merit: Float[AnyArray, " pop"]
-    """Value that ranks valid candidates; -inf as in `reward`.
+    """Value that ranks valid candidates; -inf for failed candidates.
 
-    By `refine.merit` the absolute reward, or the fidelity: the absolute reward without D_pen and
-    D_drift, which the validity bounds limit, less a cost for displacement by settling.
+    The option `refine.merit` selects the absolute reward or the fidelity. The fidelity is the
+    absolute reward without D_pen and D_drift, whose values the validity bounds limit, minus a cost
+    of the displacement by settling.
     """
     drift: Float[AnyArray, "pop object"]
-    """Largest drift of each object in units of the stability bounds."""
+    """Largest drift of each object, in units of the stability bounds.
+
+    The drift of an object is at least its displacement by settling, in units of the bounds of
+    `settled_by`.
+    """
     depth: Float[AnyArray, "pop object"]
-    """Deepest pair of each object [m]."""
+    """Largest penetration depth of each object [m]."""
     rested: Bool[AnyArray, "pop object"]
-    """True for objects that are within the bounds of `valid`."""
+    """True for objects that rest: penetration and drift are below the validity bounds."""
     credit: Float[AnyArray, "pop object"] | None
-    """Per-object reward with fixed normalisation; None if a term has no per-object values."""
+    """Reward of each object, with `fixed` normalization; None if a term has no values by object."""
 
 
 @eqx.filter_jit
@@ -304,15 +320,15 @@ def evaluate(
     objective: Objective,
     s_sem: Float[AnyArray, " pop"] | None = None,
 ) -> Scores:
-    """Evaluate every term of every candidate, and sum them to the reward.
+    """Evaluate every term for every candidate, and sum the terms to the reward.
 
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        candidates: their poses, at rest if they were settled, with their measures.
-        rollout: free fall from these poses.
+        candidates: poses of the candidates, settled if settling is enabled, with their measures.
+        rollout: rollout of the candidates from these poses.
         objective: terms and bounds.
-        s_sem: scores by a model, which replace the geometric ones.
+        s_sem: S_sem by a model, which replaces the geometric S_sem.
     """
     measured = measured_rollout(rollout, candidates.depth, candidates.visible, candidates.settled)
     values = {
@@ -336,7 +352,7 @@ def evaluate(
         for term in objective.terms
         if term.name not in PHYSICAL
     )
-    # Settling away from the layout lowers the agreement with the photograph.
+    # An object that settles away from its layout agrees less with the photograph.
     settled = jnp.sum(candidates.settled, axis=1)
     fidelity += sum(
         absolute_contribution(term, settled) for term in objective.terms if term.name == "d_drift"
@@ -371,16 +387,19 @@ def evaluate(
 
 
 def contribution(term: Term, value: AnyArray, alive: Array, normalisation: str) -> Array:
-    """Return the contribution of a term to the reward: its weight times its normalised value.
+    """Return the contribution of a term to the reward: its weight times its normalized value.
 
-    `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's
-    candidates to [0, 1], after clipping at the cap, as in the paper; a term with the same value for
-    all candidates contributes zero. A term without a cap is not normalised.
+    - `fixed` normalizes a value to min(value / cap, 1).
+    - `iteration` clips the values at the cap, and then maps their range over the candidates of this
+      iteration to [0, 1], as in the paper. A term that has the same value for all candidates
+      contributes zero.
+
+    A term without a cap is not normalized.
 
     Args:
         term: the term.
-        value: values of the candidates [pop], or per object [pop, object].
-        alive: candidates that did not fail; only these determine the range.
+        value: values of the term; shape [pop], or [pop, object] for values of each object.
+        alive: mask of the candidates that did not fail. Only these determine the range.
         normalisation: `fixed` or `iteration`.
     """
     if term.cap is None:
@@ -397,7 +416,7 @@ def contribution(term: Term, value: AnyArray, alive: Array, normalisation: str) 
 def absolute_contribution(term: Term, value: Float[AnyArray, " pop"]) -> Float[AnyArray, " pop"]:
     """Return the contribution of a term to the absolute reward, comparable between iterations.
 
-    value / (value + scale) never saturates; it is 1/2 at the scale. A term without a scale is not
-    normalised.
+    The value is normalized to value / (value + scale), which is 1/2 at the scale and never
+    saturates. A term without a scale is not normalized.
     """
     return term.weight * (value if term.scale is None else value / (value + term.scale))

@@ -1,4 +1,4 @@
-"""Optimizer protocol of Algorithm 1's loop, and the table of the built-in optimizers."""
+"""Protocol of the optimizers that Algorithm 1 can use, and the built-in optimizers."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -21,16 +21,16 @@ from .strategies import EVOSAX, Strategy, open_strategy, strategy_class
 class Optimizer(Protocol):
     """Search distribution over layouts that is fitted to rewards.
 
-    Methods are pure and traceable by JAX. An `equinox.Module` whose parameters are arrays can be
-    mapped over the runs of a sweep.
+    All methods must be pure functions that JAX can trace. If an optimizer is an `equinox.Module`
+    whose parameters are arrays, a sweep can batch it over runs.
     """
 
     def init(self, mean: Layout) -> Any:
-        """Return the initial state for a mean layout, pop axis of length 1."""
+        """Return the initial state for a mean layout, whose population axis has length 1."""
         ...
 
     def ask(self, key: Key[Array, ""], state: Any, population: int) -> Layout:
-        """Draw a population; `key` is consumed."""
+        """Sample a population; `key` must not be used again."""
         ...
 
     def tell(
@@ -47,25 +47,26 @@ class Optimizer(Protocol):
         Args:
             state: previous state.
             layouts: the evaluated candidates.
-            reward: ranks the candidates of this population; -inf for failed ones.
+            reward: reward that ranks the candidates of this population; -inf for failed candidates.
             absolute: reward that is comparable between populations.
-            credit: reward of each object, -inf where it does not rest; None ranks by `reward`.
+            credit: reward of each object in each candidate, -inf if the object does not rest. If
+                None, use `reward` for all objects.
         """
         ...
 
 
 class RandomSearch(eqx.Module):
-    """Optimizer that draws every population from the initial Gaussian."""
+    """Optimizer that samples every population from the initial Gaussian."""
 
     sigma: Layout
-    """Standard deviations, pop axis of length 1."""
+    """Standard deviations, with a population axis of length 1."""
 
     def init(self, mean: Layout) -> Layout:
-        """Return the mean layout, which is the state."""
+        """Return the mean layout, which is also the state."""
         return mean
 
     def ask(self, key: Key[Array, ""], state: Layout, population: int) -> Layout:
-        """Draw a population; `key` is consumed."""
+        """Sample a population; `key` must not be used again."""
         return draw(key, state, self.sigma, population)
 
     def tell(self, state: Layout, layouts: Layout, reward: AnyArray, **_: Any) -> Layout:
@@ -82,7 +83,10 @@ OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]]
     "cma_es": partial(open_strategy, "CMA_ES", parameters={}),
     "random": _open_random,
 }
-"""Factories of the optimizers that `refine.optimizer` names, from the scene and `refine.cem`."""
+"""Factories of the built-in optimizers, by their names in `refine.optimizer`.
+
+The arguments of a factory are the scene and the options `refine.cem`.
+"""
 
 
 def open_optimizer(
@@ -94,14 +98,15 @@ def open_optimizer(
     """Build an optimizer.
 
     Args:
-        name: of OPTIMIZERS, evosax:STRATEGY, or a factory's path "package.module:function".
+        name: a key of OPTIMIZERS, evosax:STRATEGY, or the import path "package.module:function" of
+            a factory.
         scene: the scene's arrays.
-        options: options of the Gaussian.
-        parameters: parameters of a strategy of evosax, by name.
+        options: population size, initial standard deviations and other options of CEM.
+        parameters: parameters of an evosax strategy, by name.
 
     Raises:
         ConfigError: the optimizer or a parameter does not exist.
-        EngineError: its package is not installed.
+        EngineError: evosax is needed, but not installed.
     """
     if name == "cma_es" or name.startswith(f"{EVOSAX}:"):
         strategy = "CMA_ES" if name == "cma_es" else name.partition(":")[2]
@@ -115,7 +120,7 @@ def open_optimizer(
 
 
 def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]:
-    """Return the factory of an optimizer; names and errors are those of `open_optimizer`."""
+    """Return the factory of an optimizer; names and errors are as in `open_optimizer`."""
     kind, _, strategy = (
         f"{EVOSAX}:CMA_ES".partition(":") if name == "cma_es" else name.partition(":")
     )

@@ -1,4 +1,4 @@
-"""Outcome of a refinement: the winner with its exact check, and all candidates."""
+"""Outcome of a refinement: the winner with its final check, and all candidates."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,43 +22,49 @@ class Refined:
     """Winner, final checks and history of a refinement."""
 
     scene: SceneSpec
-    """The winner at rest."""
+    """Final scene of the winner."""
     measure: SceneMeasure
-    """Final check of the winner."""
+    """Measures of the winner's final check."""
     before: SceneMeasure
-    """The same check of the composed scene at rest."""
+    """Measures of the final check of the initial layout, which is the composed scene by default."""
     layout: Layout
-    """The winner's layout, pop axis of length 1."""
+    """Layout of the winner, with a population axis of length 1."""
     history: dict[str, np.ndarray]
-    """All candidates, leading axes [iteration, pop]: `reward`, `absolute`, `merit`, `status`,
-    `valid`, each term under its name, `xy`, `yaw`, `log_scale`; in addition `object_names`,
-    `term_names` and `term_weights`."""
+    """Arrays of all candidates, with leading axes [iteration, pop].
+
+    The keys are `reward`, `absolute`, `merit`, `status`, `valid`, the name of each term, `xy`,
+    `yaw` and `log_scale`, and `s_sem_from` (see `scorer.Mark`) if a model scored candidates. The
+    keys `object_names`, `term_names` and `term_weights` hold arrays without these axes.
+    """
     engine: str
     iterations: int
     winner: tuple[int, int]
-    """(iteration, candidate)."""
+    """(iteration, candidate); see `Winner.index`."""
     finalists_tried: int
+    """Number of candidates whose final scene was checked."""
     mean_log_scale: float
-    """Mean over the winner's optimised objects."""
+    """Mean log scale of the winner's optimized objects."""
     mean_shift_m: float
-    """Mean distance of optimised objects from the composed layout, in their parents' frames."""
+    """Mean distance of optimized objects from the composed layout, in the parents' frames [m]."""
     mean_turn_deg: float
-    """Mean angle of yaw between the winner and the composed layout."""
+    """Mean absolute yaw of optimized objects relative to the composed layout [deg]."""
     passed: bool
     """True if the winner passes the final check."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """Seconds spent on each step."""
     fallbacks: tuple[str, ...] = ()
+    """Descriptions of the fallbacks of this and of earlier steps."""
     kept: tuple[str, ...] = ()
-    """Objects that rested where they should in the initial layout."""
+    """Names of the optimized objects that rested in the initial layout."""
     scoring: dict[str, Any] = field(default_factory=dict)
-    """Calls, failures and cost of the semantic scorer; empty without one."""
+    """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
     delivered: dict[str, float] = field(default_factory=dict)
-    """`absolute`, `merit` and each term of `scene`; those of its candidate are in the history."""
+    """`absolute`, `merit` and the terms of `scene`; `history` contains those of the candidate."""
     first_valid: FirstValid | None = None
-    """When the search found its first valid candidate; None if it found none."""
+    """When the search found its first valid candidate; None if no candidate was valid."""
 
     def __repr__(self) -> str:
-        """Summarise the search and the final check in a few lines."""
+        """Summarize the search and the final check in a few lines."""
         m, t = self.measure, self.seconds.get("search", float("nan"))
         tilt = f"{m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg"
         return (
@@ -81,13 +87,17 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     """Summarize an iteration.
 
     Args:
-        values: `absolute`, `merit`, `valid`, `status` and reward terms of the candidates, each
-            [pop].
+        values: `absolute`, `merit`, `valid`, `status` and the reward terms of the candidates; each
+            has shape [pop].
         terms: names of the reward terms.
 
     Returns:
-        "best" and "mean" of the finite absolute rewards, "rollouts", the share "valid" of them,
-        the largest "merit" of a valid one, and the terms of the best one; None if there is none.
+        - "best" and "mean": largest and mean finite absolute reward; None if none is finite.
+        - "rollouts": number of candidates.
+        - "valid": fraction of the candidates that are valid.
+        - "merit": largest merit of a valid candidate; None if no candidate is valid.
+        - Under its name, each term of the candidate with the best absolute reward; None if no
+          reward is finite.
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
@@ -120,12 +130,12 @@ def outcome(
     Args:
         model: the compiled scene.
         result: the search.
-        rounds: its iterations, with scores that arrived late.
+        rounds: iterations of the search, including the scores that arrived late.
         winner: the winner.
         engine: name of the physics engine.
-        clock: seconds spent, by step.
-        delivered: values of the final scene; see `delivery.delivered`.
-        semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
+        clock: seconds spent on each step.
+        delivered: scores of the final scene; see `delivery.delivered`.
+        semantic: source of each candidate's S_sem (see `scorer.Mark`); shape [iteration, pop].
         scoring: summary of the semantic scorer.
         fallbacks: descriptions of the fallbacks of earlier steps.
     """

@@ -1,8 +1,8 @@
 """Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-`d_pen`, `d_drift` and `s_sem` are compiled on their first call for a shape, and may be called
-inside your own `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` puts such a function, built in or a
-user's own, into the reward.
+`d_pen`, `d_drift`, `s_sem` and `s_photo` are compiled at the first call with given array shapes.
+You can call them inside `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` adds such a function,
+built-in or user-defined, to the reward.
 """
 
 import inspect
@@ -35,23 +35,23 @@ __all__ += ["s_photo", "s_sem", "speeds"]
 
 
 class TermValue(eqx.Module):
-    """Value of a term for every candidate: as stored, as it enters the reward, and by object."""
+    """Value of a term for every candidate."""
 
     value: Float[AnyArray, " pop"]
-    """Value stored in the history."""
+    """Value that is stored in the history."""
     charged: Float[AnyArray, " pop"]
-    """Value that enters the reward: without the part that is free."""
+    """Value that enters the reward. D_drift, for example, is reduced by its dead zone."""
     by_object: Float[AnyArray, "pop object"] | None = None
-    """Charged value of each object, for credit assignment; None if there is none."""
+    """Charged value of each object, for credit assignment; None if the term has no such values."""
 
 
 TermFunction = Callable[[Any, Layout, Rollout], Any]
-"""Function of (scene, layouts, rollout) that returns Float[Array, " pop"] or a TermValue; traceable
-by JAX. The scene is a SceneModel, or the SceneArrays of a padded scene if `Term.padded` is True."""
+"""Function of (scene, layouts, rollout) that JAX can trace; returns values [pop] or a TermValue.
+The scene is a SceneModel, or the SceneArrays of a padded scene if `Term.padded` is True."""
 
 
 def _number(x: Any) -> Array:
-    # Conversion by NumPy does not compile a program.
+    # Conversion by NumPy compiles nothing.
     return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x, np.float32))
 
 
@@ -60,40 +60,40 @@ def _number_or_none(x: Any) -> Array | None:
 
 
 class Term(eqx.Module):
-    """One term of the reward: R(z) = sum of weight * normalised value over the terms.
+    """One term of the reward R(z), which is the sum of weight * normalized value over all terms.
 
-    Weight, scale and cap are traced, so a sweep over them is one `vmap`; the function, and the
-    presence of a scale and a cap, are static.
+    Weight, scale and cap are traced, so they can be swept by `vmap`. The function is static, and so
+    is the presence of a scale and a cap.
     """
 
     name: str = eqx.field(static=True)
-    """Key of its values in history.npz and in the rows of a sweep."""
+    """Name of the term in history.npz and in the rows of a sweep."""
     fn: Any
     """A TermFunction; `try_term` reports anything else."""
     weight: Float[Array, ""] = eqx.field(converter=_number)
     """Positive for a reward, negative for a cost."""
     scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
-    """The absolute reward counts value / (value + scale); None counts the value as it is."""
+    """Scale of value / (value + scale) in the absolute reward. If None, it uses the plain value."""
     cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
-    """The value is clipped at the cap and normalised; None counts it as it is."""
+    """Cap at which the value is clipped before it is normalized. If None, it is not normalized."""
     padded: bool = eqx.field(static=True, default=False)
-    """True if the functions accept a padded scene, and so are compiled once for many scenes.
+    """True if the function accepts a padded scene.
 
-    They are then called with a `SceneArrays` whose object axis is padded; `optimised`, `movable`,
-    `photo.judged` and `pair_mask` are False for padding. Otherwise scoring and drawing are
-    compiled for each scene; measuring is not.
+    If all terms accept padded scenes, scoring and sampling are compiled once for many scenes, else
+    once for each scene. In the first case the function is called with a `SceneArrays` whose object
+    axis is padded; `optimised`, `movable`, `photo.judged` and `pair_mask` are False for padding.
     """
 
 
 class MeasuredRollout(Rollout):
-    """Rollout with measurements of the placed candidates, which terms share."""
+    """Rollout with measures of the candidates, which several terms use."""
 
     depth: Float[AnyArray, "pop object object"]
-    """Result of `pair_depths` at the placed poses [m]."""
+    """Result of `pair_depths` at the initial poses of the rollout [m]."""
     visible: Visible
-    """Visible regions of the placed candidates in the camera image."""
+    """Visible parts of the objects in the camera image, at the initial poses of the rollout."""
     settled: Float[AnyArray, "pop object"]
-    """Displacement by settling, as in `Placed`."""
+    """Displacement by settling; see `Placed.settled`."""
 
 
 def measured_rollout(
@@ -102,41 +102,41 @@ def measured_rollout(
     visible: Visible,
     settled: Float[AnyArray, "pop object"],
 ) -> MeasuredRollout:
-    """Combine a rollout with measurements of the placed candidates; see `Placed`."""
+    """Combine a rollout with measures of its candidates; see `Placed`."""
     fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
     return MeasuredRollout(**fields, depth=depth, visible=visible, settled=settled)
 
 
 def deeper(depth: Float[AnyArray, "pop object object"]) -> Float[Array, "pop object object"]:
-    """Return the maximum of the two directions of each pair."""
+    """Return the larger one of the two penetration depths of each pair of objects."""
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
 
 def _depth(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Array:
-    """Return the pair depths of the placed candidates, from the rollout if it has them."""
+    """Return the pair depths of the candidates, from the rollout if it contains them."""
     if isinstance(rollout, MeasuredRollout):
         return jnp.asarray(rollout.depth)
     return pair_depths(scene, scene.place(layouts))
 
 
 def _visible(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Visible:
-    """Return the visible parts of the placed candidates, from the rollout if it has them."""
+    """Return the visible parts of the candidates, from the rollout if it contains them."""
     if isinstance(rollout, MeasuredRollout):
         return rollout.visible
     return visibility(scene, scene.place(layouts))
 
 
 def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """Compute D_pen [m], and per object the sum over its pairs; see `d_pen`."""
+    """Compute D_pen [m], and for each object the sum over its pairs; see `d_pen`."""
     pair = deeper(_depth(scene, layouts, rollout))
     total = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
     return TermValue(total, total, jnp.sum(pair, axis=2))
 
 
 def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
-    """Compute the geometric S_sem, and per object by the criteria that involve it.
+    """Compute the geometric S_sem, and the score of each object; the gradient is zero.
 
-    Visibility has no gradient, and a part of the gradient would mislead: all of it is zero.
+    Visibility has no gradient, and the gradient of the other parts alone would be misleading.
     """
     layouts, rollout = lax.stop_gradient((layouts, rollout))
     visible = _visible(scene, layouts, rollout)
@@ -147,7 +147,7 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
 def photo_agreement(
     scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
 ) -> TermValue:
-    """Compute S_photo, and per object its share; see `s_photo`."""
+    """Compute S_photo, and the contribution of each object; see `s_photo`."""
     visible = _visible(scene, layouts, rollout)
     informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
     each = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
@@ -163,7 +163,7 @@ class Drift(eqx.Module):
     angle: Float[Array, ""] = eqx.field(converter=_number)
     """Stability bound of rotation [rad]."""
     free: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
-    """Dead zone: drift of an object that is free, in units of the bounds."""
+    """Dead zone: drift of an object that costs nothing, in units of the bounds."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
         """Compute D_drift; see `d_drift`."""
@@ -178,16 +178,15 @@ def _settled(rollout: Rollout) -> Any:
 
 
 class Prior(eqx.Module):
-    """Distance to the initial layout: the mean of (z / sigma)^2 over optimised objects and numbers.
+    """Distance to the initial layout: mean of (z / sigma)^2 over optimized objects and variables.
 
-    It regularizes toward the parse: without it elites drift, and shrinking all objects would lower
-    D_pen. A typical draw has the value 1.
+    It is about 1 for a typical sample. Without it, elites drift, and objects shrink to lower D_pen.
     """
 
     sigma: Float[Array, " 3"] = eqx.field(converter=_number)
-    """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
+    """Standard deviations: x and y as a fraction of an object's diagonal, yaw [rad], log scale."""
     origin: Layout | None = None
-    """Initial layout, pop axis of length 1; None is the composed scene."""
+    """Initial layout, with a population axis of length 1. If None, it is the composed scene."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:
         """Compute the prior."""
@@ -204,10 +203,7 @@ class Prior(eqx.Module):
 def drifts(
     scene: SceneArrays, rollout: Rollout
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
-    """Return each object's largest distance [m] and angle [rad] from its layout pose over time.
-
-    They refer to its base; `joint_drift` measures its joints.
-    """
+    """Return the largest distance [m] and angle [rad] of each object's base from its first pose."""
     distance = length(rollout.pos - rollout.start.pos[:, None], jnp)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(distance, axis=1), jnp.max(angle, axis=1)
@@ -219,9 +215,9 @@ def drift_by_object(
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
 ) -> Float[Array, "pop object"]:
-    """Return each object's largest drift in units of the stability bounds; 1 is at the bound.
+    """Return each object's largest drift, in units of the stability bounds.
 
-    It is the larger of the drifts of its base, if that is free, and of its joints.
+    It is the larger one of the drift of its joints and, if its base is free, the drift of its base.
     """
     moved, turned = drifts(scene, rollout)
     base = jnp.where(scene.movable, jnp.maximum(moved / distance, turned / angle), 0.0)
@@ -236,9 +232,9 @@ def joint_drift(
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
 ) -> Float[Array, "pop object"]:
-    """Return the largest passive joint displacement of each object over the stability bounds.
+    """Return the largest displacement of a joint of each object, in units of the stability bounds.
 
-    Hinge displacements are divided by `angle` [rad], slide displacements by `distance` [m].
+    The bound of slides is `distance` [m]; the bound of all other joints is `angle` [rad].
     """
     largest = jnp.max(rollout.joint_shift, axis=1)
     shift = largest / jnp.where(scene.joint_slides, distance, angle)
@@ -265,14 +261,14 @@ def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -
 
 
 def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) -> None:
-    """Raise a ValueError where a layout's or a rollout's axes do not fit the scene."""
+    """Raise a ValueError if an axis of a layout or a rollout does not fit the scene."""
     pop, count = np.shape(layouts.yaw)[0] if np.ndim(layouts.yaw) else 0, scene.count
     shapes = {"xy": (pop, count, 2), "yaw": (pop, count), "log_scale": (pop, count)}
     for part, shape in shapes.items():
         found = np.shape(getattr(layouts, part))
         if found != shape:
             raise ValueError(
-                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it is "
+                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it must be "
                 f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
             )
     if rollout is not None:
@@ -280,17 +276,18 @@ def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) 
         if moving[:1] + moving[2:3] != (pop, count):
             raise ValueError(
                 f"{name}: rollout.pos has shape {list(moving)}, for {pop} candidates of {count} "
-                f"objects it is [{pop}, time, {count}, 3]"
+                f"objects it must be [{pop}, time, {count}, 3]"
             )
 
 
 def d_pen(
     scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
 ) -> Float[Array, " pop"]:
-    """Compute D_pen, the sum of the penetration depths of all object pairs [m].
+    """Compute D_pen, the sum of the penetration depths of all pairs of objects [m].
 
-    The depth of a pair is the maximum of its two directions, at the placed poses; `rollout` is
-    unused. Compiled; may be jitted, vmapped and differentiated with respect to the layouts.
+    The depth of a pair is the larger one of its two directions (see `placed.pair_depths`), at the
+    placed poses; `rollout` is unused. The function is compiled; it can be jitted, vmapped, and
+    differentiated with respect to the layouts.
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
@@ -307,12 +304,12 @@ def d_drift(
     distance: Float[Array, ""] | float = 0.01,
     angle: Float[Array, ""] | float = FIVE_DEGREES,
 ) -> Float[Array, " pop"]:
-    """Compute D_drift, the sum of the largest drifts of all objects over the stability bounds.
+    """Compute D_drift, the sum over objects of the largest drift, in units of the stability bounds.
 
-    The drift of an object is the largest of its translation over `distance` [m], its rotation over
-    `angle` [rad], and the same for its joints; 1 is at the bound. Compiled; may be jitted,
-    vmapped, and differentiated with respect to the rollout's poses (rollouts themselves give no
-    gradients).
+    The drift of an object is the largest of three ratios: its translation divided by `distance`
+    [m], its rotation divided by `angle` [rad], and the displacement of a joint divided by the
+    respective bound. The function is compiled; it can be jitted, vmapped, and differentiated with
+    respect to the poses of the rollout, but rollouts themselves give no gradients.
 
     Raises:
         TypeError: an argument is of another type.
@@ -328,7 +325,7 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """Compute the geometric S_sem in [0, 1] at the placed poses; see `semantic`.
 
-    `rollout` is unused. Compiled; may be jitted and vmapped. Its gradient is zero.
+    `rollout` is unused. The function is compiled; it can be jitted and vmapped. Its gradient is 0.
 
     Raises:
         TypeError: an argument is of another type.
@@ -340,23 +337,24 @@ def s_sem(
 def s_photo(
     scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
 ) -> Float[Array, " pop"]:
-    """Compute S_photo, what the photograph's pixels say for the placed candidates.
+    """Compute S_photo, the agreement of the placed candidates with the colors of the photograph.
 
-    It is the mean over objects of the log likelihood ratios of the pixels that show the object,
-    over their absolute sum in the composed scene: 1 if all pixels have the object's colors. Silent
-    objects do not count. 0 for a scene without a photograph, which
-    `align.photo_evidence.with_photo` adds.
+    S_photo is the mean of a score over the objects whose colors differ from their surroundings. The
+    score is the sum of the log likelihood ratios (object against background) of the pixels that
+    show the object, divided by the sum of their absolute values in the composed scene. It is about
+    1 if all pixels have the object's colors, and 0 without a photograph (see `with_photo`).
 
-    `rollout` is unused. Compiled; may be jitted and vmapped, but is not differentiable.
+    `rollout` is unused. The function is compiled; it can be jitted and vmapped. It has no gradient.
 
     Raises:
         TypeError: an argument is of another type.
+        ValueError: an axis does not fit the scene.
     """
     return _call(photo_agreement, "s_photo", scene, layouts, rollout)
 
 
 def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:
-    """Call a term's function, and wrap a plain array into a TermValue."""
+    """Call the function of a term, and wrap a plain array into a TermValue."""
     value = fn(*args)
     if isinstance(value, TermValue):
         return value
@@ -365,17 +363,17 @@ def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:
 
 
 def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -> None:
-    """Call a term once on a few candidates before the search.
+    """Call a term once on a few candidates in which no object moves, before the search.
 
     Args:
         term: a user-defined term.
         scene: the compiled scene.
-        rollout: rollout of the candidates in which nothing moves.
+        rollout: rollout of the candidates.
         layouts: the candidates.
 
     Raises:
-        ConfigError: the term is not a function, takes other arguments, raises, or does not return
-            one finite number per candidate. The message names the term, its file and line.
+        ConfigError: the term is not a function, takes other arguments, raises an exception, or does
+            not return one finite number per candidate. The message gives the function's location.
     """
     pop = layouts.yaw.shape[0]
     where = f"reward term {term.name} ({source(term.fn)})"
@@ -410,7 +408,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
     if not np.isfinite(values).all():
         raise ConfigError(
             f"{where} returned {values[~np.isfinite(values)][0]} for "
-            f"{int((~np.isfinite(values)).sum())} of {pop} candidates in which nothing moves"
+            f"{int((~np.isfinite(values)).sum())} of {pop} candidates in which no object moves"
         )
 
 
@@ -421,7 +419,7 @@ def _described(value: Any) -> str:
 
 
 def source(fn: Any) -> str:
-    """Return file:line of a function, if Python knows it."""
+    """Return the location of a function as file:line, if Python knows it."""
     try:
         inner = inspect.unwrap(fn)
         inner = inner if inspect.isroutine(inner) or inspect.isclass(inner) else type(inner)

@@ -8,7 +8,7 @@ from ..physics.layout import Layout, Poses
 from .objective import Scores
 
 NOT_DRAWN = -1
-"""Status, in the history, of entries beyond the population of an iteration."""
+"""Status in the history of entries beyond the population of an iteration, which pad it."""
 
 
 class Round(NamedTuple):
@@ -16,15 +16,17 @@ class Round(NamedTuple):
 
     layouts: Layout
     poses: Poses
-    """Poses of the candidates: at rest if they were settled, else as placed."""
+    """Poses of the candidates: settled poses if settling is enabled, else placed poses."""
     scores: Scores
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
-    """Rank all candidates: valid ones first, by merit, then the others, by absolute reward.
+    """Rank the candidates of all iterations.
+
+    Valid candidates come first and are ranked by merit. All others are ranked by absolute reward.
 
     Returns:
-        ((iteration, candidate), absolute reward) of each.
+        ((iteration, candidate), absolute reward) of every candidate, best first.
     """
     if not rounds:
         return []
@@ -37,12 +39,12 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
 
 
 def best_first(valid: np.ndarray, merit: np.ndarray, absolute: np.ndarray) -> np.ndarray:
-    """Return the indices of candidates [pop], best first; see `ranked`."""
+    """Return the indices of the candidates, best first, in the order of `ranked`; shape [pop]."""
     return np.lexsort((-np.where(valid, merit, absolute), ~valid))
 
 
 def stacked(rows: list[Any], fill: Any) -> np.ndarray:
-    """Stack iterations; pad shorter ones to the largest population with `fill`."""
+    """Stack iterations, padding each of them to the largest population with `fill`."""
     full = np.asarray(max(rows, key=len))
     stacked = np.full((len(rows), *full.shape), fill, full.dtype)
     for t, row in enumerate(rows):

@@ -1,4 +1,4 @@
-"""Refinement of a composed scene: the search of Algorithm 1, and the exact check of its winner."""
+"""Refinement of a composed scene: the search of Algorithm 1, and the final check of its winner."""
 
 import contextlib
 import time
@@ -32,7 +32,7 @@ from .search_run import SearchRun
 COMPOSED = "compose/scene.json"
 """Path of the composed scene in a run folder."""
 MAX_CPU_POPULATION = 256
-"""Largest population for which the 16 cores of a host were as fast as its GPU."""
+"""Largest population for which 16 CPU cores were as fast as the GPU of the same machine."""
 
 
 def refine(
@@ -52,33 +52,37 @@ def refine(
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
-    The composed scene is settled under guidance. If it passes the final check, it is the result.
-    Otherwise the search perturbs it, for T iterations or until some candidate was valid and the
-    best one (or the elites, by `stop_by`) gained less than `stop_gain` for `patience` iterations.
-    Valid candidates rank first, by merit (see `Scores.merit`), then the others, by absolute reward.
-    The winner is the first in this order that passes the final check. If none of the first
-    `finalists` passes, the one closest to passing is returned with `passed` False.
+    The composed scene is settled under guidance. If the settled scene passes the final check, it is
+    the result. Otherwise the search perturbs the composed scene. It ends after T iterations, or as
+    soon as it has converged (see `algorithm.converged`).
+
+    The candidates are then ranked. Valid candidates come first and are ranked by merit (see
+    `Scores.merit`); all others are ranked by absolute reward. The winner is the first candidate in
+    this order that passes the final check. If none of the first `finalists` passes, the one that is
+    closest to passing is returned, and `Refined.passed` is False.
 
     Args:
-        scene: the composed scene, compiled or not. A path names a scene.json, or a run folder, of
-            which the composed scene is read.
-        options: options of the search, the rewards, the rollouts and the check.
-        seed: seed of the population draws.
-        start: initial layout, pop axis of length 1; default: zero.
-        engine: physics engine or its name; default: the engine that the options name.
+        scene: the composed scene, compiled or not; or the path of a scene.json or of a run folder,
+            from which the composed scene is read.
+        options: options of the search, the rewards, the rollouts and the final check.
+        seed: random seed of the populations.
+        start: initial layout, with a population axis of length 1. If None, it is the composed
+            scene.
+        engine: physics engine or its name. If None, the options name the engine.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
-        photo: the photograph, for S_photo and for semantic scores by a model.
-        panel: the models that score.
-        scores: log file of the scores.
-        recorded: log of an earlier run, whose scores are replayed in their order of arrival.
+        photo: the photograph, for S_photo and for S_sem by a model.
+        panel: models, of which the critic scores candidates.
+        scores: file into which the scores by a model are written.
+        recorded: file of the scores of an earlier run. Each score is used in the iteration in which
+            that run first used it, and no requests are sent.
         progress: called with one line per iteration.
 
     Raises:
-        ConfigError: options exclude each other, a reward term is invalid, or a model is to score
-            without a photograph.
+        ConfigError: two options contradict each other, a reward term is invalid, or the options
+            require a photograph and `photo` is None.
         EngineError: the engine is not available.
-        SpecError: the path holds no scene.
+        SpecError: there is no scene at the path.
         TypeError: the scene has another type.
     """
     o = options or RefineOptions()
@@ -151,20 +155,20 @@ def refine(
 
 
 def _open_engine(name: str, o: RefineOptions) -> Engine:
-    """Open an engine; `auto` selects the CPU engine for small populations."""
+    """Open an engine by its name; `auto` selects the CPU engine if the population is small."""
     return open_engine("native" if name == "auto" and _suits_cores(o) else name)
 
 
 def _suits_cores(o: RefineOptions) -> bool:
-    """Return whether populations are too small to benefit from an accelerator."""
+    """Return whether the population is too small to benefit from an accelerator."""
     return o.cem.population <= MAX_CPU_POPULATION
 
 
 def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOptions) -> SceneModel:
-    """Read and compile a scene for a refinement as needed; return a compiled one unchanged.
+    """Read and compile a scene for a refinement; return a compiled scene unchanged.
 
     Raises:
-        SpecError: the path holds no scene.
+        SpecError: there is no scene at the path.
         TypeError: the scene has another type.
     """
     if isinstance(scene, SceneModel):
@@ -180,10 +184,10 @@ def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOption
 
 
 def read_composed(path: Path) -> SceneSpec:
-    """Read a scene.json, or the composed scene of a run folder, before refinement.
+    """Read a scene.json, or the composed scene of a run folder.
 
     Raises:
-        SpecError: there is no scene.
+        SpecError: there is no scene at the path.
     """
     composed = path / COMPOSED
     return read_scene(composed if composed.is_file() else path)
@@ -192,7 +196,7 @@ def read_composed(path: Path) -> SceneSpec:
 def _with_late_scores(
     scorer: SemanticScorer, t: int, round_: Round, marks: np.ndarray, weight: float
 ) -> Round:
-    """Enter the scores of an iteration that arrived after its elites were selected."""
+    """Add the scores of an iteration that arrived after its elites had been selected."""
     s_sem = np.asarray(round_.scores.terms["s_sem"])
     change = np.zeros(len(marks), np.float32)
     for k in range(len(marks)):

@@ -1,8 +1,9 @@
-"""Log of semantic scores, one line of scores.jsonl each, and its replay by a later run.
+"""Log of semantic scores in scores.jsonl, one score per line, and its replay by a later run.
 
-A line holds the candidate's identity, the model's response, the times of request and response, and
-the iteration in which the score was first used. Unless a run waits for scores, that iteration
-depends on the server; a replay uses each score in the iteration of the recorded run.
+A line contains the identity of the candidate, the response of the model, the times of request and
+response, and the iteration in which the score was first used. If a run does not wait for all
+scores, that iteration depends on how fast the server responds. A replay therefore uses each score
+in the iteration that the log gives.
 """
 
 import hashlib
@@ -23,45 +24,51 @@ from ..spec import SceneSpec
 Identity = tuple[int, int]
 """(iteration, candidate)."""
 SAME_LAYOUT = 1e-3
-"""Largest difference of any number [m, rad, 1] between two layouts of the same candidate."""
+"""Two layouts are of the same candidate if no variable [m, rad, 1] differs by more than this."""
 Stage = int | Literal["final"]
-"""Iteration whose elites were selected with a score; "final": the choice of the winner."""
+"""Iteration whose elites were selected with a score, or "final" for the choice of the winner."""
 
 
 class Score(BaseModel):
-    """Score of one candidate, or the reason why there is none."""
+    """Score of one candidate, or the error that prevented it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     iteration: int
     candidate: int
     rank: int
-    """Rank among the candidates submitted with it, 0 first."""
+    """Rank of the candidate among those that were submitted together; 0 is the most urgent."""
     layout: str
     """Digest of the candidate's layout."""
     numbers: tuple[float, ...] | None = None
-    """Layout, which identifies the candidate on another machine: x, y [m], yaw [rad] and log scale
-    of each object; None in older records."""
+    """Variables of the candidate's layout: x, y [m], yaw [rad] and log scale of each object.
+
+    They identify the candidate on another machine. None in older logs.
+    """
     value: float | None = None
     """S_sem in [0, 1]; None if scoring failed."""
     levels: dict[str, int] | None = None
     """Level of each criterion, 0 to 4."""
     reasons: dict[str, str] | None = None
+    """Reason for the level of each criterion."""
     picture: str | None = None
-    """Digest of the candidate's pixels."""
+    """Digest of the pixels of the candidate's image."""
     drawn_s: float | None = None
     """Time to render the image [s]."""
     model: str = ""
+    """Name of the model that responded."""
     asked: str | None = None
     """Time of the request, UTC."""
     answered: str | None = None
+    """Time of the response, UTC."""
     cached: bool = False
-    """True if copied from another candidate with an identical image."""
+    """True if the score was copied from another candidate with an identical image."""
     cost_usd: float | None = None
-    """Cost [USD]; None if unknown."""
+    """Cost of the request [USD]; None if unknown."""
     error: str | None = None
+    """Reason why scoring failed; None if it succeeded."""
     used: Stage | None = None
-    """Stage of its first use; None if it was never used."""
+    """Stage in which the score was first used; None if it was never used."""
 
     @property
     def identity(self) -> Identity:
@@ -71,18 +78,20 @@ class Score(BaseModel):
 
 @dataclass(frozen=True)
 class Job:
-    """One candidate to be scored."""
+    """One candidate that is to be scored."""
 
     identity: Identity
     rank: int
+    """Rank of the candidate; see `Score.rank`."""
     layout: str
+    """Digest of the candidate's layout."""
     layouts: Layout
-    """Layout of the candidate, NumPy, pop axis of length 1."""
+    """Layout of the candidate as NumPy arrays, with a population axis of length 1."""
     scene: SceneSpec | None = None
-    """Scene of the candidate; None if it will not be rendered."""
+    """Scene of the candidate; None if the candidate will not be rendered."""
 
     def score(self, **fields: object) -> Score:
-        """Build a score of this candidate with the given fields."""
+        """Build the score of this candidate with the given fields."""
         iteration, candidate = self.identity
         return Score.model_validate(
             {
@@ -97,14 +106,18 @@ class Job:
 
 
 def layout_digest(layout: Layout) -> str:
-    """Return a hash of a single candidate's layout, 16 hex digits."""
+    """Return the hash of a single candidate's layout, 16 hex digits."""
     parts = (layout.xy, layout.yaw, layout.log_scale)
     data = b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts)
     return hashlib.sha256(data).hexdigest()[:16]
 
 
 def layout_numbers(layout: Layout) -> tuple[float, ...]:
-    """Return x, y [m], yaw [rad], log scale of each object of a single candidate, to 1e-6."""
+    """Return the variables of a single candidate's layout, rounded to 1e-6.
+
+    The order is x, y [m], yaw [rad] and log scale of the first object, then of the second object,
+    and so on.
+    """
     columns = np.stack([*np.asarray(layout.xy)[0].T, layout.yaw[0], layout.log_scale[0]], axis=1)
     return tuple(np.round(columns.astype(float), 6).ravel().tolist())
 
@@ -113,7 +126,7 @@ class ScoreLog:
     """Writer of scores.jsonl, which appends whole lines.
 
     Args:
-        path: the file, replaced if it exists; None disables the log.
+        path: the file, which is replaced if it exists. If None, nothing is written.
 
     Raises:
         ModelError: the file cannot be written.
@@ -141,7 +154,7 @@ class ScoreLog:
 
 
 def read_scores(path: Path) -> list[Score]:
-    """Read a scores.jsonl.
+    """Read the scores in a scores.jsonl.
 
     Raises:
         ModelError: the file cannot be read, or a line is not a valid score.
@@ -157,13 +170,13 @@ def read_scores(path: Path) -> list[Score]:
 
 
 class Recorded:
-    """Replay of the scores of an earlier run, each in the stage of its first use.
+    """Replay of the scores of an earlier run, each in the stage in which it was first used.
 
-    Rounding differs between processors, so a candidate matches the recorded one if no number of its
-    layout differs by more than `SAME_LAYOUT`.
+    Rounding differs between processors. A candidate therefore matches the recorded candidate if no
+    variable of their layouts differs by more than `SAME_LAYOUT`.
 
     Args:
-        path: scores.jsonl of that run.
+        path: scores.jsonl of the earlier run.
 
     Raises:
         ModelError: the file cannot be read.
@@ -180,7 +193,7 @@ class Recorded:
         """Look up the scores of candidates.
 
         Raises:
-            ModelError: the record lacks a candidate, or holds it with another layout.
+            ModelError: the log lacks a candidate, or contains it with another layout.
         """
         for job in jobs:
             score = self._scores.get(job.identity)
@@ -189,20 +202,26 @@ class Recorded:
                 content = "no score" if score is None else "the score of another layout"
                 raise ModelError(
                     f"{self._path} has {content} for candidate {candidate} of iteration "
-                    f"{iteration}: a record can only be replayed in the same run "
-                    f"(same scene, options, seed, engine)"
+                    f"{iteration}: scores can only be replayed in a run with the same scene, "
+                    f"options, seed and engine"
                 )
             self._put.append(score)
 
     def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
-        """Return the scores that the recorded run first used at a stage, ordered by identity."""
+        """Return the scores that the recorded run first used at a stage, ordered by identity.
+
+        Args:
+            stage: the stage.
+            must: candidates whose scores are returned.
+            rest: if True, also return the scores of all other candidates.
+        """
         return sorted(
             (s for s in self._put if s.used == stage and (rest or s.identity in must)),
             key=lambda score: score.identity,
         )
 
     def close(self) -> list[Score]:
-        """Return the scores that were never used."""
+        """Return the scores that the recorded run never used, ordered by identity."""
         return sorted((s for s in self._put if s.used is None), key=lambda s: s.identity)
 
 

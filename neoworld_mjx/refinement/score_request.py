@@ -1,7 +1,7 @@
-"""Request that scores a candidate: four criteria against the photograph (Appendix B).
+"""Request to score a candidate by four criteria, in comparison with the photograph (Appendix B).
 
-The system text and the photograph come first and are the same for every candidate of a run, so that
-a server with a prompt cache charges for them once.
+The system text and the photograph come first and are equal for all candidates of a run, so a server
+with a prompt cache charges their full price only once.
 """
 
 from functools import cache
@@ -75,9 +75,9 @@ def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Reque
     """Build the request that scores one candidate.
 
     Args:
-        photo: the photograph, the same object for all candidates.
-        candidate: the rendered image, labelled "candidate".
-        scene: any candidate of the scene, for the names and hierarchy of its objects.
+        photo: the photograph; pass the same Python object for all candidates.
+        candidate: the rendered image of the candidate, labeled "candidate".
+        scene: the scene of any candidate, for the names and the hierarchy of its objects.
     """
     return Request(
         role="critic",
@@ -90,7 +90,7 @@ def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Reque
 
 
 def listing(scene: SceneSpec) -> str:
-    """List a scene's objects with their supports, one per line."""
+    """List the objects of a scene with their supports, one object per line."""
     lines = []
     for item in scene.objects:
         place = "the environment" if item.environment else "stands by itself"

@@ -1,8 +1,8 @@
 """Worker threads that request scores of candidates from a model while rollouts run.
 
 Each worker takes the most urgent candidate, renders it, sends the request, and stores the response
-under the identity of that candidate, so the order of responses does not matter. Identical images
-are requested once.
+under the identity of the candidate, so the order of responses does not matter. If several
+candidates have identical images, one request is sent for all of them.
 """
 
 import heapq
@@ -30,12 +30,15 @@ from .score_request import Judgement, score_request
 Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
 
 AHEAD = 2
-"""Number of workers beyond the limit of concurrent requests, to hide the time of rendering."""
+"""Number of workers in excess of the limit of concurrent requests.
+
+These workers render candidates while the others wait for responses.
+"""
 _ABANDONED = "abandoned: the search had ended"
 
 
 def drawer(options: SemanticOptions) -> Draw:
-    """Return a function that renders a candidate as composed, through the parsed camera."""
+    """Return a function that renders the scene of a candidate through the parsed camera."""
 
     def draw(scene: SceneSpec) -> UInt8[ndarray, "height width 3"]:
         assert scene.camera is not None
@@ -50,41 +53,45 @@ class ScoreWorkers:
     """Pool of worker threads that request scores from a model.
 
     Args:
-        panel: panel whose critic scores.
+        panel: models, of which the critic scores candidates.
         photo: the photograph.
-        options: time limit, consecutive failures before giving up, and the limit on costs.
-        draw: renders a candidate; called by one thread at a time.
+        options: time limit, number of consecutive failures that ends all requests, and cost limit.
+        draw: function that renders a candidate; called by one thread at a time. If None, it is the
+            result of `drawer`.
 
     Raises:
-        ConfigError: costs are limited, but the critic's model has no price.
+        ConfigError: costs are limited, but the price of the critic's model is unknown.
     """
 
     def __init__(
         self, panel: Panel, photo: Picture, options: SemanticOptions, draw: Draw | None = None
     ) -> None:
         self.stopped: str | None = None
-        """Reason why requests have ended, or None."""
+        """Reason why no more requests are sent; None while requests are sent."""
         self.drawing_s = 0.0
+        """Time spent on rendering [s]."""
         self._panel, self._photo, self._options = panel, photo, options
         self._draw = draw or drawer(options)
         self._price = price_of(panel.options.critic.model, panel.ledger.prices)
         if options.max_cost_usd is not None and self._price is None and panel.provider.online:
             raise ConfigError(
                 f"refine.semantic.max_cost_usd is set but {panel.options.critic.model!r} has no "
-                f"price: add its price to a YAML file and name that in mllm.prices"
+                f"price: add the price to a YAML file, and name this file in mllm.prices"
             )
         self._spent_before = panel.ledger.spent_usd
         self._changed = threading.Condition()
         self._drawing = threading.Lock()
         self._queue: list[tuple[tuple[bool, int, int, int], Job]] = []
-        """Heap: awaited candidates first, then by iteration, rank and order of submission."""
+        """Heap of the candidates. Those that `take` waits for come first, then the order is by
+        iteration, rank and order of submission."""
         self._count = 0
         self._pending: dict[Identity, Job] = {}
-        """Candidates without an outcome yet."""
+        """Candidates that have neither a score nor an error yet."""
         self._outcomes: dict[Identity, Score] = {}
-        """Outcomes that `take` has not returned yet."""
+        """Scores and errors that `take` has not returned yet."""
         self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
-        """By digest: the score, or the candidates that wait for it and their rendering times."""
+        """For the digest of each image, the score; while it is pending, the other candidates with
+        this image and the times to render them."""
         self._requests: set[Future[Response[Judgement]]] = set()
         self._failed_in_row = 0
         self._gave_up = self._closed = False
@@ -93,7 +100,7 @@ class ScoreWorkers:
 
     @property
     def cost_usd(self) -> float:
-        """The cost of all requests so far where prices are known, failed calls included."""
+        """Cost of all requests whose prices are known so far, including failed requests [USD]."""
         return self._panel.ledger.spent_usd - self._spent_before
 
     def put(self, jobs: Sequence[Job]) -> None:
@@ -116,13 +123,13 @@ class ScoreWorkers:
             self._changed.notify_all()
 
     def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
-        """Wait for outcomes and return them, ordered by identity, each once.
+        """Wait for scores and return them, ordered by identity. Each score is returned once.
 
         Args:
-            stage: stored as the first use of each score.
-            must: candidates to wait for, requested before all others. After giving up on the
-                server, the call does not wait.
-            rest: True to also return the outcomes of other candidates that have arrived.
+            stage: stage that is stored in each score as its first use.
+            must: candidates to wait for. They are requested before all others. If too many scores
+                have failed in a row, the call does not wait.
+            rest: if True, also return the scores of other candidates that have arrived.
         """
         must = set(must)
         with self._changed:
@@ -139,7 +146,7 @@ class ScoreWorkers:
             ]
 
     def close(self) -> list[Score]:
-        """End all requests and return the remaining outcomes, ordered by identity."""
+        """End all requests; return the scores that were not taken, ordered by identity."""
         with self._changed:
             self._closed = True
             self._queue.clear()
@@ -188,7 +195,7 @@ class ScoreWorkers:
                 self.drawing_s += draw_s
         except (NeoWorldError, ValueError, mujoco.FatalError) as error:
             with self._changed:
-                self._finish(job.score(error=f"cannot be drawn: {error}"))
+                self._finish(job.score(error=f"cannot be rendered: {error}"))
             return
         key = digest(f"{rgb.shape}".encode() + rgb.tobytes())
         with self._changed:
@@ -209,7 +216,7 @@ class ScoreWorkers:
         self._store(key, job.score(**outcome, answered=_now()))
 
     def _request_score(self, request: Request[Judgement]) -> dict[str, Any]:
-        """Send a request; return the fields of a `Score` that the response or its failure sets."""
+        """Send a request; return the fields of `Score` that follow from its response or failure."""
         # A person who responds has no time limit.
         timeout = self._options.timeout_s if self._panel.provider.online else None
         future = self._panel.ask_soon(request)
@@ -247,7 +254,7 @@ class ScoreWorkers:
         }
 
     def _store(self, key: str, score: Score) -> None:
-        """Store a score for its candidate and for those that wait for the same image."""
+        """Store a score for its candidate, and for all candidates that wait for the same image."""
         with self._changed:
             others = self._pictures.pop(key)
             if score.value is not None:

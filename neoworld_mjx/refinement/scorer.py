@@ -1,13 +1,13 @@
-"""S_sem by a model: scores of the best candidates, which arrive while rollouts run.
+"""S_sem by a model, which scores the best candidates while rollouts run.
 
     with SemanticScorer(model, photo, panel, options, log=path) as scorer:
         scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
-        ...                                                       # the rollout
-        scorer.collect(t)                                         # waits as options.wait says
+        ...                                                       # run the rollout
+        scorer.collect(t)                                         # waits according to options.wait
         s_sem, marks = scorer.fill(t, layouts, geometric)         # for every candidate
 
-Before the winner is chosen, `await_for` waits for the finalists' scores; `fill` then returns S_sem
-of any iteration from all known scores.
+Before the winner is chosen, `await_for` waits for the scores of the finalists. After that, `fill`
+computes the S_sem of any iteration from all known scores.
 """
 
 import time
@@ -33,28 +33,31 @@ class Mark(IntEnum):
     """Source of a candidate's S_sem."""
 
     GEOMETRIC = 0
+    """Computed from the parsed boxes and depths."""
     ESTIMATED = 1
+    """Estimated by the surrogate from the scores of other candidates."""
     SCORED = 2
+    """Scored by the model."""
 
 
 class SemanticScorer:
-    """Scores of candidates by a model, with a surrogate for candidates without a score.
+    """Scores candidates by a model, and estimates the scores of all others by a surrogate.
 
     Args:
         model: the compiled scene.
         photo: the photograph; not needed for a replay.
-        panel: panel whose critic scores; not needed for a replay.
-        options: the number of candidates to score, and the scores to wait for.
-        cem: its standard deviations scale layouts for the surrogate.
+        panel: models, of which the critic scores candidates; not needed for a replay.
+        options: options such as the number of candidates to score and the scores to wait for.
+        cem: options whose initial standard deviations normalize layouts for the surrogate.
         log: scores.jsonl to write; an existing file is replaced.
-        recorded: scores.jsonl of an earlier run. Each score is used in the iteration that used it
-            there; nothing is drawn and no request is sent.
-        draw: renders a candidate's scene as RGB bytes [height, width, 3]; default: as composed,
-            through the parsed camera.
+        recorded: scores.jsonl of an earlier run. Each score is used in the iteration in which that
+            run first used it. Nothing is rendered, and no requests are sent.
+        draw: function that renders the scene of a candidate as RGB bytes [height, width, 3]. If
+            None, scenes are rendered through the parsed camera.
 
     Raises:
         ConfigError: the photograph or the panel is missing, the scene has no camera, or costs
-            cannot be limited.
+            are limited but the price of the model is unknown.
         ModelError: a file cannot be read or written.
     """
 
@@ -77,7 +80,7 @@ class SemanticScorer:
         self._moves = np.asarray(model.optimised)
         self._source: ScoreWorkers | Recorded
         if recorded is not None:
-            # Read before the log is opened, which may be the same file.
+            # Read this file before the log is opened, because both may be the same file.
             self._source = Recorded(recorded)
         elif photo is None or panel is None:
             raise ConfigError(
@@ -95,16 +98,18 @@ class SemanticScorer:
         self._jobs: dict[Identity, Job] = {}
         self._geometric: dict[Identity, float] = {}
         self._known: dict[Identity, Score] = {}
-        """All scores taken so far, failures included."""
+        """All scores taken so far, including failed ones."""
         self._left: list[Score] = []
+        """Scores that had not been taken when the scorer was closed."""
         self._closed = False
 
     def best(self, reward: Float[ArrayLike, " pop"], top: int | None = None) -> list[int]:
-        """Return the candidates to score, best first, without those of non-finite reward.
+        """Return the candidates to score, best first. Candidates of non-finite reward are omitted.
 
         Args:
-            reward: ranks the candidates; equal ones keep the order of the population.
-            top: largest number of candidates; default: `options.top`.
+            reward: reward that ranks the candidates. Candidates of equal reward keep the order of
+                the population.
+            top: largest number of candidates. If None, it is `options.top`.
         """
         rewards = np.asarray(reward, float)
         order = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
@@ -113,16 +118,18 @@ class SemanticScorer:
     def submit(
         self, iteration: int, candidates: Sequence[int], layouts: Layout, poses: Poses
     ) -> None:
-        """Submit candidates for scoring and return at once; skip those submitted before.
+        """Submit candidates for scoring and return at once.
+
+        Candidates that were submitted before are skipped.
 
         Args:
             iteration: iteration of the candidates.
             candidates: indices in the population, the most urgent first.
-            layouts: the whole population.
-            poses: poses of the population, which determine the heights.
+            layouts: layouts of the whole population.
+            poses: poses of the whole population.
 
         Raises:
-            ModelError: a record is replayed, and this run differs from the recorded one.
+            ModelError: scores are replayed, but this run differs from the recorded run.
         """
         host = Layout(*(np.asarray(x) for x in (layouts.xy, layouts.yaw, layouts.log_scale)))
         placed = Poses(*(np.asarray(x) for x in (poses.pos, poses.quat, poses.scale, poses.height)))
@@ -139,11 +146,16 @@ class SemanticScorer:
         self._source.put(jobs)
 
     def collect(self, iteration: int) -> list[Score]:
-        """Collect scores before the elites of an iteration are selected; return the new ones.
+        """Collect scores before the elites of an iteration are selected; return the new scores.
 
-        `wait: all` waits for every submitted candidate, so that the result does not depend on the
-        order of responses. `bounded` waits for those submitted `late` iterations ago or earlier,
-        `none` does not wait. Other responses that have arrived are collected too.
+        The option `wait` selects the scores to wait for:
+
+        - `all`: scores of all submitted candidates. The result then does not depend on the order in
+          which responses arrive.
+        - `bounded`: scores of candidates that were submitted at least `late` iterations ago.
+        - `none`: no scores.
+
+        All other scores that have arrived are collected, too.
         """
         wait, late = self.options.wait, self.options.late
         newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
@@ -151,32 +163,35 @@ class SemanticScorer:
         return self._take(iteration, must, rest=True)
 
     def await_for(self, identities: Iterable[Identity]) -> list[Score]:
-        """Wait for the scores of some candidates before all others, and return the new ones.
+        """Wait for the scores of the given candidates, and return the new scores.
+
+        These candidates are requested before all others.
 
         Args:
-            identities: (iteration, candidate); candidates never submitted are skipped.
+            identities: (iteration, candidate) of each. Candidates that were never submitted are
+                skipped.
         """
         must = [key for key in identities if key in self._jobs and key not in self._known]
         return self._take("final", must, rest=False)
 
     def known(self, identity: Identity) -> Score | None:
-        """Return the score of a candidate; None while it is pending or if it failed."""
+        """Return the score of a candidate; None if it is pending or has failed."""
         score = self._known.get(identity)
         return score if score is not None and score.value is not None else None
 
     def fill(
         self, iteration: int, layouts: Layout, geometric: Float[ArrayLike, " pop"]
     ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
-        """Return S_sem of a whole population from the scores known now.
+        """Return the S_sem of a whole population, based on the scores that are known now.
 
         Args:
             iteration: iteration of the population.
-            layouts: the population.
-            geometric: geometric scores of the population.
+            layouts: layouts of the population.
+            geometric: geometric S_sem of the population.
 
         Returns:
-            S_sem in [0, 1], float32, and for each candidate a `Mark`: scored by the model,
-            estimated from scored candidates, or geometric if none is scored yet.
+            S_sem of each candidate in [0, 1] (float32), and the `Mark` of each candidate. As long
+            as no candidate of the run has a score, all candidates have the geometric S_sem.
         """
         base = np.asarray(geometric, float)
         for key in self._jobs:
@@ -199,30 +214,30 @@ class SemanticScorer:
 
     @property
     def stopped(self) -> str | None:
-        """Reason why requests have ended, or None."""
+        """Reason why no more requests are sent; None while requests are sent."""
         return self._source.stopped
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
-        """Descriptions of missing scores; empty if all arrived."""
+        """Descriptions of missing scores; empty if no score is missing."""
         scores = list(self._known.values())
         failed = [score for score in scores if score.error is not None]
         if self.stopped is not None:
             source = "geometry alone" if len(failed) == len(scores) else "estimates"
             unrequested = sum(score.asked is None for score in failed)
             return (
-                f"S_sem by {source}, as {unrequested} of {len(self._jobs)} candidates were not "
-                f"requested: {self.stopped}",
+                f"S_sem comes from {source}, because scores of {unrequested} of {len(self._jobs)} "
+                f"candidates were not requested: {self.stopped}",
             )
         if failed:
             return (
-                f"S_sem by estimates for {len(failed)} of {len(scores)} candidates whose scores "
-                f"failed; the first: {failed[0].error}",
+                f"S_sem is estimated for {len(failed)} of {len(scores)} candidates, because "
+                f"their scores failed; the first error: {failed[0].error}",
             )
         return ()
 
     def summary(self) -> dict[str, Any]:
-        """Return the statistics for run.json; complete once closed."""
+        """Return the statistics for run.json. They are complete after `close`."""
         scores = [*self._known.values(), *self._left]
         live = self._source if isinstance(self._source, ScoreWorkers) else None
         return {
@@ -239,7 +254,7 @@ class SemanticScorer:
         }
 
     def close(self) -> None:
-        """End all requests; the log marks pending candidates as abandoned."""
+        """End all requests. In the log, pending candidates are marked as abandoned."""
         if not self._closed:
             self._closed = True
             self._left = self._source.close()
@@ -260,7 +275,11 @@ class SemanticScorer:
         return scores
 
     def _numbers(self, layouts: Layout) -> np.ndarray:
-        """Divide the four numbers of each optimised object by their initial standard deviations."""
+        """Divide the variables of optimized objects by their initial standard deviations.
+
+        Returns:
+            Array [pop, variable].
+        """
         o, moves = self._sigma, self._moves
         diagonal = np.asarray(self._model.diagonal, float)[moves]
         xy = np.asarray(layouts.xy, float)[:, moves] / (_nonzero(o.sigma_xy) * diagonal[:, None])

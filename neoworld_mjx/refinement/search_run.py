@@ -1,4 +1,4 @@
-"""One run of a search: its inputs, and its progress and results."""
+"""Inputs, progress and results of one run of a search."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -15,52 +15,52 @@ from .rounds import Round
 
 
 class SearchRun(NamedTuple):
-    """One refinement of a scene."""
+    """Inputs of one refinement of a scene."""
 
     options: RefineOptions
     seed: int
     start: Layout | None = None
-    """Pop axis of length 1; None is the composed scene."""
+    """Initial layout, with a population axis of length 1. If None, it is the composed scene."""
 
 
 class FirstValid(NamedTuple):
     """When a search found its first valid candidate."""
 
     iteration: int
-    """Counted from 1; 0 is the initial layout."""
+    """Iteration that contains the candidate, counted from 1; 0 is the initial layout."""
     rollouts: int
-    """Candidates that had been rolled out by the end of this iteration, which draws a whole
-    population at once."""
+    """Number of candidates that were rolled out up to and including this iteration."""
 
 
 @dataclass
 class SearchResult:
-    """Progress and results of a run's search, before the exact check of its winner."""
+    """Progress and results of a run's search, before the final check of its winner."""
 
     run: SearchRun
     problem: Problem
     state: SearchState
     scene: SceneModel
-    """The scene of the candidates, in which objects may be held; see `finishing.held`."""
+    """Scene that is searched, in which some objects may be fixed; see `finishing.held`."""
     arrays: SceneArrays
-    """Its arrays, padded or not."""
+    """Arrays of the scene that terms and optimizers receive, padded or not."""
     padded: SceneArrays
-    """Its padded arrays."""
+    """Padded arrays of the scene."""
     initial: Finished
-    """The initial layout at rest, with its final check."""
+    """Final scene of the initial layout, with its final check."""
     accept_initial: bool
-    """True if the initial layout is the result if it passes."""
+    """If True, the initial layout is the result if it passes the final check."""
     rounds: list[Round] = field(default_factory=list)
     rollouts: int = 0
-    """Number of candidates that were rolled out, kept or not."""
+    """Number of candidates that were rolled out, including those that `rounds` does not keep."""
     summaries: list[dict[str, Any]] = field(default_factory=list)
     """Summary of each iteration; see `outcome.iteration_summary`."""
     first_valid_s: float = float("nan")
     """Time from the start of the search to the score of the first valid candidate [s]."""
     first_valid: FirstValid | None = None
-    """None if no candidate was valid."""
+    """When the search found its first valid candidate; None if no candidate was valid."""
     marks: list[np.ndarray] = field(default_factory=list)
-    """Source of each S_sem, by iteration; see `scorer.Mark`."""
+    """Source of each candidate's S_sem, by iteration; see `scorer.Mark`."""
     stuck: tuple[str, ...] = ()
-    """Objects that rested in no candidate, if that ended the search."""
+    """Names of objects that rested in no candidate, if the search ended for this reason."""
     finished: bool = False
+    """True if the search has ended."""

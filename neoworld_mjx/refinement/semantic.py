@@ -1,11 +1,18 @@
-"""Geometric S_sem: agreement of the placed poses with the relations in the photograph.
+"""Geometric S_sem: agreement of the placed poses with the relations of objects in the photograph.
 
-S_sem is the mean of the paper's four criteria (Appendix B). They compare the visible regions of a
-candidate in the parsed camera, without occluded parts and parts outside the image, with the parsed
-2D boxes and depths. Relations are scored for pairs of objects. Orientation is also scored by the
-agreement of each object's box, the only evidence about its heading, and depth order also by whether
-an object that the photograph shows whole is cut or occluded. Errors within the noise of a parse
-count little, but the score is strictly monotonic, so that candidates can be ranked.
+S_sem is the mean of the paper's four criteria (Appendix B). They compare a candidate, seen through
+the parsed camera, with the parsed 2D boxes and depths. Only visible parts count: neither occluded
+parts nor parts outside the image.
+
+All criteria score relations of pairs of objects. Two of them also score single objects:
+
+- Orientation scores how well the box of each object agrees with the parsed box, which is the only
+  evidence about the heading of an object.
+- Depth order scores whether an object that is entirely visible in the photograph is occluded or cut
+  by the border of the image.
+
+Errors below the noise of a parse lower the score only slightly. The score is strictly monotonic
+nevertheless, so that candidates can be ranked.
 """
 
 import equinox as eqx
@@ -18,19 +25,19 @@ from ..physics.scene_arrays import SceneArrays
 from ..physics.visibility import Visible
 
 NOISE = 0.02
-"""Parse noise, as a fraction of a size, depth or direction; smaller errors cost little."""
+"""Noise of a parse, as a fraction of a size, depth or direction. Smaller errors cost little."""
 SIZE_TOLERANCE = 0.4
-"""Difference of log size ratios at which the relative-size score is zero."""
+"""Difference between log size ratios at which the relative-size score of a pair is zero."""
 TURN_TOLERANCE = np.radians(45.0)
-"""Difference of direction at which a pair's orientation score is zero."""
+"""Difference between directions [rad] at which the orientation score of a pair is zero."""
 BOX_TOLERANCE = 0.25
-"""Mean distance of box edges, over the box's size, at which a box's score is zero."""
+"""Mean distance of box edges, relative to the size of the box, at which its score is zero."""
 SEEN_DEPTH = 0.01
-"""Penetration [m] at which an intersection is certainly visible."""
+"""Penetration depth [m] at which an intersection is certainly visible."""
 
 
 def _extent(boxes: AnyArray) -> Array:
-    """Return the square roots of the boxes' areas [px]."""
+    """Return the square root of the area of each box [px]."""
     sides = jnp.maximum(boxes[..., 2:] - boxes[..., :2], 0.0)
     return jnp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
 
@@ -40,18 +47,18 @@ class Semantic(eqx.Module):
 
     total: Float[Array, " pop"]
     each: Float[Array, "pop object"]
-    """Score of each object by the criteria that involve it; 1 for objects that are not judged."""
+    """Score of each object from the criteria that involve it; 1 for objects that are not judged."""
 
 
 def semantic_score(
     scene: SceneArrays, depths: Float[Array, "pop object object"], visible: Visible
 ) -> Semantic:
-    """Score candidates in [0, 1]; a scene in which nothing is judged scores 1.
+    """Return S_sem of candidates in [0, 1]. If no object of the scene is judged, S_sem is 1.
 
     Args:
         scene: the scene's arrays.
-        depths: pairwise penetration [m] of the candidates' objects.
-        visible: visible regions of the candidates in the camera image.
+        depths: penetration depths of pairs of objects [m].
+        visible: visible parts of the objects in the camera image.
     """
     v = scene.photo
     boxes = jnp.where(v.parsed[:, None], visible.boxes, visible.outlines.boxes)
@@ -71,18 +78,19 @@ def semantic_score(
     def between(x: AnyArray) -> AnyArray:
         return x[..., :, None] - x[..., None, :]
 
-    # Depth ordering: the parsed difference of depth must keep its sign; near ties may be either.
+    # Depth ordering: the difference of two depths must have the sign of the parsed difference. If
+    # the parsed depths are nearly equal, either sign is accepted.
     parsed = between(v.depth)
     slack = NOISE * (v.depth[:, None] + v.depth) / 2
     order = 0.5 + 0.5 * (jnp.sign(parsed) * between(depth) + slack) / slack
     order = jnp.where(jnp.abs(parsed) < slack, 1.0, jnp.clip(order, 0.0, 1.0))
 
-    # Relative size: log ratio of visible sizes.
+    # Relative size: log ratio of the visible sizes.
     ratio = between(jnp.log(size)) - between(jnp.log(parsed_size))
     relative = _score(ratio, SIZE_TOLERANCE)
 
-    # Relative orientation: direction from one object to the other in the image. Nearly concentric
-    # objects have no direction; their offset is compared with their size instead.
+    # Relative orientation: direction from one object to the other in the image. The direction
+    # between nearly concentric objects is undefined; their offset is compared with their size.
     def direction(b: AnyArray) -> list[AnyArray]:
         return [between((b[..., k] + b[..., k + 2]) / 2) for k in range(2)]
 
@@ -101,7 +109,8 @@ def semantic_score(
     overlap = jnp.maximum(depths, jnp.swapaxes(depths, 1, 2))
     separation = jnp.clip(1.0 - overlap / SEEN_DEPTH, 0.0, 1.0)
 
-    # Pairs contribute half of depth order and orientation, single objects the other half.
+    # Half of the scores of depth order and orientation comes from pairs, the other half from single
+    # objects.
     pairs = (order / 2 + relative + turn / 2 + separation) / 4
     pair_mask = v.judged[:, None] & v.judged & ~jnp.eye(scene.count, dtype=bool)
     partners = jnp.sum(pair_mask, axis=1)
@@ -116,6 +125,6 @@ def semantic_score(
 
 
 def _score(error: AnyArray, tolerance: float) -> Array:
-    """Map an error to a score: 1 at zero, nearly flat within the noise, 0 from `tolerance` on."""
+    """Map an error to a score: 1 at zero, nearly flat below the noise, 0 from `tolerance` on."""
     rounded = jnp.sqrt(error * error + NOISE * NOISE) - NOISE
     return jnp.clip(1.0 - rounded / (np.hypot(tolerance, NOISE) - NOISE), 0.0, 1.0)

@@ -1,6 +1,7 @@
-"""The strategies of evosax (Lange, arXiv:2212.04180; extra `baselines`) for Algorithm 1's loop.
+"""The strategies of evosax (Lange, arXiv:2212.04180) as optimizers of Algorithm 1.
 
-`refine.optimizer: evosax:SNES` names one, `refine.strategy` sets its parameters.
+`refine.optimizer: evosax:SNES` selects the strategy SNES; `refine.strategy` sets its parameters.
+evosax is installed by the extra `baselines`.
 """
 
 import functools
@@ -23,36 +24,42 @@ from .cem import initial_sigma
 
 EVOSAX = "evosax"
 LEARNING_RATE = "learning_rate"
-"""Parameter of strategies with a gradient optimizer: the learning rate of Adam."""
+"""Parameter of strategies that use a gradient optimizer: the learning rate of Adam."""
 RESTART = "restart_spread"
-"""Parameter of strategies of a distribution: they start again at the initial layout where the
-rewards of a population differ by less."""
+"""Parameter of distribution-based strategies.
+
+A strategy restarts from the initial layout if the absolute rewards of a population differ by less
+than this value.
+"""
 
 
 class StrategyState(NamedTuple):
     """State of a strategy."""
 
     mean: Layout
-    """The initial layout, pop axis of length 1."""
+    """Initial layout, with a population axis of length 1."""
     inner: Any
-    """evosax's state."""
+    """State of evosax."""
     started: Bool[Array, ""]
-    """True after the first population. A population-based strategy begins with that one."""
+    """True after the first population, which initializes a population-based strategy."""
 
 
 class Strategy(eqx.Module):
-    """An evosax strategy over the free numbers of a layout, in units of their deviations."""
+    """An evosax strategy over the free layout variables, in units of their standard deviations."""
 
     name: str = eqx.field(static=True)
+    """Name of the strategy in evosax."""
     population: int = eqx.field(static=True)
     sigma: Layout
-    """Initial standard deviations, pop axis of length 1."""
+    """Initial standard deviations, with a population axis of length 1."""
     params: Any
-    """evosax's parameters."""
+    """Parameters of evosax."""
     free: tuple[int, ...] = eqx.field(static=True)
-    """Indices of the free numbers in a flattened layout."""
+    """Indices in a flattened layout of the variables whose standard deviation is positive."""
     learning_rate: float | None = eqx.field(static=True, default=None)
+    """See LEARNING_RATE; None if the strategy does not use it or uses its default."""
     restart_spread: float | None = eqx.field(static=True, default=None)
+    """See RESTART. If None, the strategy does not restart."""
 
     def init(self, mean: Layout) -> StrategyState:
         """Return the initial state."""
@@ -66,10 +73,12 @@ class Strategy(eqx.Module):
         return StrategyState(mean, inner, jnp.asarray(False))
 
     def ask(self, key: Key[Array, ""], state: StrategyState, population: int) -> Layout:
-        """Draw a population; `key` is consumed.
+        """Sample a population.
+
+        Use `key` again only for `tell_with_key`.
 
         Raises:
-            ConfigError: the population is not `refine.cem.population`.
+            ConfigError: `population` differs from `refine.cem.population`.
         """
         if population != self.population:
             raise ConfigError(
@@ -93,13 +102,15 @@ class Strategy(eqx.Module):
         layouts: Layout,
         reward: Float[AnyArray, " pop"],
     ) -> StrategyState:
-        """Update the state from the absolute rewards, which never saturate.
+        """Return the state updated with the absolute rewards, which never saturate.
 
         Args:
-            key: the key that `ask` drew the population with; evosax changes its state there, too.
+            key: the key with which `ask` sampled the population. It is needed again because `ask`
+                of evosax also changes the state.
             state: previous state.
             layouts: the evaluated candidates.
-            reward: their absolute rewards; a failed one counts as worse than all others.
+            reward: absolute rewards of the candidates. Failed candidates count as worse than all
+                others.
         """
         es, free = self._es(), jnp.asarray(self.free)
         unit = (_flat(layouts) - _flat(state.mean))[:, free] / _flat(self.sigma)[:, free]
@@ -120,7 +131,7 @@ class Strategy(eqx.Module):
     def _restarted(
         self, key: Key[Array, ""], unit: Any, loss: Any, state: Any, spread: float
     ) -> Any:
-        """Return evosax's state, new if the losses differ by less than `spread`."""
+        """Return the state of evosax, reinitialized if the losses differ by less than `spread`."""
         from evosax.core import restart
 
         limit = restart.RestartParams(min_fitness_spread=spread)
@@ -136,13 +147,16 @@ class Strategy(eqx.Module):
 
 @functools.cache
 def _built(name: str, population: int, numbers: int, learning_rate: float | None) -> Any:
-    """Return evosax's object, always the same one: some keep constants that `init` sets."""
+    """Return the strategy object of evosax.
+
+    Equal arguments give the same object, because `init` stores constants in some of these objects.
+    """
     more = {}
     if learning_rate is not None:
         import optax
 
         more["optimizer"] = optax.adam(learning_rate)
-    with jax.ensure_compile_time_eval():  # It outlives any trace.
+    with jax.ensure_compile_time_eval():  # The cached object outlives any trace.
         return _strategies()[name](population, np.zeros(numbers, np.float32), **more)
 
 
@@ -151,7 +165,7 @@ def _by_population(es: Any) -> bool:
 
 
 def _strategies() -> dict[str, Any]:
-    """Return evosax's strategies by name.
+    """Return the strategies of evosax, by name.
 
     Raises:
         EngineError: evosax is not installed.
@@ -167,10 +181,10 @@ def _strategies() -> dict[str, Any]:
 
 
 def strategy_class(name: str) -> Any:
-    """Return an evosax strategy by its name.
+    """Return the class of an evosax strategy.
 
     Raises:
-        ConfigError: there is no such strategy.
+        ConfigError: there is no strategy of this name.
         EngineError: evosax is not installed.
     """
     known = _strategies()
@@ -185,13 +199,14 @@ def open_strategy(
     """Build an evosax strategy for a scene.
 
     Args:
-        name: its name in evosax, such as SNES.
+        name: name of the strategy in evosax, such as SNES.
         scene: the scene's arrays.
-        options: population and initial deviations.
-        parameters: values of evosax's parameters by name, LEARNING_RATE and RESTART.
+        options: options that give the population size and the initial standard deviations.
+        parameters: values by name, of parameters of evosax, LEARNING_RATE and RESTART.
 
     Raises:
-        ConfigError: there is no such strategy or parameter, or it cannot search the scene.
+        ConfigError: the strategy or a parameter does not exist, or the strategy cannot search the
+            scene.
         EngineError: evosax is not installed.
     """
     strategy = strategy_class(name)
@@ -208,7 +223,7 @@ def open_strategy(
         if spread is not None and _by_population(built._es()):
             raise ConfigError(
                 f"refine.strategy: {name} takes no {RESTART}: it keeps a population, and evosax "
-                "restarts strategies of a distribution alone"
+                "can only restart distribution-based strategies"
             )
         params = built._es().default_params
         fields = list(params.__dataclass_fields__)
@@ -227,7 +242,7 @@ def open_strategy(
     except (AssertionError, TypeError, ValueError) as error:
         first = str(error).split("\n", 1)[0]
         raise ConfigError(
-            f"refine.optimizer: evosax:{name} cannot search {len(free)} numbers with "
+            f"refine.optimizer: evosax:{name} cannot search {len(free)} variables with "
             f"refine.cem.population {options.population}: {first}"
         ) from None
     return built

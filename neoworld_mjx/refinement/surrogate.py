@@ -1,18 +1,19 @@
-"""Surrogate of the model's score for candidates without a score.
+"""Surrogate that estimates the model's score of candidates that the model has not scored.
 
-It predicts the difference between the model's score and the geometric one: its mean and, if
-cross-validation on the scored candidates shows a gain, a ridge regression on the standardised
-layout, its squares, and the geometric score. Without evidence the difference is zero, so that a few
-scores hardly change the geometric score.
+The surrogate adds a predicted difference to the geometric score. The prediction is the mean
+difference between the model's scores and the geometric scores of the scored candidates. If
+cross-validation on these candidates shows a gain, a ridge regression is added, on the normalized
+layout variables, the squares of these variables, and the geometric score. The mean is shrunk toward
+zero, so a few scores hardly change the geometric scores.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 LAMBDAS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-"""Ridge penalties to try; features have about unit variance."""
+"""Ridge penalties that are tried. The variance of the features is about 1."""
 FEWEST = 6
-"""Scored candidates needed for a regression on layouts."""
+"""Number of scored candidates that the regression requires."""
 
 
 def surrogate_scores(
@@ -22,26 +23,30 @@ def surrogate_scores(
     scored_geometric: NDArray,
     scores: NDArray,
 ) -> NDArray:
-    """Estimate scores in [0, 1].
+    """Estimate the model's scores of candidates.
 
-    The order of the scored candidates affects only rounding; callers sort them.
+    The order of the scored candidates changes the estimates only by rounding. Callers sort the
+    candidates to avoid this.
 
     Args:
-        layouts: standardised layouts of the candidates, float [pop, number].
-        geometric: their geometric scores [pop].
-        scored_layouts: of the scored candidates, float [scored, number].
-        scored_geometric: geometric scores of the scored candidates [scored].
-        scores: the model's scores [scored].
+        layouts: layout variables of the candidates, divided by their initial standard deviations;
+            shape [pop, variable].
+        geometric: geometric scores of the candidates; shape [pop].
+        scored_layouts: normalized layout variables of the scored candidates; shape
+            [scored, variable].
+        scored_geometric: geometric scores of the scored candidates; shape [scored].
+        scores: the model's scores of the scored candidates; shape [scored].
 
     Returns:
-        Estimates [pop]; the geometric scores where nothing is scored.
+        Estimates in [0, 1], shape [pop]. If there are no scored candidates, these are the geometric
+        scores.
     """
     count = len(scores)
     geometric = np.asarray(geometric, float)
     if not count:
         return np.clip(geometric, 0.0, 1.0)
     difference = np.asarray(scores, float) - scored_geometric
-    # Shrinkage of the mean, equivalent to one more candidate with difference zero.
+    # The mean is shrunk as if there were one more candidate, with a difference of zero.
     mean = difference.sum() / (count + 1)
     known, targets = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
     center = known.mean(axis=0)
@@ -50,7 +55,7 @@ def surrogate_scores(
 
 
 def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
-    # Clipping at 3 deviations prevents extrapolation to outliers.
+    # Clipping at 3 standard deviations prevents extrapolation to outliers.
     z = np.clip(np.asarray(layouts, float), -3.0, 3.0)
     return np.concatenate([z, z**2 - 1.0, 5.0 * np.asarray(geometric, float)[:, None]], axis=1)
 
@@ -61,7 +66,7 @@ def _regressed(known: NDArray, residuals: NDArray, targets: NDArray) -> NDArray:
     zeros = np.zeros(len(targets))
     if count < FEWEST or not np.any(residuals):
         return zeros
-    # Principal axes, by the smaller of the two Gram matrices.
+    # Compute the principal axes from the smaller one of the two Gram matrices.
     wide = known.shape[1] > count
     eigenvalues, vectors = np.linalg.eigh(known @ known.T if wide else known.T @ known)
     significant = eigenvalues > 1e-9 * eigenvalues[-1]

@@ -1,4 +1,4 @@
-"""Sweeps over the options of the search, and ablations."""
+"""Sweeps and ablations of the options of the search."""
 
 from .cases import Case, Source, case
 from .merge import merge

@@ -1,4 +1,4 @@
-"""Axes of a plan: lists of values, ranges with a number of values, and ranges to draw from."""
+"""Axes of a plan: lists of values, ranges of evenly spaced values, and ranges to sample from."""
 
 import itertools
 import math
@@ -13,20 +13,21 @@ from ..io.validation_message import validation_message
 from ..options import Options
 
 MAX_POINTS = 10_000
+"""Maximum number of points of a plan."""
 
 
 class AxisRange(Options):
-    """Range of an axis: `n` evenly spaced values, or drawn at random."""
+    """Range of an axis: `n` evenly spaced values, or values that are sampled at random."""
 
     low: float
     high: float
     log: bool = False
-    """True to space or draw logarithms evenly."""
+    """If True, values are spaced or sampled evenly on a logarithmic scale."""
     n: int | None = Field(default=None, ge=2, le=MAX_POINTS)
-    """Number of values, both ends included; None draws a value for each of the plan's samples."""
+    """Number of values, including both ends. If None, values are sampled; see `Plan.samples`."""
 
     def at(self, share: float) -> float:
-        """Return the value at a share of the range, from 0 to 1."""
+        """Return the value at a fraction of the range: `low` at 0, `high` at 1."""
         if share in (0.0, 1.0):
             return self.high if share else self.low
         if self.log:
@@ -35,20 +36,21 @@ class AxisRange(Options):
 
 
 class Axes(NamedTuple):
-    """Validated axes."""
+    """Validated axes of a plan, by the paths of their options."""
 
     lists: dict[str, list[Any]]
-    """Values by path; ranges with `n` included."""
+    """Values of each list, and of each range with `n`."""
     ranges: dict[str, AxisRange]
-    """Ranges to draw from, by path."""
+    """Ranges without `n`, from which values are sampled."""
 
 
 def read_axes(axes: Mapping[str, Any], whole: Callable[[str], bool]) -> Axes:
-    """Validate axes.
+    """Validate the axes of a plan.
 
     Args:
         axes: a list of values or the mapping of an `AxisRange`, by the path of an option.
-        whole: whether an option takes integers alone, to which values of a range are rounded.
+        whole: function that returns whether an option takes only integers. Values of a range are
+            then rounded.
 
     Raises:
         ConfigError: an axis has no values, or is neither a list nor a range.
@@ -85,7 +87,9 @@ def _range(path: str, value: Mapping[str, Any]) -> AxisRange:
         raise ConfigError(f"axes: {path}: low must be below high, got {limits.low:g} and "
                           f"{limits.high:g}")  # fmt: skip
     if limits.log and limits.low <= 0:
-        raise ConfigError(f"axes: {path}: a logarithmic range begins above 0, got {limits.low:g}")
+        raise ConfigError(
+            f"axes: {path}: low of a logarithmic range must be above 0, got {limits.low:g}"
+        )
     return limits
 
 
@@ -96,32 +100,33 @@ def combinations(
     draw_seed: int,
     whole: Callable[[str], bool],
 ) -> list[dict[str, Any]]:
-    """Return the values of every point, by path.
+    """Return the values of every point, by the paths of the options.
 
     Args:
         axes: the axes.
         zipped: groups of axes whose values advance together instead of being combined.
-        samples: number of draws from the ranges, each combined with every grid point.
-        draw_seed: seed of the draws.
+        samples: number of samples from the ranges. Each sample is combined with every combination
+            of the values in lists.
+        draw_seed: random seed of the samples.
         whole: see `read_axes`.
 
     Raises:
-        ConfigError: a group names no axis or axes of different lengths, ranges and samples do not
-            come together, or there are too many points.
+        ConfigError: a group names an axis that does not exist or axes of different lengths, there
+            are ranges without samples or samples without ranges, or there are too many points.
     """
     groups = _groups(axes.lists, zipped)
     if axes.ranges and not samples:
         raise ConfigError(
-            f"axes: {', '.join(axes.ranges)} is drawn: set the plan's samples, or n for evenly "
-            "spaced values"
+            f"axes: {', '.join(axes.ranges)} is drawn at random: set the plan's samples, or set n "
+            "for evenly spaced values"
         )
     if samples and not axes.ranges:
-        raise ConfigError("samples: no axis is a range without n to draw from")
+        raise ConfigError("samples: no axis is a range without n, from which values are drawn")
     count = math.prod(len(axes.lists[group[0]]) for group in groups) * max(samples, 1)
     if count > MAX_POINTS:
         raise ConfigError(
             f"axes: {count} points, at most {MAX_POINTS} are allowed; use fewer values, several "
-            "plans, or draw some axes"
+            "plans, or draw the values of some axes at random"
         )
     steps = [
         [dict(zip(group, row, strict=True)) for row in _rows(axes.lists, group)] for group in groups
@@ -139,7 +144,10 @@ def combinations(
 def drawn(
     ranges: Mapping[str, AxisRange], samples: int, seed: int, whole: Callable[[str], bool]
 ) -> list[dict[str, Any]]:
-    """Draw values from ranges, evenly over each one; more samples keep the first ones."""
+    """Sample values uniformly from ranges.
+
+    A larger number of samples begins with the samples of a smaller number.
+    """
     rows = np.random.default_rng(seed).random((samples, len(ranges)))
     return [
         {
@@ -151,7 +159,10 @@ def drawn(
 
 
 def _groups(lists: Mapping[str, list[Any]], zipped: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return groups of axes that advance together, in the order of the axes."""
+    """Return the groups of axes that advance together, in the order of the axes.
+
+    An axis that is not zipped with others is a group of its own.
+    """
     group_of: dict[str, list[str]] = {}
     for group in zipped:
         for path in group:
@@ -163,7 +174,9 @@ def _groups(lists: Mapping[str, list[Any]], zipped: Sequence[Sequence[str]]) -> 
         lengths = {path: len(lists[path]) for path in group}
         if len(set(lengths.values())) > 1:
             said = ", ".join(f"{path} has {n}" for path, n in lengths.items())
-            raise ConfigError(f"zip: axes that advance together have as many values: {said}")
+            raise ConfigError(
+                f"zip: axes that advance together must have equal numbers of values: {said}"
+            )
     groups: list[list[str]] = []
     for path in lists:
         group = group_of.get(path, [path])

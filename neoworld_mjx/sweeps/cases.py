@@ -1,4 +1,4 @@
-"""Scenes of a sweep: files, run folders, and named scenes of a source."""
+"""Scenes of a sweep: from files, from run folders, or by name from a source."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ PHOTO = "photo.png"
 
 @dataclass(frozen=True)
 class Case:
-    """Scene to refine."""
+    """A scene to refine."""
 
     name: str
     scene: SceneSpec
     start: Callable[[SceneModel, int], Layout] | None = None
     """Function that returns the initial layout for a seed, with a population axis of length 1.
 
-    None starts the search at the composed scene."""
+    If None, the search starts at the composed scene."""
     errors: Callable[[SceneSpec], dict[str, float]] | None = None
-    """Function that returns the errors of a delivered scene; None without ground truth."""
+    """Function that returns the errors of a delivered scene; None if there is no ground truth."""
     photo: Path | None = None
-    """File of the photograph, for S_photo and for scores by a model; None if there is none."""
+    """File of the photograph, for S_photo and for S_sem by a model; None if there is none."""
 
 
 Source = Callable[[str], Case]
-"""Function that returns a scene from the name after the colon."""
+"""Function that returns the scene KIND:NAME, given NAME."""
 SOURCES = "neoworld_bench.named_scenes:SOURCES"
-"""Location of the sources of the benchmark's scenes."""
+"""Import path of the benchmark's sources of scenes."""
 
 
 def bench_sources() -> Mapping[str, Source]:
@@ -44,13 +44,13 @@ def bench_sources() -> Mapping[str, Source]:
 
 
 def case(name: str, sources: Mapping[str, Source] | None = None) -> Case:
-    """Return a scene by name: KIND:NAME of a source, a scene.json or a run folder.
+    """Return a scene by name: KIND:NAME, or the path of a scene.json or of a run folder.
 
-    A run folder gives the composed scene, before refinement.
+    The scene of a run folder is the composed scene, before refinement.
 
     Args:
-        name: its name or path.
-        sources: functions that return scenes, by kind; None is `bench_sources`.
+        name: the name or path of the scene.
+        sources: functions that return scenes, by KIND. If None, the result of `bench_sources`.
 
     Raises:
         SpecError: the scene does not exist.

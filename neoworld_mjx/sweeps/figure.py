@@ -1,4 +1,4 @@
-"""Figure of a sweep: convergence of the points, effect of the axes, and terms of the winners."""
+"""Figure of a sweep: convergence of the points, effects of the axes, and terms of the winners."""
 
 import math
 from collections import defaultdict
@@ -11,20 +11,26 @@ from ..render import plots
 from .run_rows import Row
 
 MAX_CELLS = 64
-"""Maximum number of heat map cells that are annotated with numbers."""
+"""Maximum number of cells of a heat map that is annotated with values."""
 MAX_LINES = 8
-"""Maximum number of points whose convergence is drawn, best median reward first."""
+"""Maximum number of points whose convergence is drawn; those of best median reward are chosen."""
 
 
 class Effect(NamedTuple):
-    """Column whose dependence on the axes is drawn; independent of the reward's weights."""
+    """A column whose dependence on the axes is drawn.
+
+    Such columns must not depend on the weights of the reward.
+    """
 
     name: str
+    """Column of the rows."""
     label: str
     factor: float = 1.0
+    """Factor from the values of the column to the drawn values."""
     low: float | None = None
+    """Lower end of the drawn scale; None fits it to the values."""
     high: float | None = None
-    """Ends of the scale; None uses those of the values."""
+    """Upper end of the drawn scale; None fits it to the values."""
 
 
 EFFECTS = (
@@ -37,12 +43,13 @@ EFFECTS = (
 def draw(
     rows: Sequence[Row], axes: Sequence[str], form: Literal["svg", "pdf"] = "svg"
 ) -> bytes | None:
-    """Draw a sweep as SVG or PDF; without matplotlib, log that and return None.
+    """Draw a sweep as SVG or PDF. If matplotlib is missing, log this and return None.
 
-    Left: best reward so far over the rollouts made, median and interquartile range over scenes and
-    seeds.
-    Middle: dependence on the first two axes with several values, as lines with all runs or as heat
-    maps. Right: S_sem over D_drift of every run.
+    - Left: the best reward so far as a function of the number of rollouts, as the median and the
+      interquartile range over scenes and seeds.
+    - Middle: the columns in EFFECTS as functions of the axes that have several values. One axis
+      gives lines and dots for all runs; of several axes, the first two give heat maps.
+    - Right: S_sem against D_drift of every run.
 
     Args:
         rows: the runs, each with its iterations under "history".
@@ -71,7 +78,7 @@ def _convergence(plot: Any, rows: Sequence[Row]) -> None:
     quartiles = {}
     for point, runs in curves.items():
         length = max(map(len, runs))
-        # A run that has stopped keeps its last value.
+        # The last value of a run continues after the run has stopped.
         best = np.array([run + [run[-1] if run else np.nan] * (length - len(run)) for run in runs])
         if np.isfinite(best).any():
             known = [column[np.isfinite(column)] for column in best.T]
@@ -82,7 +89,7 @@ def _convergence(plot: Any, rows: Sequence[Row]) -> None:
     shown = ranked[:MAX_LINES]
     for point in (point for point in quartiles if point in shown):
         low, median, high = quartiles[point]
-        # Runs of a point draw equal populations, so the longest one has the rollouts of all.
+        # The populations of a point's runs are equal, so the counts of the longest run fit all.
         counts = max(rollouts[point], key=len)
         (line,) = plot.plot(counts, median, marker=".", label=_short(point))
         plot.fill_between(counts, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
@@ -148,7 +155,7 @@ def _order(value: Any) -> tuple[bool, Any]:
 
 
 def _short(value: Any) -> str:
-    """Return a short label: the last part of an option's path, or a number."""
+    """Return a short label: the last part of an option's path, or a formatted number."""
     if isinstance(value, float):
         return f"{value:g}"
     text = str(value)

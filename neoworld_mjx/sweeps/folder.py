@@ -1,4 +1,4 @@
-"""Output folder of a sweep, which is rewritten after every group of runs."""
+"""Output folder of a sweep, whose files are rewritten after every group of runs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterat
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
 TABLE, CSV, LATEX = "table.md", "table.csv", "table.tex"
 FIGURE, RANKS = "figure.svg", "ranks.svg"
-"""Figures; each is also written as a PDF of the same name."""
+"""Names of the figures. Each figure is also written as a PDF of the same name."""
 FORMAT = "neoworld-sweep/1"
 
 
 class SweepFolder:
-    """Output folder of a sweep, locked, with the runs completed before it was resumed in `rows`.
+    """Output folder of a sweep, which is locked until it is closed.
 
-    Use it in a `with` statement.
+    Use it in a `with` statement. If the sweep is resumed, `rows` contains the completed runs.
     """
 
     def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
@@ -32,18 +32,19 @@ class SweepFolder:
         Args:
             path: the folder.
             kind: "sweep" or "ablation".
-            resume: keep existing rows that the plan contains.
-            overwrite: delete the files of an earlier sweep, but no others.
+            resume: keep the existing rows.
+            overwrite: delete the files of an earlier sweep, but no other files.
 
         Raises:
-            RunError: the path is a file, cannot be written, or holds files not to be replaced.
+            RunError: the path is a file, cannot be written, is in use, or contains files that must
+                not be replaced.
         """
         self.path = Path(path)
         self.rows: list[Row] = []
         self.groups: list[dict[str, Any]] = []
-        """Computations that produced `rows`, as listed in sweep.json."""
+        """Computations that produced `rows`, as in sweep.json."""
         self.ledger: dict[str, Any] = {}
-        """Calls and costs of the models that scored `rows`."""
+        """Calls and costs of the models that scored the runs in `rows`."""
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder")
         try:
@@ -101,13 +102,16 @@ class SweepFolder:
                 self.groups = list(about.get("groups", []))
 
     def completed(self, expected: Mapping[Key, str]) -> dict[Key, Row]:
-        """Return the rows that need not be computed again, whatever the labels of their points.
+        """Return the rows that need not be computed again.
+
+        Rows are found by their fingerprints, so the labels of their points may have changed.
 
         Args:
             expected: fingerprint of every requested run, by scene, point and seed.
 
         Raises:
-            RunError: the folder has rows of runs that are not requested, which would be lost.
+            RunError: the folder contains rows of runs that are not requested. These rows would be
+                lost.
         """
         rows = {row["fingerprint"]: row for row in self.rows}
         known = set(expected.values())
@@ -125,7 +129,12 @@ class SweepFolder:
         return {run: rows[mark] for run, mark in expected.items() if mark in rows}
 
     def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
-        """Write all rows so far, and further text files by name.
+        """Write all rows so far, and further text files.
+
+        Args:
+            rows: the runs, each with its iterations under "history".
+            values: columns that distinguish points.
+            texts: content of the further files, by name.
 
         Raises:
             RunError: a file cannot be written.
@@ -138,15 +147,15 @@ class SweepFolder:
     def write_figure(
         self, rows: Sequence[Row], axes: Sequence[str], *, ranked: bool = False
     ) -> str | None:
-        """Draw the sweep; return the figure's path, or None without matplotlib.
+        """Draw the sweep, and return the path of the figure, or None if matplotlib is missing.
 
         Args:
-            rows: the runs.
+            rows: the runs, each with its iterations under "history".
             axes: columns that distinguish points.
-            ranked: True to draw the critical-difference diagram, too.
+            ranked: if True, also draw the critical-difference diagram.
 
         Raises:
-            RunError: the file cannot be written.
+            RunError: a file cannot be written.
         """
         found = ranks(rows, list(dict.fromkeys(row["point"] for row in rows)))
         for form in ("svg", "pdf"):
@@ -163,13 +172,13 @@ class SweepFolder:
         """Write sweep.json.
 
         Raises:
-            RunError: it cannot be written.
+            RunError: the file cannot be written.
         """
         write_output(self.path / ABOUT, json.dumps(about, indent=1) + "\n", RunError)
 
 
 def sweep_of(path: Path) -> dict[str, Any] | None:
-    """Return the content of a folder's sweep.json; None if it holds no sweep."""
+    """Return the content of a folder's sweep.json; None if the folder contains no sweep."""
     try:
         about = read_object(path / ABOUT, RunError)
     except RunError:

@@ -1,6 +1,6 @@
-"""Runs of one group of points on one scene: searched together, or refined one by one.
+"""Runs of one group of points on one scene, which are searched together or refined one by one.
 
-`compute` is the task of a sweep; a worker elsewhere gets it, too.
+`compute` is the task that a sweep runs in this process, or in a worker on this or another machine.
 """
 
 import json
@@ -32,7 +32,7 @@ from .run_rows import Row, iteration_rows, row_of_refined, row_of_search, summar
 from .winners import winners
 
 CANDIDATES_AT_ONCE = 1024
-"""Candidates that occupy four cores for a while."""
+"""Number of candidates that keeps four cores busy long enough."""
 
 
 class SweepPart(NamedTuple):
@@ -41,52 +41,55 @@ class SweepPart(NamedTuple):
     case: Case
     scene_hash: str
     options: RefineOptions
-    """Options to compile the scene with."""
+    """Options with which the scene is compiled."""
     runs: tuple[tuple[Point, int], ...]
     """Point and seed of each run."""
     fold: bool
+    """If True, the runs are searched together; if False, they are refined one by one."""
     engine: Engine | None
-    """Physics engine; None opens the one that the options name."""
+    """Physics engine. If None, the engine that the options name is opened."""
     threads: int = 0
-    """Threads of that one on a CPU; 0 is all cores."""
+    """Number of threads of the engine if it is opened and runs on the CPU; 0 uses all cores."""
 
 
 class ComputedPart(NamedTuple):
-    """Rows of a part's runs, in their order."""
+    """Rows of the runs of a part."""
 
     part: SweepPart
     rows: list[Row]
+    """One row per run, in the order of `part.runs`."""
     timing: dict[str, Any]
-    """Entry of "groups" in sweep.json."""
+    """Entry of the part under "groups" in sweep.json."""
 
 
 @dataclass
 class CompiledScene:
-    """Compiled models of the last scene, which later parts of a sweep reuse in this process."""
+    """Compiled models of the last scene, which later parts of a sweep in this process reuse."""
 
     scene_hash: str = ""
     models: dict[tuple[float, int, float, bool], SceneModel] = field(default_factory=dict)
-    """By time step, samples, reach, and whether the photograph is evidence."""
+    """Compiled models by time step, number of samples, reach, and whether the model contains the
+    evidence of the photograph."""
     kinds: set[str] = field(default_factory=set)
-    """Static options of the runs that have been compiled."""
+    """Static options, as JSON, for which a search has been compiled."""
 
 
 COMPILED = CompiledScene()
 
 
 def forget_compiled(scene_hash: str = "") -> None:
-    """Begin another scene, or another sweep."""
+    """Discard the compiled models, before another scene or another sweep."""
     COMPILED.scene_hash = scene_hash
     COMPILED.models.clear()
     COMPILED.kinds.clear()
 
 
 def compute(part: SweepPart, scores: ModelScores | None = None) -> Iterator[ComputedPart]:
-    """Compute the runs of a part.
+    """Compute the runs of a part, and yield their rows.
 
     Args:
         part: the runs.
-        scores: scores by a model; None if no run needs them.
+        scores: source of scores by a model; None if no run needs such scores.
     """
     case, options = part.case, part.options
     if COMPILED.scene_hash != part.scene_hash:
@@ -133,17 +136,18 @@ def search_together(
     engine: Engine,
     clock: dict[str, float] | None = None,
 ) -> list[Row]:
-    """Search all runs in one computation, or in one for each set of held objects.
+    """Search all runs in one computation.
 
-    On a CPU, a row does not depend on the other runs.
+    Runs that may fix different objects (see `grouping.holding_part`) are searched in separate
+    computations. On a CPU, a row does not depend on the other runs.
 
     Args:
         case: the scene.
-        compile_options: options that the scene was compiled with.
+        compile_options: options with which the scene was compiled.
         model: the compiled scene.
-        runs: runs that share static options.
+        runs: runs whose static options are equal.
         engine: the physics engine.
-        clock: seconds spent, by step; updated in place.
+        clock: seconds spent on each step; updated in place.
     """
     clock = {} if clock is None else clock
     alike: dict[str, list[int]] = {}
@@ -169,9 +173,10 @@ def search_together(
 
 
 def runs_at_once(options: RefineOptions) -> int:
-    """Return the number of runs that share a computation before their rows are saved.
+    """Return the number of runs that are computed together, before their rows are saved.
 
-    A killed sweep loses these rows at most. They are enough to occupy an engine.
+    The number is large enough to keep an engine busy. A sweep that is killed loses at most this
+    number of rows.
     """
     candidates = CANDIDATES_AT_ONCE * max(1, (os.cpu_count() or 1) // 4)
     if not computes_on_cpu():
@@ -187,17 +192,19 @@ def refine_separately(
     compiled_kinds: set[str],
     scores: ModelScores | None,
 ) -> list[Row]:
-    """Refine runs one by one; the first of each kind runs twice to exclude compilation from times.
+    """Refine runs one by one, and exclude compilation from their times.
 
-    The warm-up run uses geometric scores, which cost no model calls.
+    For this purpose, the first run with given static options runs twice. Its warm-up run uses the
+    geometric S_sem, so it sends no requests to a model.
 
     Args:
         case: the scene.
         model: the compiled scene.
-        runs: points and their runs.
+        runs: point and inputs of each run.
         engine: the physics engine.
-        compiled_kinds: static options of the runs that have been compiled; updated in place.
-        scores: scores by a model; None if no run needs them.
+        compiled_kinds: static options, as JSON, for which a search has been compiled; updated in
+            place.
+        scores: source of scores by a model; None if no run needs such scores.
     """
     rows = []
     for point, run in runs:

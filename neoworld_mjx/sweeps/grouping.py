@@ -1,4 +1,4 @@
-"""Grouping of points into computations: points with equal static options share a program."""
+"""Grouping of points into computations: points with equal static options are computed together."""
 
 import json
 from collections.abc import Sequence
@@ -10,11 +10,12 @@ from ..refinement.compiling import reach_of
 
 _OPTIONS = tuple(list_options(RefineOptions))
 TRACED = tuple(option.path for option in _OPTIONS if option.kind == "traced")
-"""Paths under `refine` of the options that are arrays; changing them needs no compilation."""
+"""Paths under `refine` of the traced options, whose change does not recompile."""
 STATIC = {option.path: option.reason for option in _OPTIONS if option.kind == "static"}
-"""Reasons of the options whose change needs another computation, by path."""
+"""Reasons why options are static, by path under `refine`. Their change recompiles."""
 _STATIC_IF_EARLY_STOP = {o.path: o.reason for o in _OPTIONS if o.kind == "traced" and o.reason}
-"""Traced options that set the rule of `rollout.early_stop`."""
+"""Reasons of traced options that are static if `rollout.early_stop` is true, because they set the
+rule by which rollouts stop early."""
 
 
 class PointGroup(NamedTuple):
@@ -23,14 +24,14 @@ class PointGroup(NamedTuple):
     members: tuple[int, ...]
     """Indices of the points."""
     compile_options: RefineOptions
-    """Options to compile a scene with, those of the first member."""
+    """Options with which scenes are compiled: the options of the first member."""
 
 
 def holding_part(options: RefineOptions) -> str:
-    """Return the values that decide which objects a search holds, as JSON.
+    """Return the values that determine which objects a search fixes, as JSON.
 
-    Runs of one search hold the same objects, so runs that differ here are searched one after the
-    other; otherwise the result of a run would depend on the other runs.
+    All runs of one search fix the same objects. Runs whose values differ here are therefore
+    searched separately; otherwise the result of a run would depend on the other runs.
     """
     o = options
     bounds = (o.max_depth_m, o.max_drift_m, o.max_tilt_deg, o.check_duration_s, o.check_timestep_s)
@@ -38,7 +39,7 @@ def holding_part(options: RefineOptions) -> str:
 
 
 def static_part(options: RefineOptions) -> str:
-    """Return the values that runs must have in common to share a computation, as JSON."""
+    """Return the values that must be equal for runs to share a computation, as JSON."""
     values = option_values(options)
     static = {path: values[path] for path in STATIC}
     static["terms"] = list(values["reward.terms"])
@@ -50,7 +51,7 @@ def static_part(options: RefineOptions) -> str:
 
 
 def grouped(points: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
-    """Group points by static options; without `fold` each point is its own group."""
+    """Group points whose static options are equal. If `fold` is False, do not group points."""
     groups: dict[str, list[int]] = {}
     for k, options in enumerate(points):
         groups.setdefault(static_part(options) if fold else str(k), []).append(k)
@@ -58,7 +59,10 @@ def grouped(points: Sequence[RefineOptions], *, fold: bool = True) -> list[Point
 
 
 def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
-    """Return one line per static option that splits the points into groups."""
+    """Return a line for each static option that splits the points into groups, and their number.
+
+    If there is only one group, or if `fold` is False, there are no lines.
+    """
     tables = [option_values(options) for options in points]
     count = len({static_part(options) for options in points})
     if count == 1 or not fold:
@@ -71,7 +75,7 @@ def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
             listed = ", ".join(value.strip('"') for value in values)
             lines.append(f"refine.{name} = {listed} ({reason}): compiles {len(values)} times")
     if len({tuple(table["reward.terms"]) for table in tables}) > 1:
-        lines.append("refine.reward.terms: other terms are another program")
+        lines.append("refine.reward.terms: a change of the terms recompiles")
     if len({reach_of(options) for options in points}) > 1:
-        lines.append("refine.cem.sigma_xy: a wider one needs a wider surface under each object")
-    return [*lines, f"so {len(points)} points are {count} computations per scene"]
+        lines.append("refine.cem.sigma_xy: larger values need a wider surface under each object")
+    return [*lines, f"so {len(points)} points need {count} computations per scene"]

@@ -1,10 +1,14 @@
 """Means, shares and paired differences with 95 % intervals, clustered by scene.
 
-Runs on one scene resemble one another, so n runs on k scenes say less than n scenes. All intervals
-follow from the k sums over scenes: Student's t with a cluster-robust variance for means, Korn and
-Graubard's (1998) for shares, which is that of Clopper and Pearson with the effective number of
-runs. With one run per scene they are the usual ones. Over a single scene, the runs take the place
-of scenes: the interval then says nothing about other scenes.
+Runs on the same scene are correlated, so n runs on k scenes carry less information than runs on n
+scenes. All intervals are therefore computed from the k sums over scenes:
+
+- means: Student's t interval with a cluster-robust variance;
+- shares: the interval of Korn and Graubard (1998), which is the Clopper-Pearson interval with the
+  effective number of runs.
+
+With one run per scene, these are the usual intervals. If there is a single scene, intervals are
+computed over its runs, and say nothing about other scenes.
 """
 
 import math
@@ -16,10 +20,11 @@ from jaxtyping import Float
 from scipy import stats
 
 LEVEL = 0.95
+"""Confidence level of all intervals."""
 
 
 class Estimate(NamedTuple):
-    """Mean or share with its interval; NaN where there are too few values."""
+    """A mean or a share with its interval. Values that are undefined are NaN."""
 
     mean: float
     low: float
@@ -27,28 +32,28 @@ class Estimate(NamedTuple):
     n: int
     """Number of runs."""
     scenes: int
-    """Number of scenes; 1 makes the interval one over runs."""
+    """Number of scenes. If it is 1, the interval is computed over runs."""
 
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan, 0, 0)
 
 
 def rate(hits: Sequence[bool], scenes: Sequence[str]) -> Estimate:
-    """Estimate a rate.
+    """Estimate a rate, with its interval.
 
     Args:
         hits: outcome of each run.
-        scenes: its scene.
+        scenes: scene of each run.
     """
     return _estimate([float(hit) for hit in hits], scenes, share=True)
 
 
 def mean(values: Sequence[float], scenes: Sequence[str]) -> Estimate:
-    """Estimate a mean; its interval is NaN for fewer than two values.
+    """Estimate a mean, with its interval. The interval is NaN if there are fewer than two values.
 
     Args:
         values: value of each run.
-        scenes: its scene.
+        scenes: scene of each run.
     """
     return _estimate(values, scenes, share=False)
 
@@ -67,14 +72,15 @@ def _estimate(values: Sequence[float], scenes: Sequence[str], *, share: bool) ->
 def rate_difference(
     hits: Sequence[bool], others: Sequence[bool], scenes: Sequence[str]
 ) -> Estimate:
-    """Estimate the difference of two paired rates with Agresti and Min's adjusted Wald interval.
+    """Estimate the difference between two paired rates.
 
-    Half an observation is added to each of the four outcomes of a scene, so that the interval has
-    nonzero width even if all pairs agree. `mean` is the plain difference.
+    The interval is the adjusted Wald interval of Agresti and Min. Half an observation is added to
+    each of the four possible outcomes of a pair, so that the width of the interval is not zero even
+    if all pairs agree. The estimated mean is the unadjusted difference.
 
     Args:
         hits: first outcome of each pair.
-        others: second outcome of each pair, which is subtracted.
+        others: second outcome of each pair, whose rate is subtracted.
         scenes: scene of each pair.
     """
     if not len(hits):
@@ -90,7 +96,7 @@ def rate_difference(
 
 
 def by_scene(values: Sequence[float], scenes: Sequence[str]) -> Float[np.ndarray, " scene"]:
-    """Return the mean of each scene's values; the values themselves for a single scene."""
+    """Return the mean value of each scene. If there is only one scene, return all its values."""
     if len(set(scenes)) == 1:
         return np.asarray(values, float)
     groups: dict[str, list[float]] = {}
@@ -100,19 +106,21 @@ def by_scene(values: Sequence[float], scenes: Sequence[str]) -> Float[np.ndarray
 
 
 class PairedTest(NamedTuple):
-    """Test of paired differences, over scenes."""
+    """Test of paired differences over scenes, or over the runs of a single scene."""
 
     wins: int
-    """Scenes with a positive difference."""
+    """Number of scenes with a positive difference."""
     losses: int
+    """Number of scenes with a negative difference."""
     sign_p: float
-    """Two-sided p of the sign test, ties dropped; 1 if all are ties."""
+    """Two-sided p value of the sign test without ties; 1 if all differences are ties."""
     effect: float
-    """Mean difference over its standard deviation (Cohen's d for pairs); NaN if that is 0."""
+    """Cohen's d for pairs: mean difference divided by the standard deviation of the differences;
+    NaN if the standard deviation is 0."""
 
 
 def paired_test(differences: Sequence[float], scenes: Sequence[str]) -> PairedTest:
-    """Test whether paired differences favour one side.
+    """Test whether paired differences favor one side.
 
     Args:
         differences: difference of each pair.
@@ -126,7 +134,7 @@ def paired_test(differences: Sequence[float], scenes: Sequence[str]) -> PairedTe
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p values adjusted for their number by Holm's method."""
+    """Adjust p values for multiple comparisons by Holm's method."""
     count, largest = len(p_values), 0.0
     adjusted = [0.0] * count
     for rank, k in enumerate(sorted(range(count), key=lambda k: p_values[k])):
@@ -136,19 +144,20 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 Interval = tuple[float | None, float | None, float | None]
-"""Mean, low and high; None if undefined."""
+"""Mean, lower end and upper end; each is None if it is undefined."""
 
 
 def ratio_interval(parts: Iterable[tuple[str, float, float]], *, share: bool = False) -> Interval:
-    """Return sum over count of parts, with an interval clustered by group.
+    """Return the ratio of the total sum to the total count, with an interval clustered by group.
 
     Args:
-        parts: group, such as a scene, sum and count of each part.
-        share: True if the ratio is a share in [0, 1], whose interval has a width also where all
-            parts agree.
+        parts: group (such as a scene), sum and count of each part.
+        share: if True, the ratio is a share in [0, 1]. The width of its interval is then positive
+            even if all parts agree.
 
     Returns:
-        The ratio is None without a count, the ends of the interval for fewer than two groups.
+        The ratio and the ends of its interval. The ratio is None if the total count is 0; the ends
+        are None if there are fewer than two groups.
     """
     totals: dict[str, np.ndarray] = {}
     number = 0

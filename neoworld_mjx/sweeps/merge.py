@@ -1,4 +1,4 @@
-"""Merging of the folders of a sweep's shards into one."""
+"""Merging of the folders of a sweep's shards into one folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,25 +10,27 @@ from .result import SweepResult, stored_result
 from .run_rows import Key, Row, add_iterations, read_runs, row_key
 
 ALIKE = ("kind", "plan", "points", "scenes", "versions", "commit")
-"""Entries of sweep.json that shards of one sweep have in common."""
+"""Entries of sweep.json that must be equal in all shards of a sweep."""
 
 
 def merge(
     folders: Sequence[Path | str], out: Path | str, *, overwrite: bool = False
 ) -> SweepResult:
-    """Join the rows of shards, and write the table and figure of the whole sweep or ablation.
+    """Join the rows of shards, and write the tables and figures of the whole sweep or ablation.
 
-    Unfinished shards may be merged, too; "missing" in sweep.json is the number of runs that no
-    shard has. Sweep or ablate with `resume` completes the merged folder.
+    Unfinished shards can be merged, too. The number of runs that no shard contains is written into
+    sweep.json as "missing". To compute these runs, sweep or ablate into the merged folder with
+    `resume`.
 
     Args:
-        folders: folders of the shards, or of parts of a sweep under the same plan.
-        out: folder for the merged files; new or empty.
+        folders: folders of the shards, or of several parts of a sweep that have the same plan.
+        out: folder for the merged files, which must be new or empty.
         overwrite: replace an earlier sweep in `out`.
 
     Raises:
-        RunError: a folder holds no sweep, shards differ in plan, scenes, versions or commit, two
-            have different rows for a run, or `out` cannot be written.
+        RunError: a folder contains no sweep; shards differ in plan, scenes, versions or commit;
+            two shards have rows with different fingerprints for the same run; or `out` cannot be
+            written.
     """
     paths = [Path(folder) for folder in folders]
     if not paths:
@@ -80,14 +82,14 @@ def _rows(paths: Sequence[Path]) -> dict[Key, Row]:
             if known["fingerprint"] != row["fingerprint"]:
                 scene, point, seed = row_key(row)
                 raise RunError(
-                    f"merge: {path} and another folder have different inputs of scene {scene}, "
+                    f"merge: {path} and another folder have different inputs for scene {scene}, "
                     f"point {point}, seed {seed}"
                 )
     return rows
 
 
 def _difference(first: Any, second: Any) -> str:
-    """Return the first key or the values in which two entries differ."""
+    """Describe the first difference between two entries."""
     if isinstance(first, dict) and isinstance(second, dict):
         for name in dict.fromkeys([*first, *second]):
             if first.get(name) != second.get(name):

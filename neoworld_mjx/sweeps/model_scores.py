@@ -1,4 +1,4 @@
-"""Semantic scores by a model in a sweep: one panel, ledger and cost cap, or recorded scores."""
+"""S_sem by a model in a sweep, from one panel with one cost cap, or from recorded scores."""
 
 import hashlib
 import re
@@ -14,11 +14,12 @@ from ..refinement.outcome import Refined
 from .cases import Case
 
 SCORES, RESPONSES = "scores", "answers.tape.json"
-"""Names in the folder of a sweep: scores of the runs, and tape of the models' responses."""
+"""Names in the folder of a sweep: the folder of the scores of all runs, and the file of the models'
+recorded responses (tape)."""
 
 
 def scored_by_model(options: RefineOptions) -> bool:
-    """Return True if a model scores the run's S_sem and S_sem has a weight."""
+    """Return whether a model scores S_sem and the weight of S_sem is positive."""
     return options.semantic.scorer == "mllm" and options.reward.w_sem > 0
 
 
@@ -26,11 +27,12 @@ class ModelScores:
     """Source of the semantic scores of a sweep's runs.
 
     Args:
-        config: models, provider and cost cap of the sweep as a whole.
-        recorded: folder of scores that an earlier sweep recorded; replaces model calls.
-        tapes: tapes, or folders of tapes, for the provider `replay`.
-        out: folder of the sweep, which records scores and responses; None records nothing.
-        earlier: ledger of the sweep to resume, from sweep.json.
+        config: options of the models, the provider and the cost cap of the whole sweep.
+        recorded: folder of scores that an earlier sweep recorded. If given, no model is asked.
+        tapes: tapes of recorded responses, or folders of tapes, for the provider `replay`.
+        out: folder of the sweep, into which scores and responses are recorded. If None, nothing is
+            recorded.
+        earlier: ledger of the sweep that is resumed, from its sweep.json.
 
     Raises:
         ConfigError: `recorded` is not a folder, or the provider is invalid.
@@ -72,7 +74,7 @@ class ModelScores:
 
     @property
     def ledger(self) -> dict[str, Any]:
-        """Calls, tokens and cost of the whole sweep, as in run.json; empty for recorded scores."""
+        """Calls, tokens and cost of the whole sweep, as in run.json; empty if no model is asked."""
         if self._panel is None:
             return {}
         return {"provider": self._panel.name, **self._panel.ledger.to_json()}
@@ -81,7 +83,7 @@ class ModelScores:
         """Reject a scene that a model cannot score.
 
         Raises:
-            ConfigError: its photograph or its camera is missing.
+            ConfigError: the photograph or the camera of the scene is missing.
         """
         if self._recorded is None and (case.photo is None or case.scene.camera is None):
             raise ConfigError(
@@ -90,7 +92,7 @@ class ModelScores:
             )
 
     def refine_arguments(self, case: Case, point: str, seed: int) -> dict[str, Any]:
-        """Return the arguments of `refine` for the scores of one run."""
+        """Return the arguments of `refine` that concern the scores of one run."""
         name = file_name(case.name, point, seed)
         arguments: dict[str, Any] = {}
         if self._out is not None:
@@ -103,7 +105,7 @@ class ModelScores:
         return arguments | {"photo": self._photos[case.photo], "panel": self._panel}
 
     def refuse_partial(self, refined: Refined, case: Case, point: str, seed: int) -> None:
-        """Reject the result of a run whose requests were stopped, such as by the cost cap.
+        """Reject the result of a run whose requests were stopped, for example by the cost cap.
 
         Raises:
             BudgetError: the requests were stopped.
@@ -122,7 +124,7 @@ class ModelScores:
 
 
 def file_name(scene: str, point: str, seed: int) -> str:
-    """Return the file name of a run's scores; it contains no path from the scene's name."""
+    """Return the file name of a run's scores. It contains no "/", even if the scene's name does."""
     short = hashlib.sha256(f"{scene}\n{point}".encode()).hexdigest()[:8]
     slug = re.sub(r"[^a-z0-9]+", "_", f"{Path(scene).name} {point}".lower()).strip("_")
     return f"{slug[:60]}_{short}_{seed}.jsonl"

@@ -1,4 +1,4 @@
-"""Plans of sweeps and ablations: YAML files that are fully validated before the first run."""
+"""Plans of sweeps and ablations: YAML files that are completely validated before the first run."""
 
 import json
 from collections.abc import Mapping
@@ -13,12 +13,13 @@ from ..io.validation_message import validation_message
 from .axes import MAX_POINTS, combinations, read_axes
 
 ROOT = "refine"
-"""Group of options that plans may set."""
+"""Group of the options that plans can vary."""
 MAX_SEEDS = 10_000
+"""Maximum number of seeds of a plan."""
 
 
 def _seeds(value: Any) -> Any:
-    """Return the seeds that a number stands for, and everything else unchanged."""
+    """Return the seeds 0 to N - 1 for a number N, and a list of seeds unchanged."""
     if isinstance(value, int) and not isinstance(value, bool):
         if not 1 <= value <= MAX_SEEDS:
             raise ValueError(f"must be a number of seeds from 1 to {MAX_SEEDS}, or a list of seeds")
@@ -30,79 +31,85 @@ def _seeds(value: Any) -> Any:
 
 class _Request(Options):
     scenes: tuple[str, ...] = ()
-    """scene.json files, run folders, or named scenes as KIND:NAME."""
+    """Paths of scene.json files or run folders, or names of scenes as KIND:NAME."""
     config: Path | None = None
     """YAML file of options that all points share."""
     base: dict[str, Any] = {}
-    """Options that override those of `config`."""
+    """Options that override the options in `config`."""
     seeds: Annotated[tuple[int, ...], BeforeValidator(_seeds)] = Field(
         default=(0, 1, 2, 3), min_length=1
     )
-    """Seeds of the search; a number N stands for 0 to N - 1."""
+    """Seeds of the search, or a number N, which stands for the seeds 0 to N - 1."""
     scores: Path | None = None
-    """Folder of semantic scores recorded by an earlier run of the plan; replaces model calls."""
+    """Folder of semantic scores that an earlier run of the plan recorded. If given, no model is
+    asked."""
     tapes: tuple[Path, ...] = ()
-    """Tapes of responses, or folders of tapes, for the provider `replay`."""
+    """Tapes of recorded responses, or folders of tapes, for the provider `replay`."""
 
 
 class Study(Options):
-    """Adaptive choice of points by Optuna; see `study`."""
+    """Options of a study, in which Optuna chooses the points adaptively; see `study`."""
 
     trials: int = Field(ge=1, le=MAX_POINTS)
     """Number of points."""
     sampler: Literal["tpe", "cma_es", "random"] = "tpe"
     goal: str = "merit"
-    """Column of the rows whose mean over scenes and seeds is the value of a point."""
+    """Column of the rows. Its mean over scenes and seeds is the value of a point."""
     direction: Literal["maximize", "minimize"] = "maximize"
     prune: bool = False
-    """True to end trials early, after some of the scenes (asynchronous successive halving)."""
+    """If True, poor trials end after some of the scenes (asynchronous successive halving)."""
     seed: int = Field(default=0, ge=0)
+    """Seed of the sampler."""
 
 
 class Plan(_Request):
-    """A sweep: every combination of the axes' values, with every seed, on every scene."""
+    """Plan of a sweep: every combination of the axes' values, with every seed, on every scene."""
 
     axes: dict[str, Any] = {}
-    """Values by the path of an option, such as `refine.reward.w_drift`: a list, or an `AxisRange`
-    such as `{low: 0.01, high: 0.1, log: true, n: 4}`; without `n` values are drawn."""
+    """Values by the path of an option, such as `refine.reward.w_drift`.
+
+    The values are a list, or an `AxisRange` such as `{low: 0.01, high: 0.1, log: true, n: 4}`. If
+    a range has no `n`, its values are sampled.
+    """
     zip: tuple[tuple[str, ...], ...] = ()
     """Groups of axes whose values advance together instead of being combined."""
     samples: int = Field(default=0, ge=0, le=MAX_POINTS)
-    """Number of draws from the axes that are ranges without `n`."""
+    """Number of samples from the ranges without `n`."""
     draw_seed: int = Field(default=0, ge=0)
-    """Seed of the draws."""
+    """Seed of these samples."""
     study: Study | None = None
-    """Lets Optuna choose the points; None combines the axes' values."""
+    """Study in which Optuna chooses the points. If None, the values of the axes are combined."""
     fold: bool = True
-    """True if runs that differ only in traced options share a computation."""
+    """If True, runs that differ only in traced options share a computation."""
 
 
 class Ablation(_Request):
-    """An ablation: base options and named variants, with every seed, on every scene."""
+    """Plan of an ablation: base options and named variants, with every seed, on every scene."""
 
     variants: dict[str, dict[str, Any]] = {}
-    """Values by the path of an option, for each variant."""
+    """Values of each variant, by the path of an option."""
     fold: bool = False
-    """The option of `Plan`; if False, every run is timed like a single refinement."""
+    """See `Plan.fold`. If False, the time of every run is that of a single refinement."""
 
 
 class Point(NamedTuple):
-    """One setting of the options."""
+    """One setting of the options of the search."""
 
     label: str
     values: dict[str, Any]
-    """Values that distinguish the point, by column."""
+    """Values that distinguish the point from others, by column."""
     options: RefineOptions
+    """Complete options of the search."""
 
 
 BASE = "base"
-"""Label of an ablation's base."""
+"""Label of the point of an ablation without changes."""
 
 Request = TypeVar("Request", Plan, Ablation)
 
 
 def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) -> Request:
-    """Read a plan from a YAML file or a mapping; an instance of `kind` is returned unchanged.
+    """Read a plan from a YAML file or a mapping. Return an instance of `kind` unchanged.
 
     Raises:
         ConfigError: the file is missing or not a YAML mapping, or a key or value is invalid.
@@ -127,7 +134,7 @@ def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) 
 
 
 def shared_config(plan: Plan | Ablation) -> Config:
-    """Return the options that all points share, including those of models.
+    """Return the options that all points share, including the options of models.
 
     Raises:
         ConfigError: an option is invalid.
@@ -139,8 +146,8 @@ def points(plan: Plan | Ablation) -> list[Point]:
     """Validate a plan and return its points.
 
     Raises:
-        ConfigError: an axis is not an option, has no values or an invalid one, or a value repeats;
-            the message suggests similar options.
+        ConfigError: a path is not an option (the message suggests similar options), an axis has no
+            values or an invalid value, or a point appears twice.
     """
     shared = shared_config(plan)
     # Points override the complete options of the base, including defaults.
@@ -176,7 +183,7 @@ def _points(plan: Plan, base: dict[str, Any]) -> list[Point]:
     for chosen in every:
         point = point_of(base, chosen)
         if point.label in found and plan.samples:
-            continue  # Integers are drawn twice.
+            continue  # The same integers were sampled before.
         if point.label in found:
             raise ConfigError(f"axes: the point {point.label} appears twice")
         found[point.label] = point
@@ -184,11 +191,11 @@ def _points(plan: Plan, base: dict[str, Any]) -> list[Point]:
 
 
 def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
-    """Return the point with some options' values, by path.
+    """Return the point with the given values of options.
 
     Args:
-        base: the complete options that it overrides.
-        chosen: values by path.
+        base: complete options, which the values override.
+        chosen: values by the path of the option.
 
     Raises:
         ConfigError: a value is invalid.
@@ -202,7 +209,7 @@ def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
 
 
 def takes_integers(path: str) -> bool:
-    """Return whether an option's values are integers."""
+    """Return whether the values of an option are integers."""
     return _annotation(path, "axes") is int
 
 
@@ -224,13 +231,13 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
 def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     result = merged(base, overrides)
     terms = overrides.get(ROOT, {}).get("reward", {}).get("terms")
-    if isinstance(terms, dict):  # Terms replace those of the base.
+    if isinstance(terms, dict):  # The terms replace all terms of the base.
         result[ROOT]["reward"]["terms"] = terms
     return result
 
 
 def _annotation(path: str, where: str) -> Any:
-    """Return the type of an option; a ConfigError suggests similar ones."""
+    """Return the type of an option; raise a ConfigError that suggests similar options."""
     head, *names = path.split(".")
     if head != ROOT:
         raise ConfigError(
@@ -262,5 +269,5 @@ def _shown(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return a value that a column can hold: a number, a string or a boolean."""
+    """Return a number, a string or a boolean unchanged, and any other value as JSON."""
     return value if isinstance(value, bool | int | float | str) else json.dumps(value)

@@ -11,38 +11,43 @@ from ..render.plots import plot
 from .run_rows import Row
 
 RANKED = (("xy_error_m", "xy error"), ("d_drift", "D_drift"))
-"""Columns that points may be ranked by, the smallest value first: the first one that all runs have.
-Neither depends on the weights of the reward, which variants may change."""
+"""Columns by which points can be ranked, and their titles; the smallest value ranks first.
+
+These columns do not depend on the weights of the reward, which variants may change.
+"""
 LEVEL = 0.05
+"""Significance level of the critical difference."""
 
 
 class Ranks(NamedTuple):
     """Mean ranks of points over scenes."""
 
     points: list[str]
-    """From the best to the worst."""
+    """Labels of the points, best first."""
     means: list[float]
-    """Mean rank of each point; 1 is the best, ties share their ranks."""
+    """Mean rank of each point; 1 is the best. Tied points get the average of their ranks."""
     scenes: int
+    """Number of scenes."""
     critical: float
-    """Nemenyi's critical difference: means that are closer do not differ at the 5 % level."""
+    """Nemenyi's critical difference. Mean ranks that are closer do not differ significantly."""
     friedman_p: float
-    """p of Friedman's test that all points rank alike."""
+    """p value of Friedman's test of the hypothesis that all points have equal ranks."""
     title: str
-    """Column by which the points are ranked."""
+    """Title of the column by which the points are ranked."""
 
 
 def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
-    """Rank points in each scene by the mean of a metric over the seeds.
+    """Rank points in each scene by the mean of a column over the seeds.
 
-    The metric is the first of `RANKED` for which two scenes have a finite value of every point.
+    The column is the first one in `RANKED` for which at least two scenes have finite values of
+    every point. Scenes without a finite value of some point are omitted.
 
     Args:
-        rows: the runs; a scene in which a point lacks runs is left out.
-        points: the points to rank.
+        rows: the runs.
+        points: labels of the points to rank.
 
     Returns:
-        None for fewer than three points, or without such a metric.
+        The mean ranks; None if there are fewer than three points, or if there is no such column.
     """
     for name, title in RANKED:
         cells: dict[str, dict[str, list[float]]] = {}
@@ -67,7 +72,11 @@ def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
 
 
 def cliques(found: Ranks) -> list[tuple[int, int]]:
-    """Return the first and last index of each largest group of points that do not differ."""
+    """Return the maximal groups of points that do not differ significantly.
+
+    Returns:
+        Index of the first and of the last point of each group.
+    """
     groups: list[tuple[int, int]] = []
     for first, low in enumerate(found.means):
         last = max(k for k, mean in enumerate(found.means) if mean - low <= found.critical)
@@ -77,7 +86,10 @@ def cliques(found: Ranks) -> list[tuple[int, int]]:
 
 
 def draw_ranks(found: Ranks, form: Literal["svg", "pdf"]) -> bytes | None:
-    """Draw mean ranks on an axis, and bars over the points that do not differ."""
+    """Draw mean ranks on an axis, and a bar for each group of `cliques`.
+
+    If matplotlib is missing, return None.
+    """
 
     def fill(figure: Any) -> None:
         axes = figure.subplots()

@@ -13,15 +13,18 @@ from .run_rows import Row
 from .table import comma_separated, differences, summary, tests_table, text_table
 
 NOTES = (
-    "Means over scenes and seeds with 95 % intervals, clustered by scene: Korn and Graubard's for "
-    "rates, Student's t for the others. n is the number of runs; over a single scene, intervals "
-    "are over its runs and say nothing about other scenes. The reward uses each point's own "
-    "weights: if weights differ, compare the terms."
+    "Means over scenes and seeds with 95 % intervals, clustered by scene: Korn and Graubard's "
+    "intervals for rates, Student's t intervals for all other columns. n is the number of runs. If "
+    "there is a single scene, intervals are over its runs and say nothing about other scenes. The "
+    "reward of each point uses the weights of this point: if weights differ, compare the terms."
 )
-DIFFERENCE_NOTES = "Paired over scenes and seeds; a positive value is larger than the base."
+DIFFERENCE_NOTES = (
+    "Differences are paired over scenes and seeds. If a difference is positive, the value of the "
+    "variant is larger than that of the base."
+)
 TEST_NOTES = (
-    "Scenes in which a variant is above : below the base, two-sided p of the sign test over scenes "
-    "by Holm's method, Cohen's d of the differences."
+    "Number of scenes in which a variant is above : below the base, two-sided p value of the sign "
+    "test over scenes adjusted by Holm's method, and Cohen's d of the differences."
 )
 
 
@@ -30,14 +33,18 @@ class SweepResult:
     """Result of a sweep or an ablation."""
 
     rows: list[Row]
-    """One row per scene, point and seed with the columns `run_rows.COLUMNS`, and under "history"
-    the iterations with the columns `run_rows.ITERATION_COLUMNS`."""
+    """One row per scene, point and seed.
+
+    A row has the columns `run_rows.COLUMNS`. Under "history" it has the iterations of the run, with
+    the columns `run_rows.ITERATION_COLUMNS`.
+    """
     points: list[dict[str, Any]]
     """Summary of each point over scenes and seeds; see `table.summary`."""
     differences: list[dict[str, Any]]
-    """Differences of an ablation's variants from the base; see `table.differences`."""
+    """Differences of an ablation's variants from the base (see `table.differences`); empty for a
+    sweep."""
     table: str
-    """Both summaries as Markdown."""
+    """Tables of the points, the differences and their tests as Markdown."""
     about: dict[str, Any] = field(default_factory=dict)
     """Content of sweep.json."""
 
@@ -45,13 +52,14 @@ class SweepResult:
 def stored_result(
     rows: Sequence[Row], about: dict[str, Any], folder: SweepFolder | None, *, finished: bool
 ) -> SweepResult:
-    """Summarize rows, and write them and their tables into a folder.
+    """Summarize rows, and write the rows and their tables into a folder.
 
     Args:
         rows: rows so far, in the order of the table.
-        about: content of sweep.json; its sums over "groups" and "finished" are added.
-        folder: folder of the sweep; None writes nothing.
-        finished: True if these are all rows; the figure is drawn then.
+        about: content of sweep.json, to which "finished" and the sums of the times and compilations
+            of "groups" are added.
+        folder: folder of the sweep. If None, nothing is written.
+        finished: if True, there are no further rows, and the figure is drawn.
 
     Raises:
         RunError: a file cannot be written.
@@ -65,7 +73,7 @@ def stored_result(
     compared = differences(rows, labels) if about["kind"] == "ablation" else []
     if about["plan"]["fold"] and "mllm" not in about:
         for entry in (*summaries, *compared):
-            # Runs of one computation have equal shares of its time, which do not vary.
+            # The times of runs in one computation are equal shares, so an interval is meaningless.
             if "seconds" in entry:
                 entry["seconds"] |= {"low": math.nan, "high": math.nan}
     title, commit = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
@@ -93,7 +101,10 @@ def stored_result(
 
 @functools.cache
 def commit() -> str | None:
-    """Return the commit of the code, with a "+" if files differ; None outside a repository."""
+    """Return the commit of the code, or None outside a repository.
+
+    If tracked files differ from the commit, a "+" is appended.
+    """
     here = Path(__file__).parent
 
     def git(*arguments: str) -> str:

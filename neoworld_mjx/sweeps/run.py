@@ -1,4 +1,4 @@
-"""Sweeps and ablations: refinements of scenes with several options and seeds, in one table."""
+"""Sweeps and ablations: refinements of scenes with many options and seeds, in one table."""
 
 import os
 import platform
@@ -44,37 +44,39 @@ def sweep(
     place: Place = HERE,
     on_iteration: OnIteration | None = None,
 ) -> SweepResult:
-    """Refine scenes with every combination of some options' values and several seeds.
+    """Refine scenes with every combination of the values of some options, and with several seeds.
 
-    Runs that differ only in traced options are one computation; see `refinement.loop.search`.
+    Runs that differ only in traced options share one computation; see `refinement.loop.search`.
 
     Args:
-        plan: a plan, or its YAML file or mapping.
-        out: folder for results.parquet, table.md, sweep.json and others; None writes no files.
-        cases: scenes in addition to those of the plan.
-        sources: functions that return the scenes named KIND:NAME, by KIND; None is `bench:NAME`,
-            `crowded:N` and `photo:NAME` of the benchmark.
-        engine: physics engine; chosen by the options by default.
+        plan: a plan, or its YAML file, or a mapping.
+        out: folder for results.parquet, table.md, sweep.json and other files. If None, no files are
+            written.
+        cases: scenes in addition to the scenes of the plan.
+        sources: functions that return the scenes named KIND:NAME, by KIND. If None, the scenes of
+            the benchmark are available as `bench:NAME`, `crowded:N` and `photo:NAME`.
+        engine: physics engine. If None, the options name the engine.
         resume: continue the sweep in `out`.
         overwrite: replace the sweep in `out`.
-        shard: (K, N) computes the K-th of N shares of the runs, each for a process or machine of
-            its own; `merge` joins their folders.
+        shard: (K, N) computes only the K-th of N shares of the runs. Compute every share in another
+            process or on another machine, and join the folders by `merge`.
         place: where the runs are computed.
-        on_iteration: receives every iteration of the new runs, as the runs are complete; see
-            `trackers.OnIteration`.
+        on_iteration: function that receives every iteration of each new run as soon as the run is
+            complete; see `trackers.OnIteration`.
 
     Raises:
-        ConfigError: the plan is invalid; raised before any run.
-        EngineError: the cluster of `place` does not answer; raised before any run.
+        ConfigError: the plan is invalid. This is raised before any run.
+        EngineError: the cluster of `place` does not answer. This is raised before any run.
         SpecError: a scene does not exist.
-        RunError: the folder cannot be written, is in use, or holds files that must not be replaced.
+        RunError: the folder cannot be written, is in use, or contains files that must not be
+            replaced.
     """
     plan = read(plan, Plan)
     if plan.study is not None:
         if shard != (1, 1):
             raise ConfigError(
-                "shard: the trials of a study depend on each other; run them with --workers, --ray "
-                "or --slurm instead"
+                "shard: the trials of a study depend on each other; run the study with --workers, "
+                "--ray or --slurm instead"
             )
         check_study(plan)
         check_place(place)
@@ -118,8 +120,9 @@ def ablate(
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
-    Unless the plan sets `fold`, runs are separate refinements; the first of each kind runs twice,
-    so that times exclude compilation. Arguments and errors are those of `sweep`.
+    Unless the plan sets `fold`, every run is a separate refinement, and the first run with given
+    static options runs twice, so that times exclude compilation. The arguments and errors are those
+    of `sweep`.
     """
     runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
@@ -134,10 +137,10 @@ def check(
     sources: Mapping[str, Source] | None = None,
     engine: Engine | None = None,
 ) -> dict[str, Any]:
-    """Check that the rows of a folder can be compared; nothing is computed.
+    """Check that the rows in a folder can be compared with each other, without computing anything.
 
-    Each row must have the fingerprint that the plan, its scenes and the installed versions give
-    its run, so that rows differ in their options and seeds alone.
+    The fingerprint of each row must be the one that follows from the plan, the scenes and the
+    installed versions. The rows then differ only in their options and seeds.
 
     Args:
         plan: see `sweep` and `ablate`.
@@ -148,7 +151,7 @@ def check(
         engine: see `sweep`.
 
     Returns:
-        "checked", the number of rows, and "missing", the number of runs without one.
+        "checked" is the number of rows, and "missing" the number of runs that have no row.
 
     Raises:
         RunError: a row has another fingerprint or belongs to no run of the plan, or the folder
@@ -161,7 +164,7 @@ def check(
         scene, point, seed = unlike[0]
         raise RunError(
             f"{out}: {len(unlike)} of {len(rows)} rows come from other scenes, options or versions "
-            f"than the plan gives them here, such as scene {scene}, point {point}, seed {seed}: "
+            f"than those of this plan here, such as scene {scene}, point {point}, seed {seed}: "
             "they must not be compared; compute them again with --resume"
         )
     return {"checked": len(rows), "missing": runner.total - len(rows)}
@@ -169,13 +172,16 @@ def check(
 
 def _check_ledger(by_model: bool, place: Place) -> None:
     if by_model and (place.remote or place.processes > 1):
-        raise ConfigError("a sweep scored by a model has one ledger: it runs in one process")
+        raise ConfigError(
+            "a sweep that is scored by a model has one ledger: it runs in one process on this "
+            "machine"
+        )
 
 
 def _run_trial(
     task: StudyTask, engine: Engine | None, threads: int
 ) -> Iterator[tuple[StudyTask, SweepResult]]:
-    """Refine a scene with the only point of a trial's plan."""
+    """Refine a scene with the single point of a trial's plan."""
     runner = _Runner(task.plan, [task.case], {}, engine, (1, 1), HERE, None)
     runner.threads = threads
     yield task, runner.run(None, resume=False, overwrite=False)
@@ -189,7 +195,7 @@ def _track(on_iteration: OnIteration | None, row: Row, values: Mapping[str, Any]
 
 
 class _Runner:
-    """A validated plan with its scenes, points and groups, and the rows computed so far."""
+    """A validated plan with its scenes, points and groups, and the rows that have been computed."""
 
     def __init__(
         self,
@@ -213,14 +219,14 @@ class _Runner:
         self.cases = _cases(plan, scenes, sources, place)
         self.by_model = any(scored_by_model(point.options) for point in self.points)
         _check_ledger(self.by_model, place)
-        # Responses of a model arrive at any time, so such runs cannot share a computation.
+        # Runs that wait for responses of a model cannot share a computation.
         self.fold = plan.fold and not self.by_model
         options = [point.options for point in self.points]
         self.groups = grouped(options, fold=self.fold)
         self.static = reasons(options, fold=self.fold)
         if plan.fold and self.by_model:
             self.static.append("scores by a model: every run is a separate refinement")
-        # Neighbouring runs cost about the same, so every N-th one balances the shards.
+        # Successive runs cost about the same, so taking every N-th run balances the shards.
         every = list(self._fingerprints().items())
         self.fingerprints = dict(every[number - 1 :: of])
         if not self.fingerprints:
@@ -232,7 +238,7 @@ class _Runner:
         self.about: dict[str, Any] = {}
 
     def run(self, out: Path | str | None, *, resume: bool, overwrite: bool) -> SweepResult:
-        """Compute all runs that `out` does not hold yet, saving after each group."""
+        """Compute all runs that `out` does not contain yet, and save the rows after each part."""
         number, of = self.shard
         share = f", of which shard {number}/{of} has {self.total}" if of > 1 else ""
         every = len(self.points) * len(self.plan.seeds) * len(self.cases)
@@ -286,7 +292,7 @@ class _Runner:
         return result
 
     def _heads(self) -> dict[Key, Row]:
-        """Return the columns that name each run."""
+        """Return the columns that identify each run: scene, point, seed and values of the point."""
         values = {point.label: point.values for point in self.points}
         return {
             (scene, point, seed): {"scene": scene, "point": point, "seed": seed} | values[point]
@@ -294,7 +300,7 @@ class _Runner:
         }
 
     def _parts(self) -> list[SweepPart]:
-        """Return the tasks: the runs that `completed` lacks, by scene and group."""
+        """Return the runs that `completed` lacks, by scene and group, as tasks."""
         parts = []
         for scene in self.cases:
             scene_hash = content_hash(scene.scene)
@@ -309,7 +315,7 @@ class _Runner:
                 ]
                 size = runs_at_once(options) if self.fold else 1
                 if self.place.processes > 1 or self.place.remote:
-                    size = min(size, len(self.plan.seeds))  # A point is a task.
+                    size = min(size, len(self.plan.seeds))  # One point per task.
                 for first in range(0, len(pending), size):
                     runs = tuple(pending[first : first + size])
                     parts.append(
@@ -319,7 +325,7 @@ class _Runner:
         return parts
 
     def _save(self, *, finished: bool) -> SweepResult:
-        """Return the result so far, and write it into the folder."""
+        """Return the result so far, and write it into the folder if there is one."""
         if self.scores is not None:
             self.about["mllm"] = self.scores.ledger
         rows = [self.completed[key] for key in self.fingerprints if key in self.completed]
@@ -338,7 +344,7 @@ class _Runner:
         return scores
 
     def _fingerprints(self) -> dict[Key, str]:
-        """Return a hash of the inputs of every run, in the order of the table's rows."""
+        """Return the fingerprint of every run, a hash of its inputs, in the order of the table."""
         shared = {
             "versions": versions(),
             "fold": self.fold,
@@ -392,7 +398,7 @@ def _cases(
     place: Place = HERE,
 ) -> list[Case]:
     if sources is None and not place.remote:
-        # A scene of the benchmark is composed first, which takes seconds.
+        # Scenes of the benchmark are composed here, which takes seconds.
         report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
         named = {each.name: each for each in run_tasks(_read_case, plan.scenes, place)}
         cases = [named[name] for name in plan.scenes]

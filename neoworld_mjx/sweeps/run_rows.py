@@ -1,4 +1,4 @@
-"""Rows of a sweep, one per run and one per iteration of a run, and their Parquet files."""
+"""Rows of a sweep, for each run and for each iteration of a run, and their Parquet files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -19,14 +19,16 @@ from .cases import Case
 from .plan import plain
 
 Row = dict[str, Any]
-"""A run: scene, point, seed, the values of the point, and the results; or an iteration."""
+"""Row of a run (scene, point, seed, values of the point, and results), or of an iteration."""
 Key = tuple[str, str, int]
+"""Scene, point and seed of a run."""
 
 KEYS: dict[str, type] = {"scene": str, "point": str, "seed": int}
+"""Columns that identify a run."""
 TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
-"""Columns of the built-in reward terms."""
+"""Columns of the reward terms that every run has, by the name of the term."""
 TERM, CANDIDATE = "term_", "candidate_"
-"""Prefixes of the columns of custom reward terms, and of the values of the winning candidate."""
+"""Prefixes of the columns of further reward terms, and of values of the winning candidate."""
 _TERMS: dict[str, type] = dict.fromkeys(TERM_COLUMNS.values(), float)
 
 COLUMNS: dict[str, type] = {
@@ -53,15 +55,19 @@ COLUMNS: dict[str, type] = {
     "engine": str,
     "fingerprint": str,
 }
-"""Columns of a run; None where one does not apply.
+"""Columns of a run. A value is None if it does not apply to the run.
 
-A row describes the delivered scene, the winner at rest: `passed` is the result of its final check,
-which also measures depth, drift and tilt; `reward` (absolute), `merit` and the terms are its own;
-`box_iou` compares its visible boxes with the parsed ones. `candidate_*` are the values of the
-candidate that it was made from, by which the search ranked it, and `valid` says whether that was
-valid. `seconds` is the time of the search without compilation, for runs in one computation an equal
-share. `iterations_to_valid` and `rollouts_to_valid` count up to the end of the first iteration with
-a valid candidate; 0 and 1 mean the initial layout.
+- `passed`, `max_depth_m`, `max_drift_m` and `max_tilt_deg`: result and measures of the final check.
+- `reward` (the absolute reward), `merit` and the terms: values of the delivered scene, which is the
+  settled winner.
+- `candidate_*` and `valid`: values of the winning candidate, by which the search ranked it, and
+  whether it was valid.
+- `xy_error_m`, `yaw_error_deg`, `scale_error` and `box_iou`: errors of the delivered scene, if the
+  scene has ground truth. `box_iou` compares visible boxes with the parsed boxes.
+- `iterations_to_valid` and `rollouts_to_valid`: iterations and rollouts up to the end of the first
+  iteration with a valid candidate. They are 0 and 1 if the initial layout is valid.
+- `seconds`: time of the search without compilation. Runs in one computation have equal shares of
+  its time.
 """
 
 ITERATION_COLUMNS: dict[str, type] = {
@@ -74,10 +80,16 @@ ITERATION_COLUMNS: dict[str, type] = {
     "valid": float,
     **_TERMS,
 }
-"""Columns of an iteration, counted from 1: rollouts so far, best absolute reward so far, largest
-merit of a valid candidate so far, mean absolute reward over the candidates that have one, fraction
-of valid candidates, and terms of the iteration's best candidate. Further columns are custom reward
-terms."""
+"""Columns of an iteration.
+
+- `iteration`: number of the iteration, counted from 1.
+- `rollouts`: number of rollouts so far.
+- `best`: best absolute reward so far.
+- `merit`: largest merit of a valid candidate so far.
+- `mean`: mean absolute reward of the candidates that did not fail.
+- `valid`: fraction of the candidates that are valid.
+- The terms, and a column for each further reward term: values of the iteration's best candidate.
+"""
 
 
 def row_key(row: Mapping[str, Any]) -> Key:
@@ -111,14 +123,14 @@ def row_of_search(
     winner: Winner,
     delivered: Mapping[str, float],
 ) -> Row:
-    """Return the columns of one run of a search; the caller adds time and engine.
+    """Return the columns of one run of a search. The caller adds the times and the engine.
 
     Args:
         case: the scene.
         model: the compiled scene.
         result: the search.
-        winner: its winner.
-        delivered: values of the winner's final scene; see `delivery.delivered`.
+        winner: the winner of the search.
+        delivered: scores of the winner's final scene; see `delivery.delivered`.
     """
     t, k = winner.index
     values = None
@@ -147,7 +159,7 @@ def _first_valid_columns(first: FirstValid | None) -> Row:
 def _value_columns(
     candidate: Mapping[str, Any] | None, delivered: Mapping[str, float], terms: Iterable[Any]
 ) -> Row:
-    """Return the values of the delivered scene and of its candidate; None where not finite."""
+    """Return the scores of the delivered scene and of the winning candidate; None if not finite."""
     columns = {"reward": "absolute", "merit": "merit"}
     columns |= {TERM_COLUMNS.get(name, TERM + name): name for name in map(str, terms)}
     row: Row = {"valid": candidate is not None and bool(candidate["valid"])}
@@ -186,7 +198,7 @@ def summaries(history: Mapping[str, np.ndarray]) -> list[Row]:
 
 
 def iteration_rows(steps: Sequence[Row]) -> list[Row]:
-    """Return the rows of a run's iterations, without the key, from their summaries."""
+    """Return the rows of a run's iterations, without the columns KEYS, from their summaries."""
     rows: list[Row] = []
     so_far: Row = {"best": None, "merit": None}
     rollouts = 0
@@ -201,7 +213,7 @@ def iteration_rows(steps: Sequence[Row]) -> list[Row]:
 
 
 def term_columns(rows: Sequence[Row]) -> list[str]:
-    """Return the columns of custom reward terms, in order."""
+    """Return the columns of the reward terms that not every run has, in their order in the rows."""
     prefixes = (TERM, CANDIDATE + TERM)
     return list(dict.fromkeys(name for row in rows for name in row if name.startswith(prefixes)))
 
@@ -211,7 +223,7 @@ def write_runs(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:
 
     Args:
         path: the file.
-        rows: the runs.
+        rows: rows of the runs.
         values: columns that distinguish points.
 
     Raises:
@@ -222,7 +234,7 @@ def write_runs(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:
 
 
 def write_iterations(path: Path, rows: Sequence[Row]) -> None:
-    """Write the iterations of runs, which are under "history" of each row.
+    """Write the iterations of runs, which each row has under "history", to a Parquet file.
 
     Raises:
         RunError: the file cannot be written.
@@ -244,7 +256,9 @@ def read_runs(path: Path) -> list[Row]:
 
 
 def add_iterations(path: Path, rows: Sequence[Row]) -> list[Row]:
-    """Return runs with their iterations, read from a file that may be missing.
+    """Return runs to which their iterations are added under "history".
+
+    The iterations are read from a Parquet file. If the file is missing, they are empty.
 
     Raises:
         RunError: the file cannot be read.
@@ -263,7 +277,7 @@ def _write(path: Path, rows: Sequence[Row], kinds: Mapping[str, type]) -> None:
 
 
 def _column_type(values: Sequence[Any]) -> type:
-    """Return the type that holds all values of an axis."""
+    """Return the type of a column that can contain all values of an axis."""
     types = {type(plain(value)) for value in values if value is not None}
     if types == {int, float}:
         return float

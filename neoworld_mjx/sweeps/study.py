@@ -1,7 +1,8 @@
-"""Adaptive search for options by Optuna (Akiba et al., arXiv:1907.10902; extra `optuna`).
+"""Studies: adaptive search for options by Optuna (Akiba et al., arXiv:1907.10902).
 
-Each trial is a point of the sweep, refined with every seed on every scene. Its value is the mean of
-a column of its rows. At a place with several processes as many trials run at a time.
+Each trial refines one point of the sweep with every seed on every scene. The value of a trial is
+the mean of a column of its rows. With several worker processes, the same number of trials run at a
+time. Optuna is installed by the extra `optuna`.
 """
 
 import math
@@ -20,26 +21,28 @@ from .result import SweepResult, stored_result
 from .run_rows import COLUMNS, Row
 
 JOURNAL = "study.journal"
+"""Name of Optuna's journal in the folder of a sweep."""
 
 
 class StudyTask(NamedTuple):
-    """A trial's refinements of a scene."""
+    """Refinements of one scene in a trial."""
 
     trial: int
+    """Index of the trial among those that run at the same time."""
     plan: Plan
-    """Plan of the trial's point alone."""
+    """Plan whose only point is the point of the trial."""
     case: Case
 
 
 RunPoints = Callable[[Sequence[StudyTask]], Iterable[tuple[int, SweepResult]]]
-"""Function from tasks to the number of the trial and the rows of each, in any order."""
+"""Function that runs tasks, and returns `StudyTask.trial` and the result of each, in any order."""
 
 
 def open_optuna() -> Any:
     """Import Optuna.
 
     Raises:
-        EngineError: it is not installed.
+        EngineError: Optuna is not installed.
     """
     try:
         import optuna  # pyright: ignore[reportMissingImports]
@@ -50,10 +53,11 @@ def open_optuna() -> Any:
 
 
 def check_study(plan: Plan) -> None:
-    """Validate a plan with a study before anything runs.
+    """Validate a plan with a study, before anything runs.
 
     Raises:
-        ConfigError: the goal is no numeric column, there are no axes, or an option is invalid.
+        ConfigError: the goal is not a numeric column, there are no axes, the plan has `zip` or
+            `samples`, or an option is invalid.
         EngineError: Optuna is not installed.
     """
     assert plan.study is not None
@@ -61,8 +65,8 @@ def check_study(plan: Plan) -> None:
     if plan.study.goal not in numeric:
         raise ConfigError(f"study.goal: {choices(plan.study.goal, numeric)}")
     if not plan.axes or plan.zip or plan.samples:
-        raise ConfigError("study: the trials choose values of axes, without zip and samples")
-    # Validates every value of a list and both ends of a range.
+        raise ConfigError("study: the trials choose the values of axes, without zip and samples")
+    # Validate every value of a list and both ends of a range.
     ends = {
         path: value
         if isinstance(value, list | tuple)
@@ -86,23 +90,24 @@ def run_study(
     resume: bool,
     overwrite: bool,
 ) -> SweepResult:
-    """Run the trials of a plan's study, and save rows and table after each.
+    """Run the trials of a plan's study, and save the rows and tables after every `width` trials.
 
-    A resumed study continues with its own journal; the trial during which it was killed is run
-    again. With `prune`, a trial ends early if its mean over the first scenes is among the worst
+    A resumed study continues with its journal. The trials that were running when it was killed are
+    run again. With `prune`, a trial ends early if its mean over the first scenes is among the worst
     two thirds (asynchronous successive halving).
 
     Args:
-        plan: the plan, which `check_study` accepts.
+        plan: the plan, which `check_study` has accepted.
         cases: the scenes.
-        run_points: refines scenes with points.
-        out: folder of the sweep and of Optuna's journal; None keeps both in memory.
-        width: number of trials at a time; those do not know each other's values.
+        run_points: function that runs the refinements.
+        out: folder of the sweep and of Optuna's journal. If None, both are kept in memory.
+        width: number of trials that run at a time. Their points are chosen without knowledge of
+            each other's values.
         resume: continue the study in `out`.
-        overwrite: replace it.
+        overwrite: replace the study in `out`.
 
     Raises:
-        RunError: the folder cannot be written, or holds a study of another plan.
+        RunError: the folder cannot be written, or contains a study of another plan.
     """
     if out is None:
         return _trials(plan, cases, run_points, width, None, [], None)
@@ -154,7 +159,7 @@ def _trials(
             trial.set_user_attr("point", point.label)
         collected: list[list[Row]] = [[] for _ in asked]
         left = list(range(len(asked)))
-        # With pruning scenes come one after the other, otherwise all at once.
+        # With pruning, scenes are run one after the other; otherwise all are run at once.
         for scenes in [[case] for case in cases] if wanted.prune else [cases]:
             tasks = [StudyTask(k, _alone(plan, chosen[k]), case) for k in left for case in scenes]
             for k, part in run_points(tasks):
@@ -190,7 +195,7 @@ def _trials(
 
 
 def _alone(plan: Plan, point: Point) -> Plan:
-    """Return a plan of one point alone, without scenes."""
+    """Return a plan whose only point is the given one, without scenes."""
     axes = {path: [value] for path, value in point.values.items()}
     return plan.model_copy(update={"axes": axes, "study": None, "scenes": ()})
 
@@ -207,7 +212,7 @@ def _saved(
     assert wanted is not None
     values = {label: _value(rows, plan) for label, rows in by_point.items()}
     pick = max if wanted.direction == "maximize" else min
-    # A pruned trial has rows of some scenes only.
+    # A pruned trial lacks the rows of some scenes.
     whole = {
         label: value
         for label, value in values.items()
@@ -249,10 +254,10 @@ def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
         load_if_exists=True,
     )
     trials = study.get_trials(deepcopy=False)
-    # A resumed study must not draw its first trials again.
+    # A resumed study must not sample its first trials again.
     study.sampler = samplers[wanted.sampler](wanted.seed + len(trials))
     for trial in trials:
-        if trial.state == optuna.trial.TrialState.RUNNING:  # Killed.
+        if trial.state == optuna.trial.TrialState.RUNNING:  # The study was killed.
             study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
             study.enqueue_trial(trial.params)
     return study
@@ -274,7 +279,7 @@ def _suggested(plan: Plan, trial: Any) -> dict[str, Any]:
 
 
 def _value(rows: Sequence[Row], plan: Plan) -> float:
-    """Return the mean of the goal; a run without a value counts as the worst one of all."""
+    """Return the mean of the goal over runs. A run without a value counts as the worst run."""
     assert plan.study is not None
     goal, sign = plan.study.goal, 1.0 if plan.study.direction == "maximize" else -1.0
     values = [row.get(goal) for row in rows]

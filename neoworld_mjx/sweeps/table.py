@@ -1,4 +1,4 @@
-"""Tables of a sweep: each point over its scenes and seeds, with n and 95 % intervals."""
+"""Tables of a sweep: means of each point over scenes and seeds, with n and 95 % intervals."""
 
 import csv
 import io
@@ -13,12 +13,15 @@ from .run_rows import TERM, Row, row_key, term_columns
 
 
 class TableColumn(NamedTuple):
-    """Column of the table: a column of the rows, its title and its format."""
+    """Column of the table."""
 
     name: str
+    """Name of the column in the rows."""
     title: str
     factor: float = 1.0
+    """Factor from the unit of the rows to the unit of the table."""
     digits: int = 3
+    """Number of decimal places."""
 
 
 TABLE_COLUMNS = (
@@ -43,12 +46,14 @@ TABLE_COLUMNS = (
     TableColumn("seconds", "search, s"),
 )
 RATES = ("passed", "valid")
+"""Columns whose means are rates."""
 TESTED = ("passed", "reward", "merit", "d_pen_m", "d_drift", "s_sem", "xy_error_m")
-"""Columns whose differences are tested; p values are adjusted for the number of variants."""
+"""Columns whose differences are tested, with p values that are adjusted for the number of variants.
+"""
 
 
 def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
-    """Return n and the mean, low and high of each column, for each point."""
+    """Return a summary of each point: n, and an `Estimate` of each column as a dictionary."""
     return [
         _estimates(rows, point, [(row,) for row in rows if row["point"] == point], _of_values)
         for point in points
@@ -56,10 +61,10 @@ def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
-    """Return each point's differences from the base, paired over scenes and seeds.
+    """Return the differences of each point from the base, paired over scenes and seeds.
 
-    Each of TESTED has further `wins`, `losses`, `sign_p` and `effect` of `paired_test`, and
-    `holm_p`, adjusted over the points.
+    A difference is an `Estimate` as a dictionary. For the columns in TESTED, it also has the
+    entries of `PairedTest`, and `holm_p`, the p value adjusted for the number of points.
     """
     base = {row_key(row): row for row in rows if row["point"] == BASE}
     compared = [
@@ -124,7 +129,11 @@ def _of_pairs(name: str, pairs: Sequence[tuple[Any, Any]], scenes: Sequence[str]
 
 
 def flat(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return summaries with one value per key: the mean by its name, `_low`, `_high` and `_n`."""
+    """Return summaries without nesting.
+
+    The mean of a column has the name of the column. The other values have a suffix: `_low`,
+    `_high`, `_n` and the names of the entries of a test.
+    """
     return [
         {"point": row["point"], "n": row["n"], "scenes": row["scenes"]}
         | {
@@ -139,7 +148,7 @@ def flat(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def comma_separated(summaries: Sequence[dict[str, Any]]) -> str:
-    """Return summaries as CSV, in the units of the columns of `run_rows.COLUMNS`."""
+    """Return summaries as CSV, in the units of `run_rows.COLUMNS`."""
     rows = flat(summaries)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
@@ -151,7 +160,13 @@ def comma_separated(summaries: Sequence[dict[str, Any]]) -> str:
 def text_table(
     note: str, summaries: Sequence[dict[str, Any]], *, signed: bool = False
 ) -> TextTable:
-    """Return summaries as a table of formatted means with intervals."""
+    """Return summaries as a table of formatted means with intervals.
+
+    Args:
+        note: text that explains the table.
+        summaries: result of `summary` or `differences`.
+        signed: if True, positive values get a plus sign.
+    """
     columns = [column for column in _columns(summaries) if any(column.name in s for s in summaries)]
     head = ["point", "n", "scenes", *(column.title for column in columns)]
     rows = [
@@ -165,7 +180,7 @@ def text_table(
 def table_cell(
     estimate: dict[str, Any] | None, column: TableColumn, n: int, *, signed: bool = False
 ) -> str:
-    """Return a mean with its interval, and its number of values where that is not `n`."""
+    """Format a mean with its interval, and with its number of values if this differs from `n`."""
     if estimate is None:
         return ""
     mean, low, high = (
@@ -178,9 +193,9 @@ def table_cell(
 
 
 def tests_table(note: str, compared: Sequence[dict[str, Any]]) -> TextTable:
-    """Return the tests of `differences` as a table: scenes won and lost, p and effect size."""
+    """Return the tests of `differences` as a table: scenes won and lost, p value, effect size."""
     columns = [c for c in TABLE_COLUMNS if c.name in TESTED and any(c.name in s for s in compared)]
-    # The units of the other tables do not matter for a test.
+    # Tests do not depend on the units that the titles contain.
     head = ["point", "scenes", *(column.title.partition(",")[0] for column in columns)]
     rows = [
         [row["point"], str(row["scenes"]), *(_tested(row.get(column.name)) for column in columns)]

@@ -1,7 +1,7 @@
-"""Experiment trackers: each run of a sweep or an ablation, iteration by iteration.
+"""Experiment trackers, which receive every iteration of the runs of a sweep or an ablation.
 
-A tracker is a function `on_iteration(run, summary)`. Those of TensorBoard, W&B and MLflow are
-imported only when a user names them.
+A tracker is a function `on_iteration(run, summary)`. There are trackers for TensorBoard, W&B and
+MLflow, whose packages are imported only if a user names them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +15,7 @@ from .plan import plain
 
 
 class TrackedRun(NamedTuple):
-    """Name of a run."""
+    """Identity of a run."""
 
     scene: str
     point: str
@@ -25,24 +25,27 @@ class TrackedRun(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Scene, point and seed."""
+        """Scene, point and seed as a single string."""
         return f"{self.scene}, {self.point}, seed {self.seed}"
 
 
 OnIteration = Callable[[TrackedRun, Mapping[str, Any]], None]
-"""Function that receives each iteration of a run, in order, with the columns of histories.parquet:
-"iteration", "rollouts", "best", "merit", "mean", "valid" and the terms; unknown values are None."""
+"""Function that receives each iteration of a run, in order.
+
+The second argument has the columns of histories.parquet: "iteration", "rollouts", "best", "merit",
+"mean", "valid" and the terms. Unknown values are None.
+"""
 
 
 def open_tracker(text: str) -> AbstractContextManager[OnIteration]:
-    """Return the tracker that KIND:PLACE names, to be used in a `with` statement.
+    """Return the tracker that KIND:PLACE names, for use in a `with` statement.
 
     Args:
         text: tensorboard:DIR, wandb:PROJECT or mlflow:URI.
 
     Raises:
-        ConfigError: there is no such kind, or the place is missing.
-        EngineError: its package is not installed.
+        ConfigError: the kind does not exist, or the place is missing.
+        EngineError: the package of the tracker is not installed.
     """
     kind, _, place = text.partition(":")
     if kind not in TRACKERS:
@@ -69,7 +72,7 @@ def _numbers(summary: Mapping[str, Any]) -> dict[str, float]:
 
 @contextmanager
 def _tensorboard(module: Any, place: str) -> Iterator[OnIteration]:
-    """Write event files with tensorboardX, a folder for each run."""
+    """Write event files with tensorboardX, in one folder for each run."""
     writers: dict[str, Any] = {}
 
     def on_iteration(run: TrackedRun, summary: Mapping[str, Any]) -> None:
@@ -97,7 +100,7 @@ def _wandb(module: Any, place: str) -> Iterator[OnIteration]:
 
     def on_iteration(run: TrackedRun, summary: Mapping[str, Any]) -> None:
         if run.title not in runs:
-            for name in list(runs):  # Runs follow one another.
+            for name in list(runs):  # The previous run is complete.
                 runs.pop(name).finish()
             config = {name: plain(value) for name, value in run.values.items()}
             runs[run.title] = module.init(
@@ -142,4 +145,4 @@ TRACKERS = {
     "wandb": ("wandb", _wandb),
     "mlflow": ("mlflow", _mlflow),
 }
-"""Package and function of each kind."""
+"""Package and function of each kind of tracker."""

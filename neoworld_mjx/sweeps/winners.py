@@ -1,7 +1,7 @@
-"""Selection and final checks of the winners of many runs, in processes or threads.
+"""Choice of the winners of many runs, with their final checks, in processes or threads.
 
-A final check simulates in C MuJoCo, which releases the GIL, but a third of its time is Python code.
-Many runs on many cores are therefore checked in processes, and few runs in threads.
+A final check simulates in C MuJoCo, which releases the GIL, but a third of the time is spent in
+Python code. Many runs on many cores are therefore checked in processes, and few runs in threads.
 """
 
 import os
@@ -27,8 +27,9 @@ from ..refinement.search_run import SearchResult
 from ..spec import SceneSpec
 
 CHECK_S, SERIAL_S, START_S = 0.9, 0.35, 10.0
-"""Core time to choose one run's winner, the part of it that holds the GIL, and start-up time of a
-process [s]; the first two measured for the example coffee on an AMD EPYC."""
+"""CPU time to choose the winner of a run, the part of it that holds the GIL, and start-up time of a
+process [s]. The first two were measured for the example coffee on an AMD EPYC.
+"""
 
 
 class _Job(NamedTuple):
@@ -39,7 +40,7 @@ class _Job(NamedTuple):
     start: Layout | None
     initial: Finished
     searched: SceneSpec
-    """Scene of the candidates, in which objects may be held."""
+    """Scene that was searched, in which some objects may be fixed."""
     accept_initial: bool
 
 
@@ -53,7 +54,7 @@ def winners(
 
     Args:
         scene: the composed scene.
-        compile_options: options that the scene was compiled with.
+        compile_options: options with which the scene was compiled.
         model: the compiled scene.
         results: the searches of the runs.
     """
@@ -67,7 +68,7 @@ def winners(
 
 
 def processes_are_faster(runs: int, cores: int) -> bool:
-    """Return True if processes choose the winners of `runs` faster than threads."""
+    """Return whether processes choose the winners of `runs` faster than threads."""
     return START_S + runs * CHECK_S / cores < runs * max(SERIAL_S, CHECK_S / cores)
 
 
@@ -79,7 +80,7 @@ def choose_in_processes(
 ) -> list[Winner] | None:
     """Choose winners in CPU processes; return None if a process fails.
 
-    The processes are not children of `multiprocessing`, which would import the caller's script.
+    The processes are not started by `multiprocessing`, which would import the caller's script.
     """
     jobs = [_job(result) for result in results]
     path = os.pathsep.join([os.getcwd(), *filter(None, sys.path)])
@@ -130,11 +131,11 @@ def _winner(model: SceneModel, job: _Job, searched: SceneModel) -> Winner:
 
 
 def _choose_share() -> None:
-    """Read a scene and jobs from standard input, and write their winners to standard output."""
+    """Read a scene and jobs from standard input, and write the winners to standard output."""
     from ..cache import keep_compilations
 
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Other output must not mix with the winners.
+    os.dup2(2, 1)  # Other output goes to standard error, so that it does not mix with the winners.
     keep_compilations()
     scene, compile_options, jobs = pickle.load(sys.stdin.buffer)
     model = compile_for_search(scene, compile_options)

@@ -128,7 +128,7 @@ def test_the_summary_counts_each_kind_of_outcome(model, layouts, tmp_path):
         "waited_s": waited,
     }
     (note,) = scorer.fallbacks
-    assert note.startswith("S_sem by estimates for 1 of 3 candidates") and "no answer" in note
+    assert note.startswith("S_sem is estimated for 1 of 3 candidates") and "no answer" in note
     assert scorer.close() is None and scorer.summary()["unused"] == 1
 
 
@@ -138,4 +138,4 @@ def test_the_first_failure_is_reported(model, layouts, tmp_path):
         scorer.submit(0, [0, 1], layouts, model.place(layouts))
         scorer.collect(0)
     (note,) = scorer.fallbacks
-    assert note.endswith("failed; the first: no answer")
+    assert note.endswith("failed; the first error: no answer")

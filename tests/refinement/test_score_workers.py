@@ -197,7 +197,7 @@ def test_a_candidate_that_cannot_be_drawn_fails_alone(workers):
     pool = workers(ScriptedPanel(), draw)
     pool.put([job(0, 0), job(0, 1)])
     bad, good = pool.take(0, [(0, 0), (0, 1)], rest=True)
-    assert bad.error == "cannot be drawn: no camera" and bad.asked is None and good.value == 0.5
+    assert bad.error == "cannot be rendered: no camera" and bad.asked is None and good.value == 0.5
 
 
 def test_closing_abandons_what_is_pending(workers):

@@ -237,7 +237,7 @@ def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rou
         assert set(marks) == {Mark.GEOMETRIC}
     assert "the connection failed" in scorer.stopped
     (note,) = scorer.fallbacks
-    assert note.startswith("S_sem by geometry alone, as 2")
+    assert note.startswith("S_sem comes from geometry alone, because scores of 2")
     assert " of 32 candidates were not requested: " in note
     assert "5 consecutive scores failed" in note
     # Two calls per score; beyond the limit of five, only requests already in flight.
@@ -262,7 +262,7 @@ def test_scores_are_estimated_after_the_server_fails(model, rounds):
     assert all(s.value is None for s in came)
     assert set(marks) == {Mark.ESTIMATED}
     assert scorer.stopped
-    assert scorer.fallbacks[0].startswith("S_sem by estimates, as ")
+    assert scorer.fallbacks[0].startswith("S_sem comes from estimates, because ")
 
 
 def test_a_failed_score_is_estimated(model, rounds):
@@ -281,7 +281,7 @@ def test_a_failed_score_is_estimated(model, rounds):
     assert failed
     assert [k for k in range(POP) if marks[k] == Mark.ESTIMATED] == failed
     assert scorer.stopped is None
-    assert scorer.fallbacks[0].startswith(f"S_sem by estimates for {len(failed)} of {POP}")
+    assert scorer.fallbacks[0].startswith(f"S_sem is estimated for {len(failed)} of {POP}")
     assert "gave no valid response" in scorer.fallbacks[0]
 
 

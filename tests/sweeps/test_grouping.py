@@ -127,4 +127,4 @@ def test_a_wider_sigma_xy_elsewhere_in_the_plan_changes_no_scene():
     together = grouped([narrow, wide, usual])
     assert [group.members for group in together] == [(0, 2), (1,)]
     assert [group.compile_options for group in together] == [narrow, wide]
-    assert "refine.cem.sigma_xy: a wider one needs" in reasons([narrow, wide])[0]
+    assert "refine.cem.sigma_xy: larger values need" in reasons([narrow, wide])[0]

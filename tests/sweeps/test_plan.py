@@ -174,11 +174,11 @@ def test_values_are_drawn_and_more_samples_keep_the_first_ones():
     [
         ({"axes": {XY: 0.05}}, "axes: refine.cem.sigma_xy: give a list of values, or a range"),
         ({"axes": {XY: {"low": 0.1, "high": 0.01, "n": 3}}}, "low must be below high, got 0.1"),
-        ({"axes": {XY: {"low": 0, "high": 1, "log": True, "n": 3}}}, "begins above 0, got 0"),
+        ({"axes": {XY: {"low": 0, "high": 1, "log": True, "n": 3}}}, "must be above 0, got 0"),
         ({"axes": {XY: {"low": 0, "high": 1, "nn": 3}}}, "unknown key nn"),
         ({"axes": {XY: {"low": -1, "high": 1, "n": 3}}}, "greater than or equal to 0, got -1"),
         ({"axes": {XY: {"low": -1, "high": 1}}, "samples": 3}, "greater than or equal to 0"),
-        ({"axes": {XY: {"low": 0, "high": 1}}}, "is drawn: set the plan's samples, or n"),
+        ({"axes": {XY: {"low": 0, "high": 1}}}, "is drawn at random: set the plan's samples"),
         ({"axes": {XY: [1]}, "samples": 3}, "samples: no axis is a range without n"),
         ({"axes": {XY: [1]}, "zip": [[XY, PEN]]}, "zip: "),
         ({"axes": {XY: [1], PEN: [1, 2]}, "zip": [[XY, PEN]]}, "w_pen has 2"),

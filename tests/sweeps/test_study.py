@@ -46,7 +46,7 @@ def test_without_optuna_a_study_says_what_to_install(monkeypatch, tmp_path):
         ({"goal": "engine"}, None, "study.goal: "),
         ({"trials": 0}, None, "study.trials: .*greater than or equal to 1"),
         ({"sampler": "tp"}, None, "study.sampler: .*'tpe'"),
-        ({}, {}, "study: the trials choose values of axes"),
+        ({}, {}, "study: the trials choose the values of axes"),
         ({}, {"refine.reward.w_drft": [1]}, "did you mean 'w_drift'"),
         ({}, {DRIFT: {"low": -1, "high": 1}}, "greater than or equal to 0, got -1"),
         ({}, {DRIFT: [1, "x"]}, "valid number"),
