@@ -92,7 +92,7 @@ def prior_precision(
 ) -> Float[np.ndarray, "v v"]:
     """Return the prior's precision matrix over the unknowns and all stretches.
 
-    Each t distribution is replaced by a Gaussian with the weight of the t distribution at `x`.
+    Each t distribution is approximated by a Gaussian, with the weight of robust regression at `x`.
 
 
     Args:

@@ -1,7 +1,7 @@
 """Rasterization of triangle meshes: the object and the depth at every pixel.
 
-Unlike the ray caster of `render`, it needs no compiled model, so a scene can be drawn again after
-every change of a pose or a size.
+Unlike the ray caster of `render`, the rasterizer needs no compiled model. A scene can therefore be
+rendered again after every change of a pose or a size.
 """
 
 from collections.abc import Sequence
@@ -15,19 +15,19 @@ from ..render import visible_surface
 from ..spec import Camera, SceneSpec, world_poses
 
 NEAR_M = 0.02
-"""Triangles with a corner nearer to the camera than this are not drawn [m]."""
+"""Least depth [m]; triangles with a corner at a smaller depth are not rendered."""
 CHUNK = 1 << 21
 """Largest number of pixels that are tested at once."""
 
 
 class WorldMesh(NamedTuple):
-    """A triangle mesh in the world."""
+    """A triangle mesh in the world frame."""
 
     vertices: Float[np.ndarray, "v 3"]
     """[m]"""
     triangles: Int[np.ndarray, "t 3"]
     face: Int[np.ndarray, " t"] | None = None
-    """Smooth face of each triangle, see `creases`; None for a single one."""
+    """Index of the smooth face of each triangle, see `creases`; if None, there is a single face."""
 
 
 def joined(meshes: Sequence[WorldMesh]) -> WorldMesh:
@@ -47,13 +47,14 @@ class DrawnObjects(NamedTuple):
     depth: Float[np.ndarray, "row column"]
     """Depth along the view [m]; inf for none."""
     body: Int[np.ndarray, "row column"] | None = None
-    """Index of the body where objects have several, see `open_joints`; -1 for none."""
+    """Index of the nearest body, as defined in `open_joints`; -1 for none. If None, bodies are not
+    distinguished."""
     face: Int[np.ndarray, "row column"] | None = None
-    """Smooth face of the nearest object, see `creases`; -1 for none."""
+    """Index of the nearest smooth face, see `creases`; -1 for none."""
 
 
 def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:
-    """Return the rows and columns of a nonempty mask, with `reach` more on every side."""
+    """Return the rows and columns of a nonempty mask, widened by `reach` pixels on each side."""
     rows, columns = find_objects(mask.astype(np.uint8))[0]
     widened = lambda span: slice(max(span.start - reach, 0), span.stop + reach)
     return widened(rows), widened(columns)
@@ -62,7 +63,7 @@ def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[sli
 def pixels_of(
     camera: Camera, points: Float[np.ndarray, "n 3"], width: int
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Project points to pixels of an image of another width; also return depths [m]."""
+    """Project points to an image that is `width` pixels wide; return pixels and depths [m]."""
     pixels, depth = camera.project(points)
     return pixels * (width / camera.width), depth
 
@@ -73,7 +74,7 @@ def height_of(camera: Camera, width: int) -> int:
 
 
 def draw_scene(scene: SceneSpec, camera: Camera, width: int) -> DrawnObjects:
-    """Draw the visible surfaces of a scene's objects; see `draw_objects`."""
+    """Render the visible surfaces of a scene's objects; see `draw_objects`."""
     poses, meshes = world_poses(scene), []
     for item in scene.objects:
         vertices, triangles = visible_surface(item.spec, item.joint_state)
@@ -82,7 +83,7 @@ def draw_scene(scene: SceneSpec, camera: Camera, width: int) -> DrawnObjects:
 
 
 def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> DrawnObjects:
-    """Draw meshes with a depth buffer; both sides of a triangle are visible.
+    """Render meshes with a depth buffer; both sides of a triangle are visible.
 
     Args:
         meshes: one for each object.
@@ -123,7 +124,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     shape = (height, width)
     with np.errstate(divide="ignore"):
         depth = np.where(first >= 0, 1.0 / nearest, np.inf)
-    # No triangle has the index -1.
+    # At pixels without a triangle, the index -1 selects the appended -1.
     owner, face = (np.append(ids, -1)[first].reshape(shape) for ids in (owner, face))
     return DrawnObjects(owner, depth.reshape(shape), face=face)
 
@@ -135,7 +136,7 @@ def _covered(
     columns: int,
     lines: int,
 ) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the pixels that triangles cover, their inverse depths, and the triangles' rows."""
+    """Return the pixels that triangles cover, the inverse depths, and the triangles' indices."""
     x = low[:, 0, None, None] + np.arange(columns)[None, None, :]
     y = low[:, 1, None, None] + np.arange(lines)[None, :, None]
     a, b, c = (triangle[:, k, :, None, None] for k in range(3))
