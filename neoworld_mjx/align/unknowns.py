@@ -180,8 +180,7 @@ class Unknowns:
         return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
 
     def stretch_columns(self, k: int) -> list[int]:
-        """Return the indices of the stretches of a free object and of parts that its joints
-        move."""
+        """Return the indices of the stretches of a free object and of its moving parts."""
         own = int(np.flatnonzero(self.free == k)[0])
         joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
         return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
@@ -315,8 +314,7 @@ class Unknowns:
         return np.array([along, [-along[1], along[0]]]) @ np.array([[c, -s], [s, c]])
 
     def columns_of(self, k: int) -> list[int]:
-        """Return the indices of the unknowns of an object and of its supports, which all move
-        it."""
+        """Return the indices of all unknowns that move an object or one of its supports."""
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
         places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()

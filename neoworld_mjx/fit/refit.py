@@ -33,8 +33,8 @@ def refit_tree(
         tree: the scene tree of Step 1.
         objects: the built objects by name, at any size.
         shown: visible sides of the objects, from `measure.shown_sides` of the scene composed from
-            the tree; without it, occlusion is estimated from boxes.
-        change_supports: True to allow supports other than those of the tree; see `other_supports`.
+            the tree; if None, occlusion is estimated from 2D boxes.
+        change_supports: if True, allow supports other than those of the tree; see `other_supports`.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
