@@ -124,7 +124,7 @@ def test_neighbor_that_leans_in_is_no_support():
 
 
 def test_what_states_its_supports_is_refused():
-    with pytest.raises(SpecError, match="states its supports already"):
+    with pytest.raises(SpecError, match="already states its supports"):
         find_supports(desk())
     fixed = desk().objects[0]
     with pytest.raises(SpecError, match="free to move"):
