@@ -259,10 +259,10 @@ class Unknowns:
         return placements
 
     def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
-        """Return the arrangement with updated support frames on moving parts, and the parts'
-        motions.
+        """Return the arrangement with updated support frames, and the motions of moving parts.
 
-        The updated frames have a leading axis for the rows of `x`.
+        Support frames on moving parts are updated. All frames have a leading axis for the rows of
+        `x`.
         """
         a = self.arrangement
         if not self.parts:
@@ -299,8 +299,7 @@ class Unknowns:
         return self.place(x + STEP * np.eye(self.size))
 
     def view_axes(self, now: Placement, k: int) -> Float[np.ndarray, "2 2"]:
-        """Return the horizontal unit vectors along and across the line of sight to an object, as
-        rows.
+        """Return horizontal unit vectors along and across the line of sight to an object, as rows.
 
         The vectors are in the frame of the object's support, like the object's layout.
         """

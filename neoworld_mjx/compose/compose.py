@@ -211,8 +211,7 @@ def _settle_tilted(
 
 
 def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
-    """Move an upright object in a container, or a lid on one, to a position inside the
-    container."""
+    """Move an upright object in a container, or a lid on one, so that it stands inside."""
     upright = np.allclose(obj.base_tilt, IDENTITY)
     if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
         return obj

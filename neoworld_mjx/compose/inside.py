@@ -77,8 +77,7 @@ def entrance(
 
 
 def covers(parent: SceneObject, obj: SceneObject) -> bool:
-    """Return whether an object has about the same footprint as its parent, like a lid and its
-    jar."""
+    """Return whether an object and its parent have about equal footprints, like a lid and a jar."""
     size = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
     low, high = _bounds_of(parent, obj.parent_link)
     parent_size = (high - low)[:2]

@@ -17,8 +17,7 @@ from .walls import clear_walls
 def in_contact(
     scene: SceneSpec, options: ComposeOptions | None = None, *, composed: SceneSpec | None = None
 ) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Put objects onto their supports, out of walls, and in contact with objects on which they
-    lean.
+    """Put objects onto their supports, out of walls, and up to the objects on which they lean.
 
     Args:
         scene: the scene.

@@ -17,7 +17,7 @@ def program_inputs(
     colours: Mapping[str, SupportColour],
     options: ProgramOptions,
 ) -> dict[str, dict[str, object]]:
-    """Return everything that determines the program of each object, by name."""
+    """Return everything that determines the program of each object, by the object's name."""
     from ..program.synthesise import all_instructions
 
     return {

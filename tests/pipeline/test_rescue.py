@@ -292,7 +292,7 @@ def test_report_of_a_rescue_says_what_was_checked(
     assert "Of 5 movable objects, 5 have outlines nearer to the photograph" in report
     assert "Changes from the composed to the aligned scene" in report
     stored = json.loads((tmp_path / "out" / "rescue.json").read_text())
-    assert "the camera of the photograph is that of scene.glb" in stored["notes"]
+    assert "the camera of the photograph is taken from scene.glb" in stored["notes"]
     assert stored["passed"] and all(
         pair["rescued"] < pair["given"] for pair in stored["outlines_px"].values()
     )
