@@ -36,8 +36,8 @@ def gain(
     the pixels around both masks. The pixels in only one mask are evidence for or against that mask.
 
     Args:
-        now: the mask in question.
-        other: the alternative.
+        now: the mask to be judged.
+        other: the alternative mask.
         bins: index of the histogram bin of each pixel's color in the photograph.
 
     Returns:

@@ -40,7 +40,7 @@ class JointAlignment:
         return abs(self.change) > (NOTED_M if self.slides else math.radians(NOTED_DEG))
 
     def phrase(self) -> str:
-        """Return a phrase on how far the joint opens, compared with the composed scene."""
+        """Return a phrase that states the opening, and its change from the composed scene."""
         text = lambda x: f"{100 * x:.1f} cm" if self.slides else f"{math.degrees(x):.0f} deg"
         more = "more" if self.change > 0 else "less"
         by = f"{text(abs(self.change))} {more} than composed" if self.change else "as composed"
@@ -112,7 +112,8 @@ class Alignment:
     scene: SceneSpec
     """The aligned scene, with its camera and each object's uncertainty."""
     pitch_deg: float = 0.0
-    """Changes of the camera's pitch, roll, vertical field of view and height."""
+    """Change of the camera's pitch; the next three fields are the changes of its other
+    parameters."""
     roll_deg: float = 0.0
     fovy_deg: float = 0.0
     height_m: float = 0.0

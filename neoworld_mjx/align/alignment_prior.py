@@ -92,7 +92,8 @@ def prior_precision(
 ) -> Float[np.ndarray, "v v"]:
     """Return the prior's precision matrix over the unknowns and all stretches.
 
-    Each t distribution is approximated by a Gaussian, with the weight of robust regression at `x`.
+    Each t distribution is approximated at `x` by a Gaussian, as in iteratively reweighted least
+    squares.
 
 
     Args:

@@ -1,4 +1,4 @@
-"""Contacts between objects in a placement, which are inequalities of the alignment.
+"""Contacts between objects in a placement. The alignment treats them as inequalities.
 
 The contour of an object hardly determines its distance along the view. Without contacts, neighbors
 would slide into each other. Settling would then push them apart, away from their positions in the
@@ -39,8 +39,8 @@ class ContactGaps(NamedTuple):
     """Signed distance [m]; negative is penetration depth."""
     jacobian: Float[np.ndarray, "n v"]
     """Derivatives of the gaps with respect to all unknowns and stretches. Derivatives with respect
-    to sizes are set to zero: otherwise, an object that is too large for its container would
-    shrink."""
+    to sizes and stretches are set to zero: otherwise, an object that is too large for its container
+    would shrink."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class SceneGeoms:
         )
 
     def place(self, place: Placement) -> None:
-        """Move and scale the geoms as their bodies in a placement."""
+        """Move and scale the geoms with their bodies to a placement."""
         m, d, k = self.model, self.data, self.body
         scale, turn = place.scale[k], place.turn[k]
         offset = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
@@ -143,7 +143,10 @@ class SceneGeoms:
 def contacts(
     colliders: SceneGeoms, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
 ) -> ContactGaps:
-    """Return the linearized gaps of the contacts in a placement whose normals are not steep.
+    """Return the linearized gaps of the contacts in a placement.
+
+    Contacts with steep normals are omitted, see `STEEPEST`.
+
 
     Args:
         colliders: the scene's collision geoms.

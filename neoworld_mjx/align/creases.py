@@ -40,7 +40,7 @@ class _Borders(NamedTuple):
     """Pairs of neighboring pixels that show two faces; each pair occurs once."""
 
     first: Int[np.ndarray, " n"]
-    """Index of the first pixel's face, which is smaller than that of the second pixel's."""
+    """Index of the face at the first pixel; it is smaller than the index at the second pixel."""
     second: Int[np.ndarray, " n"]
     row: Int[np.ndarray, " n"]
     """Row of the first pixel."""
@@ -71,8 +71,8 @@ def creases(
 ) -> Iterator[Crease]:
     """Yield each visible crease of an object if both of its faces show enough pixels.
 
-    Points near the end of a crease are omitted, because a third face lies two margins away along
-    their normals.
+    Points near the end of a crease are omitted if another face lies two margins away along their
+    normals.
 
     Args:
         drawn: the objects rendered in a placement, with their faces.

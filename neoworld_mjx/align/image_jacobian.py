@@ -18,7 +18,7 @@ def image_jacobian(
     width: int,
     bodies: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n v"]:
-    """Return the derivatives of an object's image points along given normals.
+    """Return the derivatives of image points along normals with respect to the unknowns.
 
     Args:
         unknowns: the unknowns.

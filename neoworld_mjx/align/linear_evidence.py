@@ -28,20 +28,19 @@ MARGIN_PX = 3.0
 LEAST_SPREAD = 0.5
 """Least robust spread of the displacements of a contour [px]."""
 LEAST_POINTS = 10
-"""Least number of informative points for which the parts that a joint moves have a separate
-spread."""
+"""Least number of informative points for which the parts moved by a joint get a separate spread."""
 LEAST_PRECISION = 1e-4
 """Precision [1/px^2] below which the colors on the two sides of a contour count as equal."""
 OUTLYING = 2.0
-"""Displacement at which the weight of a point is halved, in robust spreads."""
+"""Displacement at which the weight of a point is halved, in multiples of the robust spread."""
 BOX_PX, BOX = 3.0, 0.01
 """Standard deviation of a side of a parsed 2D box: a constant [px], plus a share of the box's
 size."""
 BOX_OUTLYING = 3.0
 """Residual at which the weight of a side is halved, in standard deviations."""
 END_PX = 2.5
-"""Largest distance [px] between the extreme point of an object and the extreme point of its visible
-part at which the object itself, not an occluder, ends the visible part."""
+"""Largest distance [px] between the extreme point of an object and that of its visible part at
+which the object itself is assumed to end there, rather than to be occluded."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ measured."""
 BEHIND_M = 0.02
 """Distance between the backdrop and the farthest visible point [m]."""
 LEAST_PIXELS = 25
-"""Least number of visible pixels of an object that is used."""
+"""Least number of visible pixels at which an object is used to fit the gains."""
 EXPOSURE_DEVIATION, EXPOSURE_BOUND = 0.5, 0.7
 """Prior standard deviation and bound of the log exposure. The bound allows half to twice the
 exposure."""

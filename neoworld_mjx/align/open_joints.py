@@ -35,7 +35,7 @@ class OpenJoint:
     """Point on the composed axis of a hinge, in the object's frame [m]; None for a slide."""
 
     def limit_beyond(self, change: float) -> float | None:
-        """Return the limit that `change` exceeds, as a change; None if it is within the limits."""
+        """Return the change to the limit that `change` exceeds; None if it is within the limits."""
         low, high = self.lower - self.value, self.upper - self.value
         return high if change > high else low if change < low else None
 

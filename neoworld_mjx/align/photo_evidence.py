@@ -2,8 +2,8 @@
 
 The colors of every object and of its surroundings are estimated once for a photograph and a
 composed scene, as for contours. Every pixel near an object is rated: does its color belong to the
-object or to the background? The score of a candidate then is a sum of the ratings of the pixels at
-which the candidate shows the object (`physics.visibility`).
+object or to the background? The score of a candidate is then the sum of the ratings of the pixels
+at which the candidate shows the object (`physics.visibility`).
 """
 
 import dataclasses

@@ -210,8 +210,8 @@ class Unknowns:
     ) -> Float[np.ndarray, "batch object"]:
         """Return the height of each object's origin above the object's support frame [m].
 
-        Supports are assumed to be flat. The height of an object's lowest point therefore scales
-        with the object's parent. Settling corrects the remaining errors.
+        Supports are assumed to be flat, so the height of an object's lowest point scales with the
+        size of the object's parent. Settling corrects the remaining errors.
         """
         a = self.arrangement
         size = np.exp(np.asarray(layout.log_scale))
@@ -313,7 +313,7 @@ class Unknowns:
         return np.array([along, [-along[1], along[0]]]) @ np.array([[c, -s], [s, c]])
 
     def columns_of(self, k: int) -> list[int]:
-        """Return the indices of all unknowns that move an object or one of its supports."""
+        """Return the indices of the unknowns of an object and of all its supports."""
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
         places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()

@@ -50,7 +50,7 @@ class Composed:
     notes: tuple[str, ...]
     """Descriptions of the differences; each begins with the name of the object."""
     shortfalls: tuple[str, ...] = ()
-    """The notes that say where composition could not follow the parse."""
+    """Notes that state where composition could not follow the parse; `notes` contains them, too."""
 
 
 def compose(
@@ -60,7 +60,7 @@ def compose(
     *,
     name: str = "scene",
 ) -> Composed:
-    """Compose a scene top-down from a parse and the built objects.
+    """Compose a scene from a parse and the built objects, parents before children.
 
     Args:
         tree: the parse.
@@ -180,7 +180,7 @@ def _settle_tilted(
     notes: list[str],
     shortfalls: list[str],
 ) -> SceneObject:
-    """Return an object, settled in simulation if it is tilted or cannot stay upright.
+    """Return an object after settling in simulation, if it is tilted or cannot stay upright.
 
     The object settles on its parent: on a curved or sloped support, the resting pose depends on the
     support.

@@ -1,4 +1,4 @@
-"""Placement of leaning objects in contact with the object that they lean on.
+"""Placement of leaning objects in contact with the objects on which they lean.
 
 Parsed distances are accurate only to a few percent. A leaning board may therefore be some
 centimeters in front of its wall, fall onto it in every rollout and settle at another tilt. It may

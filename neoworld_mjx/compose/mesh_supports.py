@@ -42,7 +42,7 @@ WIDE = 4.0
 """Least area of a support that is not fixed in the given scene, relative to the largest footprint
 that it carries."""
 MARGIN_M = 0.5
-"""Width of the floor around the objects [m]."""
+"""Distance by which the floor extends beyond the objects [m]."""
 FLOOR_M = 0.1
 """Thickness of the floor [m]."""
 
@@ -243,7 +243,7 @@ def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
 def _above(upper: "trimesh.Trimesh", other: "trimesh.Trimesh") -> bool:
     """Return whether a mesh's middle is above another mesh's bottom, and their footprints overlap.
 
-    Boxes are compared.
+    The bounding boxes of the meshes are compared.
     """
     (a0, a1), (b0, b1) = upper.bounds, other.bounds
     overlap = np.minimum(a1[:2], b1[:2]) - np.maximum(a0[:2], b0[:2])
@@ -275,7 +275,7 @@ def _area(item: SceneObject) -> float:
 
 
 def _floor(scene: SceneSpec, names: list[str]) -> SceneObject:
-    """Return a floor at the median of the lowest points of some objects."""
+    """Return a floor with its top at the median height of some objects' lowest points."""
     poses, corners = world_poses(scene), []
     lowest = []
     for item in scene.objects:

@@ -19,8 +19,8 @@ MAX_TILT_RAD = np.radians(30.0)
 """Largest change of the tilt [rad]. If a larger change is needed, the object has another support,
 or the parse is wrong."""
 LEVEL_M = 1e-7
-"""Smallest drop of the center of mass when an unstable object is tilted [m]; the drop of a ball is
-zero."""
+"""Drop of the center of mass by a tilt up to which an object counts as stable [m]. The drop of a
+ball is zero."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
@@ -55,7 +55,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
 
 
 def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
-    """Return whether tilting an upright object raises its center of mass, so it stays upright.
+    """Return whether no small tilt lowers an upright object's center of mass, so it stays upright.
 
     The condition is sufficient, but not necessary: an object on a narrow foot may be stable
     although a tilt by the tested angle lowers its center of mass; see `resting_tilt`.
@@ -133,7 +133,7 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
 
 
 def _around(down: NDArray, step: float) -> list[NDArray]:
-    """Return four unit vectors around a given one."""
+    """Return four unit vectors that are tilted from `down` in four directions."""
     across = np.linalg.svd(down[None])[2][1:]
     return [(down + side) / np.hypot(1.0, step) for side in step * np.vstack([across, -across])]
 

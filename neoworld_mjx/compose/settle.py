@@ -117,7 +117,7 @@ def settle(
 
 
 def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) -> list[NDArray]:
-    """Return the horizontal shifts [m] from the parsed position at which an object is dropped."""
+    """Return the horizontal shifts [m] from the parsed position from which an object is dropped."""
     if obj.relation != "in":
         return [np.zeros(2)]
     data = mujoco.MjData(model)

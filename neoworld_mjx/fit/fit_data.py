@@ -40,7 +40,7 @@ class FitData:
     tree: SceneTree
     objects: tuple[TreeNode, ...]
     parents: Int[np.ndarray, " n"]
-    """Index of the parent among the objects; -1 for the environment."""
+    """Index of each object's parent among the objects; -1 if the parent is in the environment."""
     levels: Int[np.ndarray, " n"]
     """Number of ancestors of each object among the objects."""
     rigid: Bool[np.ndarray, " n"]

@@ -21,8 +21,8 @@ STEP = 1e-7
 DEAD_ZONE = 1.0
 """Largest residual of a side that has no effect, in standard deviations."""
 HIDDEN_RESIDUAL = 5.0
-"""Distance of a 2D box's side inside the projected outline above which the side counts as hidden,
-for a partly hidden object, in standard deviations."""
+"""For a partly hidden object, distance by which a side of the 2D box must lie inside the projected
+outline to count as hidden, in standard deviations."""
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
 
 
 def is_slab(node: TreeNode) -> bool:
-    """Return True if a node is flat, such as a floor or the top of a table."""
+    """Return True if a node is flat, like a floor or the top of a table."""
     length, width, height = node.box3d.size
     return height < SLAB * min(length, width)
 

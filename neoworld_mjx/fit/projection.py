@@ -1,8 +1,8 @@
 """Projection of 3D boxes by the parsed camera: visible boxes, edges, and outlines of objects.
 
-A tight 2D box around a cup is smaller than the projection of its 3D box. The category of an object
-therefore gives the shape of its outline within the 3D box: the box itself, an upright cylinder, a
-ball, ..., or a shape between box and cylinder if the category is unknown.
+A tight 2D box around a cup is smaller than the projection of the cup's 3D box. The category of an
+object therefore gives the shape of its outline within the 3D box: the box itself, an upright
+cylinder, a ball, ..., or a shape between box and cylinder if the category is unknown.
 """
 
 from collections.abc import Sequence

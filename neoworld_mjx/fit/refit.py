@@ -1,7 +1,7 @@
 """Second fit of camera and boxes, with built shapes in place of the outlines of categories.
 
 After Step 2, the program determines the proportions and the silhouette of an object. The 2D box
-then determines its scale, position and heading more accurately.
+then determines the object's scale, position and heading more accurately.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ def refit_tree(
 def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:
     """Return an object's visible surface [m], in the frame of its parsed box.
 
-    The object is scaled to the box as in the composition, with the parsed joint states.
+    The object is scaled to the box as in composition, and has the parsed joint states.
     """
     fit = fit_to_box(spec, node)
     vertices, triangles = visible_surface(spec, fit.state)

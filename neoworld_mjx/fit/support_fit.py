@@ -14,7 +14,7 @@ STEPS = 40
 
 
 class SupportFit:
-    """Fits of one object at given heights and positions, with its parsed position as the prior.
+    """Fits of one object at given heights and positions, with the parsed position as the prior.
 
     Args:
         parsed: the scene tree before the fit.

@@ -33,13 +33,14 @@ from .visible_sides import EDGE, hidden_sides
 AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""
 INSIDE_WARNS, INSIDE_FAILS = 0.6, 0.25
-"""Minimum fraction of a child's footprint within its parent's."""
+"""Minimum fraction of a child's footprint that is within its parent's footprint."""
 GAP_WARNS, GAP_FAILS = 0.15, 1.0
 """Maximum gap under an object, relative to its height."""
 GAP_LEAST_M = 0.01
-"""Minimum reported gap [m]."""
+"""Smallest gap that is reported [m]."""
 SIZE_FAILS = 2.0
-"""Factor by which the longest edge must exceed its category's range to be an error."""
+"""Factor by which the longest edge of an object must be outside its category's range to be an
+error."""
 OVERLAP_WARNS = 0.4
 """Maximum fraction of the smaller of two boxes that is within the larger box, if neither object
 supports the other."""
@@ -53,7 +54,7 @@ _ENVIRONMENT = ("floor", "wall", "counter", "countertop", "ground", "ceiling", "
 
 
 class SceneIssue(BaseModel):
-    """One fault of a parse."""
+    """An issue of a parse."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

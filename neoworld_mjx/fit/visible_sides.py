@@ -109,7 +109,7 @@ def _cut_points(
 
 
 def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
-    """Return True if `other` is nearer than `node`, and neither its parent nor its child."""
+    """Return True if `other` is nearer than `node`, and neither is the parent of the other."""
     if other.environment or node.environment:
         return False
     if other.parent == node.name or node.parent == other.name:

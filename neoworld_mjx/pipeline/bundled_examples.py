@@ -38,7 +38,7 @@ class BundledExample(BaseModel):
     objects: int
     """Number of objects, without supports of the environment."""
     joints: int
-    """Number of joints that move."""
+    """Number of movable joints."""
     responses: Responses
     licence: str
     credit: str
@@ -58,7 +58,7 @@ def bundled_examples() -> dict[str, BundledExample]:
 
 
 def photo_of(photo: Path) -> Path:
-    """Return the path itself, or the photograph of the example with this name.
+    """Return `photo` itself, or the photograph of the example with this name.
 
     Raises:
         PhotoError: neither a file nor an example has this name.

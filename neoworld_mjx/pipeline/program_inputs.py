@@ -1,4 +1,4 @@
-"""Inputs of the program step, and the box sizes that the step corrects."""
+"""Inputs of the step `program`, and the box sizes that this step corrects."""
 
 from collections.abc import Mapping
 

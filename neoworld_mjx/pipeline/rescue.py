@@ -108,7 +108,8 @@ class GivenScene:
     supported: SceneSpec
     """The objects on their supports."""
     alignment: Alignment | None
-    """Alignment of `supported` with the photograph; None without one, or if it is not applied."""
+    """Alignment of `supported` with the photograph; None if there is no photograph or if the
+    alignment is not applied."""
     composed: SceneSpec
     """The scene from which the search starts."""
     notes: tuple[str, ...]
@@ -333,7 +334,7 @@ def _rescued(
     notes: tuple[str, ...],
     seconds: float,
 ) -> Rescued:
-    """Compare a rescued scene with the given scene."""
+    """Return the rescued scene and its differences from the given scene."""
     free = [item.name for item in scene.objects if not item.static]
     moves = object_moves(start.given, scene)
     outlines: dict[str, dict[str, float | None]] = {}

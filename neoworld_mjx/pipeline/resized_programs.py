@@ -133,8 +133,7 @@ class _Source:
         return "" if own == spec else "its program does not build the composed object"
 
     def object_of(self, text: str) -> ObjectSpec | str:
-        """Return the object of a program with the patch of Step 3, or the reason why it has
-        none."""
+        """Return the patched object that a program builds, or the reason why it builds none."""
         result = run(text, self.options)
         return _errors(result) if result.spec is None else self._patched(result.spec)
 

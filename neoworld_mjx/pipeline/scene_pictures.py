@@ -24,7 +24,7 @@ class Pictures:
     """Pictures of a run. Use it in a `with` statement, which waits for unfinished pictures.
 
     Each picture is a part of a step, such as "compose/picture". Only the caller's thread writes to
-    the run folder: `store` saves the pictures that have been rendered since.
+    the run folder: `store` saves the pictures that have been rendered in the meantime.
     """
 
     run: RunFolder

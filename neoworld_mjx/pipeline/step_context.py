@@ -27,7 +27,8 @@ TAPE = "answers.tape.json"
 VERIFIED = "verified.json"
 """Object after repairs by Step 3; missing if Step 3 did not change the object."""
 REPROGRAMMED = "reprogrammed.py"
-"""Program that Step 3 requested in place of program.py; its rounds are in reprogrammed.json."""
+"""New program that Step 3 requested. It replaces program.py, and its synthesis is recorded in
+reprogrammed.json."""
 
 RESIZED = "resized.py"
 """Program whose dimensions Step 4 changed. It replaces the earlier programs, and resized.json

@@ -143,10 +143,10 @@ class RunFolder:
         """Run a step unless it is finished: `with run.step(...) as out: if out: ...`.
 
         Args:
-            name: one of `STEPS`, or a step and a part of it, as in "program/cup".
-            inputs: everything that determines the files the step writes: paths (the contents of
-                the file or folder are hashed), pydantic models and JSON values.
-            started: start of the step's work, from `now`, if it precedes this call.
+            name: one of `STEPS`, or a part of a step, such as "program/cup".
+            inputs: everything that determines the files that the step writes: paths of files or
+                folders, whose contents are hashed, pydantic models and JSON values.
+            started: start of the step's work, from `now`; by default, the time of this call.
 
         Yields:
             An empty staging folder for the step's files, which are moved to the same relative paths

@@ -88,7 +88,7 @@ def read_run(path: Path) -> dict[str, Any]:
     """Read run.json of a run folder.
 
     Raises:
-        RunError: the folder is missing or not a run folder of this version.
+        RunError: the folder is missing or is not a run folder of this version.
     """
     file = Path(path) / "run.json"
     if not file.exists():
