@@ -86,7 +86,7 @@ def test_runs_that_are_there_are_not_lost(photos, tmp_path, monkeypatch):
     assert reconstruct_folder(photos, out, CONFIG, resume=True)["passed"]
     with pytest.raises(RunError, match="give one of them"):
         reconstruct_folder(photos, out, CONFIG, resume=True, overwrite=True)
-    with pytest.raises(RunError, match="is not empty and holds no runs of photographs"):
+    with pytest.raises(RunError, match="is not empty and contains no runs of photographs"):
         reconstruct_folder(photos, photos, CONFIG)
 
 
