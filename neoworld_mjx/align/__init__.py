@@ -1,8 +1,12 @@
 """Alignment of a composed scene with the pixels of its photograph.
 
-`align` estimates the camera and the layout together by Gauss-Newton steps: `unknowns` places the
-scene, `rasterize` draws it, `contours` measures how far the photograph's colors (`colors`) displace
-each object's contour, `linear_evidence` linearizes this and the parsed 2D boxes in the unknowns
-(`image_jacobian`), `normal_equations` solves for them, `alignment_prior` keeps everything else near
-the composition, and `acceptance` refuses a move that the pixels do not support.
+`align` estimates the camera and the layout together by Gauss-Newton steps:
+
+- `unknowns` places the scene, and `rasterize` renders it.
+- `contours` estimates from the photograph's colors (`colors`) how far each contour is displaced.
+- `linear_evidence` linearizes these displacements and the residuals of the parsed 2D boxes, with
+  the derivatives of `image_jacobian`.
+- `alignment_prior` keeps the solution near the composed scene.
+- `normal_equations` solves for the unknowns.
+- `acceptance` refuses a move that the pixels do not support.
 """

@@ -1,4 +1,4 @@
-"""Acceptance of an object's new place: the pixels in which two places differ decide."""
+"""Acceptance of an object's new pose, based on the pixels in which two poses differ."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,13 +10,16 @@ from .rasterize import DrawnObjects, draw_objects, window_of
 from .unknowns import Unknowns
 
 SAME_PX = 0.5
-"""Distance between two outlines [px] up to which they are the same for the photograph."""
+"""Distance between two outlines [px] up to which they count as equal."""
 
 
 def shown_at(
     unknowns: Unknowns, place: Placement, drawn: DrawnObjects, k: int
 ) -> Bool[np.ndarray, "row column"]:
-    """Return the pixels that show an object at a place, among the other objects as drawn."""
+    """Return the mask of the pixels that show an object in a placement.
+
+    The other objects occlude it as in `drawn`.
+    """
     alone = draw_objects([unknowns.mesh(place, k)], place.camera, drawn.owner.shape[1])
     free = (drawn.owner == k) | (alone.depth <= drawn.depth)
     return (alone.owner == 0) & free
@@ -27,19 +30,20 @@ def gain(
     other: Bool[np.ndarray, "row column"],
     bins: Int[np.ndarray, "row column"],
 ) -> float:
-    """Return the log likelihood ratio of two masks of an object, by its pixels' colors.
+    """Return the log likelihood ratio of two masks of an object, given the photograph's colors.
 
-    The pixels that both masks contain say what the object's colors are, and those around both what
-    the background's are. Pixels that only one contains are evidence for or against it.
+    The object's colors are estimated from the pixels in both masks, the background's colors from
+    the pixels around both masks. The pixels in only one mask are evidence for or against that mask.
 
     Args:
-        now: the mask in question.
-        other: the alternative.
-        bins: bins of the photograph's colors.
+        now: the mask to be judged.
+        other: the alternative mask.
+        bins: index of the histogram bin of each pixel's color in the photograph.
 
     Returns:
-        Positive if `now` explains the photograph better [nats, of independent pixels]; minus
-        infinity if the masks hardly overlap.
+        The ratio [nats], assuming independent pixels; positive if `now` explains the photograph
+        better than `other`. It is 0 if the masks are almost equal, and minus infinity if too few
+        pixels are in both masks or around them.
     """
     union = now | other
     if not union.any():

@@ -1,9 +1,9 @@
 """Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
 
-The evidence is the contours and creases of all objects in the photograph's pixels, coarse to fine,
-and the parsed 2D boxes. The prior is the composed scene, and contacts keep objects from
-overlapping. An object about which the pixels are silent keeps its composed place, and follows its
-2D box if the camera moves.
+The evidence consists of the contours and creases of all objects in the photograph, from coarse to
+fine resolution, and of the parsed 2D boxes. The prior is the composed scene. Contacts keep objects
+from overlapping. An object without contour evidence stays near its composed pose, and its 2D box
+keeps it in place in the image if the camera moves.
 """
 
 import math
@@ -35,30 +35,32 @@ from .rasterize import DrawnObjects, height_of
 from .unknowns import CAMERA, FOCAL, Unknowns
 
 SAME_ASPECT = 0.02
-"""Largest difference of the logarithms of two equal aspect ratios."""
+"""Difference between the logarithms of two aspect ratios up to which they count as equal."""
 COARSE_PX, FINE_PX = 320, 640
-"""Widths of the images [px]."""
-NO_CONTOUR = "no visible contour has other colors on its two sides"
-"""Reason of objects without evidence of a contour."""
+"""Widths of the coarse and the fine image [px]."""
+NO_CONTOUR = "no visible contour has different colors on its two sides"
+"""Reason reported for objects without contour evidence."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
-"""Factors of the deviations along and across the view, of the heading and of the log scale, set on
-the benchmark's development half. `python -m benchmarks coverage` counts the 90 % intervals that
-hold the truth: along the view too few of them do."""
+"""Factors that multiply the standard deviations along the view, across the view, of the heading and
+of the log scale. They were set on the development half of the benchmark scenes. `python -m
+benchmarks coverage` counts the 90 % intervals that contain the true value."""
 
 
 @dataclass(frozen=True)
 class AlignmentStage:
-    """Gauss-Newton steps with the same settings."""
+    """A number of Gauss-Newton steps with the same settings."""
 
     steps: int
     width: int
     """Width of the image [px]."""
     reach: float = 0.0
-    """Largest displacement of a contour, in pixels of REFERENCE_PX; 0 for 2D boxes alone."""
+    """Largest displacement of a contour, in pixels of an image REFERENCE_PX wide; if 0, only 2D
+    boxes are used."""
     spacing: float = 0.0
-    """Distance of the samples along normals, in the same unit."""
+    """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
     open_focal: bool = False
-    """True while it is not known whether the field of view is misjudged."""
+    """If True, use the wide prior of the focal length, and estimate after each step whether the
+    field of view is misjudged."""
 
 
 STAGES = (
@@ -78,18 +80,18 @@ def align(
 ) -> Alignment:
     """Align a composed scene with its photograph.
 
-    A failure of the solver leaves the scene as composed, with the reason in `Alignment.failure`.
+    If the solver fails, the composed scene is returned, with the reason in `Alignment.failure`.
 
     Args:
         scene: the composed scene, with a camera.
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
-        options: what is aligned, and to which evidence.
-        measured: camera parameters that the response measured, as in `SceneTree.camera_measured`;
-            they move less, but where the contours contradict them clearly they move.
+        options: which unknowns are estimated, and which evidence is used.
+        measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
+            Their prior is narrower, but they still move if the contours clearly contradict them.
 
     Returns:
-        The aligned scene, with its camera and each object's uncertainty. A scene without a camera,
-        or in which nothing is free to move, is returned as it is.
+        The aligned scene, with its camera and each object's uncertainty. If the scene has no
+        camera, or if no object is free to move, the scene is returned unchanged.
 
     Raises:
         PhotoError: the photograph does not have the camera's aspect ratio.
@@ -139,7 +141,7 @@ def _solution(problem: "_Problem", images: dict[int, LabImage]) -> Alignment:
     x = problem.solved(equations)
     refused = problem.refused(equations, drawn, images[last.width].bins)
     if refused:
-        reasons |= dict.fromkeys(refused, "its colors do not tell it from what surrounds it")
+        reasons |= dict.fromkeys(refused, "its colors do not distinguish it from its surroundings")
         reset = equations.solved(without=refused)
         for k in refused:
             own = [*range(*unknowns.columns(k).indices(unknowns.size)), *unknowns.joint_columns(k)]
@@ -162,11 +164,11 @@ class _Problem:
     options: AlignOptions
     measured: frozenset[str]
     colliders: SceneGeoms | None
-    """None if objects may overlap."""
+    """Collision geoms of the scene; None if objects may overlap."""
     misjudged: bool = True
-    """True if the field of view is misjudged, or not yet known not to be."""
+    """True if the field of view is or may be misjudged."""
     held: frozenset[int] = frozenset()
-    """Open joints that stay as composed."""
+    """Indices of the open joints that keep their composed positions."""
 
     def linearized(
         self,
@@ -175,13 +177,13 @@ class _Problem:
         stage: AlignmentStage,
         silent: Collection[int],
     ) -> tuple[NormalEquations, DrawnObjects]:
-        """Return the normal equations at some values of the unknowns, and the objects drawn there.
+        """Return the normal equations at `x`, and the objects rendered at `x`.
 
         Args:
-            x: the values.
+            x: values of the unknowns.
             image: the photograph at the stage's width.
-            stage: settings.
-            silent: objects whose contours do not count.
+            stage: settings of the Gauss-Newton steps.
+            silent: indices of the objects whose contours are ignored.
         """
         unknowns = self.unknowns
         now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
@@ -214,14 +216,17 @@ class _Problem:
         return equations, drawn
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns; a camera that is not estimated stays as it is."""
+        """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
         x = equations.solved(held=self.as_composed(equations))
         if not self.options.camera:
             x[:CAMERA] = 0.0
         return x
 
     def as_composed(self, equations: NormalEquations) -> dict[int, float]:
-        """Return the joints that stay as composed: held ones, and those without a contour."""
+        """Return the value 0 for the unknown of each joint that keeps its composed position.
+
+        These are the joints in `held` and all joints of objects without contour evidence.
+        """
         first = self.unknowns.first_joint
         return {
             first + j: 0.0
@@ -235,7 +240,7 @@ class _Problem:
         drawn: DrawnObjects,
         bins: Int[np.ndarray, "row column"],
     ) -> frozenset[int]:
-        """Return the joints whose changes make their objects explain the photograph less well."""
+        """Return the joints whose changes make their objects fit the photograph less well."""
         unknowns, held = self.unknowns, self.as_composed(equations)
         now = unknowns.place(equations.solved(held=held)[None])[0]
         refused = []
@@ -257,7 +262,7 @@ class _Problem:
         drawn: DrawnObjects,
         bins: Int[np.ndarray, "row column"],
     ) -> tuple[int, ...]:
-        """Return the objects whose contours make them explain the photograph less well."""
+        """Return the objects that fit the photograph less well with their contours than without."""
         unknowns = self.unknowns
         held = self.as_composed(equations)
         now = unknowns.place(equations.solved(held=held)[None])[0]
@@ -322,7 +327,7 @@ def _joints(
     covariance: Float[np.ndarray, "u u"],
     composed: Collection[int],
 ) -> dict[str, JointAlignment]:
-    """Return the changes of an object's open joints; some unknowns are as composed."""
+    """Return the changes of an object's open joints; the unknowns in `composed` did not change."""
     found = {}
     for u in unknowns.joint_columns(k):
         joint = unknowns.joints[u - unknowns.first_joint]
@@ -343,12 +348,12 @@ def _uncertainty(
     rows: Float[np.ndarray, "4 u"],
     joints: dict[str, float],
 ) -> PoseUncertainty:
-    """Return the calibrated deviations of an object, given its rows of the covariance."""
+    """Return the calibrated standard deviations of an object, given its rows of the covariance."""
     block = rows[:, unknowns.columns(k)]
     axes = unknowns.view_axes(now, k)
     along, across = np.sqrt(np.diag(axes @ block[:2, :2] @ axes.T))
     if unknowns.in_wall[k].any():
-        # The wall determines the distance.
+        # The wall determines the distance, so it has no deviation along the view.
         along, across = 0.0, math.sqrt(block[0, 0])
     yaw, log_scale = np.sqrt(np.diag(block)[2:])
     along, across, yaw, log_scale = (

@@ -1,4 +1,4 @@
-"""Result of the alignment: the scene, what changed, and how much the photograph says about it."""
+"""Result of the alignment: the aligned scene, its changes, and their uncertainty."""
 
 import math
 from collections.abc import Iterator
@@ -14,33 +14,33 @@ from .shape_evidence import ShapeEvidence
 from .unknowns import Unknowns
 
 NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
-"""Changes of position, size and heading above which a note reports them."""
+"""Changes of position [m], size (relative) and heading [deg] above which a note reports them."""
 NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
-"""Changes of the camera's angles and, relatively, of its height above which a note reports them."""
+"""Changes of the camera's angles [deg] and height (relative) above which a note reports them."""
 
 Evidence = Literal["pixels", "box", "none"]
-"""Source of an object's place: its contour in the pixels, its 2D box, or the composition."""
+"""Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
 
 
 @dataclass(frozen=True)
 class JointAlignment:
-    """Change of one open joint by the alignment; units are rad of hinges and m of slides."""
+    """Change of one open joint by the alignment; in rad for hinges and m for slides."""
 
     slides: bool
     value: float
     """Position after the alignment."""
     change: float
-    """Increase of its distance from 0 over the composed position, in the same unit."""
+    """Change from the composed position; positive if the joint moves farther from 0."""
     deviation: float
     """Standard deviation of the position."""
 
     @property
     def is_far(self) -> bool:
-        """True if a note reports the change."""
+        """True if the change is so large that a note reports it."""
         return abs(self.change) > (NOTED_M if self.slides else math.radians(NOTED_DEG))
 
     def phrase(self) -> str:
-        """Return how far the joint is open, and how much that differs from the composition."""
+        """Return a phrase that states the opening, and its change from the composed scene."""
         text = lambda x: f"{100 * x:.1f} cm" if self.slides else f"{math.degrees(x):.0f} deg"
         more = "more" if self.change > 0 else "less"
         by = f"{text(abs(self.change))} {more} than composed" if self.change else "as composed"
@@ -53,25 +53,26 @@ class ObjectAlignment:
 
     evidence: Evidence
     reason: str
-    """Why the pixels do not place the object; empty if they do."""
+    """Reason why contours do not determine the object's pose; empty if they do."""
     shift_m: tuple[float, float]
-    """Change of the position in its support's frame."""
+    """Change of the position in the frame of the object's support [m]; for an object attached to a
+    wall, along the wall and up."""
     yaw_deg: float
     size_ratio: float
     uncertainty: PoseUncertainty
     joints: dict[str, JointAlignment] = field(default_factory=dict)
-    """Of joints that are seen open."""
+    """Changes of the object's open joints, by name."""
 
 
 @dataclass(frozen=True)
 class FittedUnknowns:
-    """Unknowns of an alignment at their estimate."""
+    """Unknowns of an alignment, and their estimated values."""
 
     unknowns: Unknowns
     x: Float[np.ndarray, " u"]
     shapes: dict[int, ShapeEvidence]
-    """Evidence of contours about the proportions of objects; those that the pixels do not place
-    are missing."""
+    """Contour evidence on the proportions of each object, by index; objects without contour
+    evidence are missing."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,10 @@ class FreedObject:
 
     edits: tuple[DimensionEdit, ...]
     reason: str = ""
-    """Why there are none; empty if there are."""
+    """Reason why no dimension changed; empty if at least one did."""
     outline_before_px: float | None = None
-    """Distance of its outline from the photograph's before and after; see `outline_errors`."""
+    """Distance of the object's outline from the photograph's before the change; see
+    `outline_errors`."""
     outline_after_px: float | None = None
 
     def phrase(self) -> str:
@@ -108,22 +110,28 @@ class Alignment:
     """Result of `align`."""
 
     scene: SceneSpec
-    """The scene with its camera, aligned; objects have their uncertainty."""
+    """The aligned scene, with its camera and each object's uncertainty."""
     pitch_deg: float = 0.0
-    """Changes of the camera."""
+    """Change of the camera's pitch; the next three fields are the changes of its other
+    parameters."""
     roll_deg: float = 0.0
     fovy_deg: float = 0.0
     height_m: float = 0.0
     objects: dict[str, ObjectAlignment] = field(default_factory=dict)
     failure: str = ""
-    """Reason why the scene was not aligned and is as composed; empty if it was."""
+    """Reason why the alignment failed, in which case `scene` is the composed scene; empty if it did
+    not fail."""
     dimensions: dict[str, FreedObject] = field(default_factory=dict)
-    """Changes of programs by object; empty unless `compose.align.dimensions` is set."""
+    """Changes of the dimensions in programs, by object; empty unless `compose.align.dimensions` is
+    set."""
     fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
-    """The unknowns; None if there were none or the solver failed."""
+    """Unknowns and their estimates; None if there were no unknowns or if the solver failed."""
 
     def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
-        """Yield a note for the camera, and for each object or joint that moved far.
+        """Yield a note, as a title and a text, for each large change of the camera or an object.
+
+        Joints that moved far and changed dimensions have notes, too.
+
 
         Args:
             before: the composed scene.
@@ -146,7 +154,7 @@ class Alignment:
                 or abs(change.size_ratio - 1) > NOTED_SIZE
                 or abs(change.yaw_deg) > NOTED_DEG
             ):
-                degrees = round(change.yaw_deg)  # An integer, as "-0" has no direction.
+                degrees = round(change.yaw_deg)  # An integer is never written as "-0".
                 yield (
                     f"{name} far from its composed pose",
                     f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
@@ -155,13 +163,13 @@ class Alignment:
             for joint, opening in change.joints.items():
                 if opening.is_far:
                     phrase = f"in the photograph joint {joint} {opening.phrase()}"
-                    yield f"{name} open otherwise than composed", phrase
+                    yield f"{name} with a joint opened differently than composed", phrase
         for name, freed in self.dimensions.items():
             if freed.edits:
                 yield f"{name} has other dimensions than its program", freed.phrase()
 
     def to_json(self) -> dict[str, Any]:
-        """Return JSON data, without the scene."""
+        """Return the changes as JSON data, without the scene."""
         camera = ("pitch_deg", "roll_deg", "fovy_deg", "height_m")
         return {
             **{name: round(getattr(self, name), 5) for name in camera},
@@ -188,7 +196,7 @@ class Alignment:
 
 
 def _joints(joints: dict[str, JointAlignment]) -> dict[str, Any]:
-    """Return the JSON data of open joints, none without any."""
+    """Return the JSON data of open joints; an empty dict if there are none."""
     data = {
         name: {
             "value": round(joint.value, 5),

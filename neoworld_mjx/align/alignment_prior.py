@@ -1,7 +1,8 @@
-"""Prior of the alignment: how far the composed scene may be from the photograph's.
+"""Prior of the alignment: how far the composed scene may be from the photographed one.
 
-Deviations are those of the fit of Step 4 (`fit.priors`), which placed the scene. Their tails are
-those of Student's t distribution: most objects are almost right, and some are far off.
+Most standard deviations are those of the fit (`fit.priors`), which placed the objects. The priors
+of objects and joints are Student's t distributions, because most objects are almost right and some
+are far off.
 """
 
 import math
@@ -16,38 +17,46 @@ from .placement import Placement
 from .unknowns import CAMERA, EACH, STRETCH, Unknowns
 
 FREEDOM = 4.0
-"""Degrees of freedom of the t distribution."""
+"""Degrees of freedom of the t distributions."""
 ROLL = np.radians(1.0)
-"""Roll of the camera [rad]."""
+"""Standard deviation of the camera's roll [rad]."""
 LOG_FOCAL, LOG_FOCAL_MISJUDGED = 0.04, 0.2
-"""Logarithm of the focal length, and the same for a misjudged field of view."""
+"""Standard deviation of the log focal length if the field of view is not misjudged, and if it
+is."""
 MISJUDGED = 0.4
-"""Share of responses that misjudge the field of view: two of five about rendered images."""
+"""Share of responses that misjudge the field of view; two of five responses to rendered images
+did."""
 MEASURED = 0.5
-"""Factor of the deviations of what the response calls measured."""
+"""Factor that multiplies the standard deviations of camera parameters that the response
+measured."""
 LOG_STRETCH = 0.03
-"""Logarithm of the stretch of a program along an axis. The contours of a wrong shape disagree with
-one another; without these nuisance unknowns the layout and the camera would absorb it."""
+"""Standard deviation of the log stretch of a program's shape along an axis. The contours of a wrong
+shape contradict one another. Without these nuisance unknowns, the layout and the camera would
+absorb the contradiction."""
 LOG_PART_STRETCH = 0.06
-"""The same of what a hinge moves: the length of a door changes its image as the angle does."""
+"""Standard deviation of the log stretch of the parts that a hinge moves: a change of a door's
+length changes the image as a change of its angle does."""
 FIXED_YAW = 1e-4
-"""Heading of an object that is round or on a wall [rad]."""
+"""Standard deviation of the heading of an object that is round or attached to a wall [rad]."""
 SUPPORTED = 0.15
-"""Deviation of an object on a movable one, over the shorter side of what it stands on."""
+"""Standard deviation of the position of an object on a movable support, relative to the shorter
+horizontal side of the support."""
 OPENING = 0.06
-"""Opening of a joint, a share of its range: a ratio of two lengths in the image."""
+"""Standard deviation of a joint's opening, relative to the joint's range. The response estimates
+the opening from a ratio of two lengths in the image."""
 RANGE = 0.26
-"""Logarithm of the range of a joint in a program, which the parsed opening is a share of."""
+"""Standard deviation of the log range of a joint in a program. The parsed opening is a share of
+this range."""
 LEAST_CLEARANCE_M = 0.005
-"""Least clearance of a content in its container [m]."""
+"""Least standard deviation of the position of an object in a container [m]."""
 
 
 def camera_deviations(measured: Collection[str], *, misjudged: bool) -> Float[np.ndarray, " 4"]:
-    """Return the deviations of pitch, roll [rad], log focal length and log height.
+    """Return the standard deviations of pitch and roll [rad], log focal length and log height.
 
     Args:
-        measured: what the response measured in the photograph, as in `SceneTree.camera_measured`.
-        misjudged: True if the field of view is misjudged, or not yet known not to be.
+        measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
+        misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
     deviations = np.array(
@@ -59,10 +68,12 @@ def camera_deviations(measured: Collection[str], *, misjudged: bool) -> Float[np
 def is_misjudged(log_focal: float, deviation: float) -> bool:
     """Return whether a field of view is more probably misjudged than not.
 
-    The prior of the log focal length is a mixture of two Gaussians, with the share MISJUDGED.
+    The prior of the log focal length is a mixture of two Gaussians. The wider one has the weight
+    MISJUDGED.
 
     Args:
-        log_focal: its estimate with the wide prior, as a change of the response's.
+        log_focal: estimate of the log focal length with the wide prior, minus the value of the
+            response.
         deviation: standard deviation of the estimate.
     """
     log_odds = math.log(MISJUDGED / (1 - MISJUDGED))
@@ -78,13 +89,17 @@ def prior_precision(
     x: Float[np.ndarray, " u"],
     deviations: Float[np.ndarray, " 4"],
 ) -> Float[np.ndarray, "v v"]:
-    """Return the precision matrix of the unknowns and of all stretches, at its weights for `x`.
+    """Return the prior's precision matrix over the unknowns and all stretches.
+
+    Each t distribution is approximated at `x` by a Gaussian, as in iteratively reweighted least
+    squares.
+
 
     Args:
         unknowns: the unknowns.
-        now: their placement.
-        x: their values.
-        deviations: of the camera's unknowns.
+        now: the placement at `x`.
+        x: values of the unknowns.
+        deviations: standard deviations of the camera's unknowns.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
@@ -102,7 +117,7 @@ def prior_precision(
         whitening = unknowns.view_axes(now, k) / most[:, None]
         yaw = YAW
         if unknowns.in_wall[k].any():
-            # Along the wall and up.
+            # The two axes are along the wall and up.
             whitening = np.eye(2) / (FASTENED * distance)
         if unknowns.in_wall[k].any() or unknowns.round[k]:
             yaw = FIXED_YAW
@@ -125,10 +140,10 @@ def opening_deviation(joint: OpenJoint) -> float:
 
 
 def _room(unknowns: Unknowns, k: int) -> float:
-    """Return the deviation [m] that an object's support leaves it; inf on the environment.
+    """Return the largest standard deviation [m] of a position that an object's support allows.
 
-    It is half the clearance of a content in its container, and SUPPORTED of the shorter side of
-    what an object stands on.
+    For an object in a container, it is half the clearance. For an object on a movable support, it
+    is SUPPORTED times the shorter horizontal side of the support. Otherwise, it is infinite.
     """
     item = unknowns.scene.objects[k]
     if item.parent is None or item.relation not in ("in", "on"):

@@ -1,4 +1,4 @@
-"""Colors of a photograph: a perceptual space in bins, and histograms as color models."""
+"""Colors of a photograph: CIE Lab values, their histogram bins, and histograms as color models."""
 
 from typing import NamedTuple
 
@@ -13,28 +13,30 @@ from .rasterize import window_of
 BINS = 24
 """Number of bins of a histogram along each axis."""
 LIGHTNESS = 0.5
-"""Weight of lightness relative to the two chromatic axes, as shading changes it most."""
+"""Scale of the lightness axis relative to the two chromatic axes. It is less than 1 because shading
+mostly changes the lightness."""
 CHROMA = 80.0
-"""Largest chromatic coordinate that is resolved."""
+"""Largest absolute value of a chromatic coordinate that the bins resolve."""
 BLUR = 0.7
-"""Standard deviation of the smoothing of histograms, in bins."""
+"""Standard deviation of the Gaussian that smooths histograms, in bins."""
 OUTLIERS = 0.1
-"""Share of pixels whose color is unlike the model's: highlights, textures, what is not modeled."""
+"""Share of pixels whose colors the color model does not contain, due to highlights, textures and
+objects that are not modeled."""
 LARGEST = 4.0
-"""Bound of the log likelihood ratio of a pixel."""
+"""Bound on the absolute log likelihood ratio of a pixel [nats]."""
 _UNIFORM = 1.0 / (BINS**3 * LIGHTNESS)
 _TO_XYZ = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
 ) / np.array([[0.9505], [1.0], [1.089]])
 LEAST_PIXELS = 60
-"""Number of pixels from which a color model is estimated; with fewer, margins are omitted."""
+"""Least number of pixels for a color model; a margin that leaves fewer pixels is reduced."""
 RING = 0.25
 """Width of the ring around an object, relative to the square root of its area."""
 LEAST_RING_PX = 6
 LEAST_SPREAD = 2.0
-"""Least standard deviation of the colors of a face, in CIE Lab: noise and compression."""
+"""Least standard deviation of the colors of a face [CIE Lab], due to noise and compression."""
 BAND = 6
-"""Width of the band inside a contour whose colors count, in margins."""
+"""Width of the band inside a contour whose colors are used, in multiples of the margin."""
 
 
 def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "*n 3"]:
@@ -52,7 +54,7 @@ def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "*n 3"]:
 
 
 def bins_of(lab: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, "*n"]:
-    """Return the bin of each color."""
+    """Return the index of the histogram bin of each color [CIE Lab]."""
     unit = np.stack(
         [
             lab[..., 0] / 100 * LIGHTNESS,
@@ -66,7 +68,7 @@ def bins_of(lab: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, "*n"]:
 
 
 def color_model(bins: Int[np.ndarray, " n"]) -> Float[np.ndarray, " bin"]:
-    """Return the smoothed, normalized histogram of pixels."""
+    """Return the smoothed and normalized histogram of pixels, given the bins of their colors."""
     counts = np.bincount(bins, minlength=BINS**3).reshape(BINS, BINS, BINS).astype(float)
     smooth = gaussian_filter(counts, BLUR, mode="constant")
     return (smooth / max(smooth.sum(), 1e-9)).ravel()
@@ -75,7 +77,10 @@ def color_model(bins: Int[np.ndarray, " n"]) -> Float[np.ndarray, " bin"]:
 def log_likelihood_ratio(
     inside: Float[np.ndarray, "*n"], outside: Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """Return log p(color | object) - log p(color | background), with outliers and bounds."""
+    """Return log p(color | object) - log p(color | background), bounded by LARGEST.
+
+    Both probabilities are mixtures with a uniform distribution of the weight OUTLIERS.
+    """
     mix = lambda p: np.log((1 - OUTLIERS) * p + OUTLIERS * _UNIFORM)
     return np.clip(mix(inside) - mix(outside), -LARGEST, LARGEST)
 
@@ -89,7 +94,7 @@ class LabImage(NamedTuple):
 
     @classmethod
     def of(cls, photo: UInt8[np.ndarray, "_ _ 3"], width: int, height: int) -> "LabImage":
-        """Resize a photograph (sRGB) to a size [px], and convert it."""
+        """Resize a photograph (sRGB) to `width` x `height` pixels, and convert it to CIE Lab."""
         if photo.shape[:2] != (height, width):
             size = (width, height)
             photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
@@ -98,28 +103,30 @@ class LabImage(NamedTuple):
 
 
 class ColorModels(NamedTuple):
-    """Color models of an object under a layout, on both sides of its contour."""
+    """Color models on the two sides of an object's contour in a layout."""
 
     inside: Float[np.ndarray, " bin"]
-    """Colors of the object near its contour, as the rest of it may look like what is behind."""
+    """Colors of the object near its contour. The rest of the object is omitted, because it may look
+    like the background."""
     around: Float[np.ndarray, " bin"]
-    """Colors around the object, with its shadow."""
+    """Colors around the object, which include its shadow."""
     behind: dict[int, Float[np.ndarray, " bin"]]
-    """Colors around the object within each neighbor that has enough pixels there."""
+    """Colors of each neighbor in the ring around the object, by index; neighbors with too few
+    pixels in the ring are missing."""
 
     def background(self, neighbor: int) -> Float[np.ndarray, " bin"]:
-        """Return the colors behind the contour towards a neighbor."""
+        """Return the color model of the background where `neighbor` is behind the contour."""
         behind = self.behind.get(neighbor)
         return self.around if behind is None else 0.5 * (behind + self.around)
 
     def log_ratio(
         self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n m"]:
-        """Return the log likelihood ratio of colors, of the object over what is behind it.
+        """Return the log likelihood ratio of each color: the object versus the background.
 
         Args:
-            lab: colors.
-            behind: neighbor behind the contour, by row.
+            lab: colors [CIE Lab].
+            behind: index of the neighbor behind the contour, for each row of `lab`.
         """
         bins = bins_of(lab)
         outside = np.empty(bins.shape)
@@ -130,18 +137,18 @@ class ColorModels(NamedTuple):
 
 
 class FaceColors(NamedTuple):
-    """Colors of two faces of an object, as Gaussians: their difference may be less than a bin."""
+    """Gaussian color models of two faces of an object, which may differ by less than a bin."""
 
     inside: Float[np.ndarray, " 3"]
     outside: Float[np.ndarray, " 3"]
     spread: float
-    """Standard deviation of both."""
+    """Standard deviation of both Gaussians [CIE Lab]."""
 
     @classmethod
     def of(
         cls, inside: Float[np.ndarray, "n 3"], outside: Float[np.ndarray, "m 3"]
     ) -> "FaceColors":
-        """Return the colors of two faces from their pixels, robustly."""
+        """Estimate the color models of two faces robustly from the colors of their pixels."""
         first, second = np.median(inside, axis=0), np.median(outside, axis=0)
         spreads = [
             1.48 * np.median(np.abs(lab - median), axis=0)
@@ -153,7 +160,7 @@ class FaceColors(NamedTuple):
     def log_ratio(
         self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n m"]:
-        """Return the log likelihood ratio of colors, of the first face over the second."""
+        """Return the log likelihood ratio of each color: the first face versus the second."""
         del behind
         first, second = (np.sum((lab - mean) ** 2, axis=-1) for mean in (self.inside, self.outside))
         return np.clip((second - first) / (2 * self.spread**2), -LARGEST, LARGEST)
@@ -162,16 +169,17 @@ class FaceColors(NamedTuple):
 def color_models(
     owner: Int[np.ndarray, "row column"], bins: Int[np.ndarray, "row column"], k: int, margin: int
 ) -> ColorModels | None:
-    """Estimate the color models of an object from the pixels that a layout gives to it.
+    """Estimate the color models of an object from the pixels that show it in a layout.
 
     Args:
-        owner: index of the object at each pixel.
+        owner: index of the object at each pixel; -1 for none.
         bins: bin of each pixel's color.
-        k: index of the object, which is visible.
-        margin: width of the margin [px] along the contour that is left out, as it is uncertain.
+        k: index of the object, which must be visible.
+        margin: width of the margin [px] along the contour that is omitted, because the position of
+            the contour is uncertain.
 
     Returns:
-        None if there are too few pixels around the object.
+        The color models, or None if there are too few pixels around the object.
     """
     mask = owner == k
     window = window_of(mask, margin + ring_width(int(mask.sum())) + 1)
@@ -190,7 +198,7 @@ def color_models(
 
 
 def _band(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray, "row column"]:
-    """Return the pixels of a mask near its contour, without a margin if there are enough."""
+    """Return the pixels of a mask near its contour, without the margin if enough pixels remain."""
     depth = np.asarray(distance_transform_edt(np.pad(mask, 1, mode="edge")))[1:-1, 1:-1]
     band = depth <= margin + BAND * margin
     for width in (margin, 1, 0):
@@ -201,11 +209,11 @@ def _band(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray,
 
 
 def around(mask: Bool[np.ndarray, "row column"], margin: int) -> Bool[np.ndarray, "row column"]:
-    """Return the ring around a mask, without a margin."""
+    """Return the ring around a mask, which starts `margin` pixels from the mask."""
     distance = np.asarray(distance_transform_edt(~mask))
     return (distance > margin) & (distance <= margin + ring_width(int(mask.sum())))
 
 
 def ring_width(area: int) -> int:
-    """Return the width of the ring around an object of an area [px^2], in pixels."""
+    """Return the width [px] of the ring around an object of the given area [px^2]."""
     return max(LEAST_RING_PX, round(RING * area**0.5))

@@ -1,7 +1,8 @@
-"""Contacts of a placement: objects do not overlap, which the alignment keeps as inequalities.
+"""Contacts between objects in a placement. The alignment treats them as inequalities.
 
-The contour of an object says little about its distance along the view. Without contacts, neighbors
-slide into each other, and settling then pushes them apart, away from the photograph.
+The contour of an object hardly determines its distance along the view. Without contacts, neighbors
+would slide into each other. Settling would then push them apart, away from their positions in the
+photograph.
 """
 
 from collections.abc import Sequence
@@ -21,31 +22,33 @@ from .placement import Placement
 from .unknowns import STEP, Unknowns
 
 REACH_M = 0.01
-"""Largest gap between two geoms that is a contact [m]."""
+"""Largest gap between two geoms that counts as a contact [m]."""
 STEEPEST = 0.8
-"""Largest vertical component of a contact's normal, as supports determine heights."""
+"""Largest absolute vertical component of a contact's unit normal. Steeper contacts are ignored,
+because supports determine heights."""
 MOST_CONTACTS = 6
-"""Largest number of contacts of two objects: those of the smallest gaps."""
+"""Largest number of contacts between two objects; the contacts with the smallest gaps are used."""
 LEAST_LINE_M = 1e-7
-"""Distance of the nearest points of two geoms below which their normal is not defined [m]."""
+"""Distance between the nearest points of two geoms below which their normal is undefined [m]."""
 
 
 class ContactGaps(NamedTuple):
-    """Linearized gaps between objects: gap + jacobian @ change is to be at least zero."""
+    """Linearized gaps between objects; gap + jacobian @ change must be at least zero."""
 
     gap: Float[np.ndarray, " n"]
     """Signed distance [m]; negative is penetration depth."""
     jacobian: Float[np.ndarray, "n v"]
-    """Derivatives by all unknowns and stretches [m]; zero by sizes, as otherwise a content that is
-    too large for its container would shrink."""
+    """Derivatives of the gaps with respect to all unknowns and stretches. Derivatives with respect
+    to sizes and stretches are set to zero: otherwise, an object that is too large for its container
+    would shrink."""
 
 
 @dataclass(frozen=True)
 class SceneGeoms:
-    """Collision geoms of a scene in their objects' frames; `place` changes the model in place.
+    """Collision geoms of a scene in the frames of their objects.
 
-    Geoms of parts that open joints move follow them, so that an open door keeps clear of what
-    stands in front of it.
+    `place` modifies the model and its data. The geoms of parts that open joints move follow these
+    parts, so that an open door keeps clear of the objects in front of it.
     """
 
     model: mujoco.MjModel
@@ -53,25 +56,25 @@ class SceneGeoms:
     geom: Int[np.ndarray, " geom"]
     """Index of each collision geom in the model."""
     owner: Int[np.ndarray, " geom"]
-    """Its object."""
+    """Index of each geom's object."""
     body: Int[np.ndarray, " geom"]
-    """Its body, see `open_joints`."""
+    """Index of each geom's body, as defined in `open_joints`."""
     pos: Float[np.ndarray, "geom 3"]
-    """Its position as composed [m]."""
+    """Composed position of each geom in the object's frame [m]."""
     mat: Float[np.ndarray, "geom 3 3"]
-    """Its rotation."""
+    """Composed rotation of each geom in the object's frame."""
     size: Float[np.ndarray, "geom 3"]
-    """Its composed size, as MuJoCo's `geom_size` [m]."""
+    """Composed size of each geom, as in MuJoCo's `geom_size` [m]."""
     radius: Float[np.ndarray, " geom"]
-    """Radius of its bounding sphere [m]."""
+    """Radius of each geom's bounding sphere [m]; 0 for planes."""
     vertex: Float[np.ndarray, "vertex 3"]
     """Vertices of all meshes at the composed size [m]."""
     vertex_owner: Int[np.ndarray, " vertex"]
-    """Object of each vertex; -1 for none."""
+    """Index of each vertex's object; -1 for none."""
 
     @classmethod
     def of(cls, scene: SceneSpec, parts: Sequence[MovingPart] = ()) -> "SceneGeoms":
-        """Compile a scene once.
+        """Compile a scene, once for all placements.
 
         Args:
             scene: the composed scene.
@@ -109,7 +112,7 @@ class SceneGeoms:
         )
 
     def place(self, place: Placement) -> None:
-        """Move and scale the geoms as a placement does their objects."""
+        """Move and scale the geoms with their bodies to a placement."""
         m, d, k = self.model, self.data, self.body
         scale, turn = place.scale[k], place.turn[k]
         offset = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
@@ -120,10 +123,13 @@ class SceneGeoms:
         m.mesh_vert[:] = self.vertex * np.append(place.scale, 1.0)[self.vertex_owner, None]
 
     def near(self, counts: Bool[np.ndarray, "object object"]) -> Int[np.ndarray, "pair 2"]:
-        """Return pairs of geoms, as rows of `geom`, whose bounding spheres are within REACH_M.
+        """Return the pairs of geoms whose bounding spheres are less than REACH_M apart.
+
+        Pairs are indices into `geom`.
+
 
         Args:
-            counts: mask of the objects between which contacts count.
+            counts: mask of the pairs of objects whose contacts are used.
         """
         m, pos = self.model, self.data.geom_xpos[self.geom]
         # The bounding radius of a plane is zero.
@@ -137,13 +143,16 @@ class SceneGeoms:
 def contacts(
     colliders: SceneGeoms, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
 ) -> ContactGaps:
-    """Return the contacts of a placement whose normals are not vertical.
+    """Return the linearized gaps of the contacts in a placement.
+
+    Contacts with steep normals are omitted, see `STEEPEST`.
+
 
     Args:
         colliders: the scene's collision geoms.
         unknowns: the unknowns.
         now: the placement.
-        neighbors: of `Unknowns.neighbors`.
+        neighbors: the placements of `Unknowns.neighbors`.
     """
     colliders.place(now)
     found: dict[tuple[int, int], list[tuple[float, tuple[int, int], np.ndarray]]] = {}
@@ -175,9 +184,9 @@ def contacts(
 
 
 def _counts(unknowns: Unknowns) -> Bool[np.ndarray, "object object"]:
-    """Return a mask of the objects between which contacts count.
+    """Return the mask of the pairs of objects whose contacts are used.
 
-    One of the two has to be free, and neither is attached to the other.
+    At least one of the two objects must be free, and neither may be attached to the other.
     """
     items = unknowns.scene.objects
     free = np.isin(np.arange(len(items)), unknowns.free)

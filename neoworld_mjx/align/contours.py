@@ -1,9 +1,9 @@
-"""Contours of objects, and how far the photograph's pixels displace them.
+"""Contours of objects, and their displacements in the photograph.
 
-Along the normal of each contour point, colors inside the object and behind it give the probability
-of every displacement, as in M3T (Stoiber et al., "Fusing Visual Appearance and Geometry for
-Multi-Modality 6DoF Object Tracking", 2023). Where an object in front owns the outer side, the
-contour is that of the object in front, and counts for that alone.
+Along the normal at each contour point, the colors inside the object and behind it determine the
+probability of every displacement, as in M3T (Stoiber et al., "Fusing Visual Appearance and Geometry
+for Multi-Modality 6DoF Object Tracking", 2023). If the outer side of an edge shows an object in
+front, the edge is a contour of the object in front, and is used for that object only.
 """
 
 from typing import NamedTuple
@@ -18,19 +18,19 @@ from .rasterize import DrawnObjects, window_of
 MOST_POINTS = 300
 """Largest number of points of a contour."""
 NORMAL_BLUR_PX = 1.5
-"""Standard deviation of the smoothing of a mask whose gradient is the normal."""
+"""Standard deviation of the Gaussian that smooths a mask before its normals are computed [px]."""
 REACH_PX = 4
-"""Pixels around a mask that its gradient depends on."""
+"""Width of the margin around a mask in which its smoothed gradient is computed [px]."""
 LEAST_GRADIENT = 0.02
-"""Gradient of the smoothed mask below which the normal is not defined, as on a line."""
+"""Gradient of the smoothed mask below which the normal is undefined, as on a thin line."""
 BORDER_PX = 3.0
-"""Distance from the border of the image within which contours do not count."""
+"""Distance from the border of the image within which contours are ignored [px]."""
 SPREAD = 1.5
-"""Reach of the displacements over the standard deviation of their prior."""
+"""Ratio of the largest displacement to the standard deviation of the prior of displacements."""
 
 
 class Contour(NamedTuple):
-    """Points on the visible contour of an object, where it is in front."""
+    """Points on the visible contour of an object where the object is in front."""
 
     pixel: Float[np.ndarray, "n 2"]
     depth: Float[np.ndarray, " n"]
@@ -38,24 +38,24 @@ class Contour(NamedTuple):
     normal: Float[np.ndarray, "n 2"]
     """Outward unit normal in the image."""
     behind: Int[np.ndarray, " n"]
-    """Object behind the contour; -1 for none."""
+    """Index of the object behind the contour; -1 for none."""
     length: Float[np.ndarray, " n"]
-    """Length of the contour that the point stands for [px]."""
+    """Length of the contour that each point represents [px]."""
     body: Int[np.ndarray, " n"]
-    """Body of the object that shows there, see `open_joints`."""
+    """Index of the body that is visible at each point, as defined in `open_joints`."""
 
 
 class Displacements(NamedTuple):
-    """Displacement of contour points along their normals, from the pixels."""
+    """Displacements of contour points along their normals, estimated from the pixels."""
 
     value: Float[np.ndarray, " n"]
-    """[px], positive outward."""
+    """Displacement [px], positive outward."""
     precision: Float[np.ndarray, " n"]
-    """Information [1/px^2]; 0 where the colors do not distinguish the two sides."""
+    """Precision [1/px^2]; 0 if the colors do not distinguish the two sides."""
 
 
 def contour(drawn: DrawnObjects, k: int) -> Contour | None:
-    """Return the contour of an object, or None if it has no visible one."""
+    """Return the contour of an object, or None if no contour is visible."""
     mask = drawn.owner == k
     if not mask.any():
         return None
@@ -91,14 +91,14 @@ def sampled_contour(
     shape: tuple[int, int],
     most: int,
 ) -> Contour | None:
-    """Return evenly spaced points of a contour, or None if it has none within the image.
+    """Return evenly spaced points of a contour, or None if no point has a normal within the image.
 
     Args:
-        pixel: points along the grid of pixels.
-        depth: of the object there [m].
-        slope: negative gradient of its smoothed mask.
-        behind: object behind the contour.
-        body: body of the object that shows there.
+        pixel: points between neighboring pixels.
+        depth: depth of the object at each point [m].
+        slope: negative gradient of the object's smoothed mask at each point.
+        behind: index of the object behind the contour at each point.
+        body: index of the body that is visible at each point.
         shape: height and width of the image [px].
         most: largest number of points.
     """
@@ -111,7 +111,7 @@ def sampled_contour(
     share = max(len(rows) / most, 1.0)
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
     normal = slope[rows] / steep[rows, None]
-    # Steps along the grid are longer than the contour.
+    # A path along the pixel grid is longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
     return Contour(pixel[rows], depth[rows], normal, behind[rows], length, body[rows])
 
@@ -137,13 +137,14 @@ def displacements(
     """Return the displacement of each contour point.
 
     Args:
-        lab: the photograph.
-        points: contour of the object.
-        models: colors on the two sides.
+        lab: the photograph [CIE Lab].
+        points: points of a contour or crease.
+        models: color models of the two sides.
         reach: largest displacement [px].
-        step: distance of samples [px].
-        noise: standard deviation of an ideal contour [px]: shapes are approximate.
-        unit: pixels that count as one independent observation of a color.
+        step: distance between samples along a normal [px].
+        noise: standard deviation of a contour with perfect color evidence [px], because shapes are
+            approximate.
+        unit: number of pixels that count as one independent observation of a color.
     """
     offset = np.arange(-reach, reach + step / 2, step)
     spot = points.pixel[:, None] + offset[None, :, None] * points.normal[:, None] - 0.5
@@ -152,13 +153,13 @@ def displacements(
         for c in range(3)
     ]
     ratio = models.log_ratio(np.stack(sampled, axis=-1), points.behind) * (step / unit)
-    # With the contour at an edge between samples, all samples up to it belong to the object.
+    # If the contour is between two samples, all samples on its inner side show the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
     edge = np.append(offset - step / 2, offset[-1] + step / 2)
     prior = -0.5 * (edge * SPREAD / reach) ** 2
     mean, variance = _moments(likelihood + prior, edge)
     prior_variance = _moments(prior[None], edge)[1]
-    # The information of the pixels alone, and the displacement without the pull of the prior.
+    # The precision due to the pixels alone, and the displacement without the effect of the prior.
     gain = np.maximum(1 / np.maximum(variance, 1e-6) - 1 / prior_variance, 1e-3 / prior_variance)
     value = np.clip(mean / np.maximum(variance, 1e-6) / gain, -reach, reach)
     precision = 1 / (variance + noise**2) - 1 / (prior_variance + noise**2)

@@ -1,8 +1,8 @@
-"""Creases: where two smooth faces of one object meet in the image.
+"""Creases: lines in the image where two smooth faces of one object meet.
 
-Faces differ in shading or color, so that creases show the object's heading and proportions, and, as
-parallel ones converge, the camera. As for contours, the colors on their two sides say where they
-are.
+The two faces differ in shading or color. Creases therefore show the object's heading and
+proportions. Parallel creases converge in the image and therefore also show the camera's pose. As
+for contours, the colors on the two sides of a crease determine its position.
 """
 
 import math
@@ -21,9 +21,9 @@ from .contours import NORMAL_BLUR_PX, REACH_PX, Contour, sampled_contour
 from .rasterize import DrawnObjects, window_of
 
 SMOOTH = np.radians(35.0)
-"""Largest angle between neighboring triangles of one smooth face [rad]."""
+"""Largest angle between neighboring triangles of the same smooth face [rad]."""
 LEAST_PX = 8
-"""Least number of pixels along a crease."""
+"""Least number of pairs of neighboring pixels along a crease."""
 MOST_POINTS = 100
 """Largest number of points of a crease."""
 BLUR_REACH_PX = math.ceil(4 * NORMAL_BLUR_PX) + 2
@@ -31,32 +31,35 @@ BLUR_REACH_PX = math.ceil(4 * NORMAL_BLUR_PX) + 2
 
 
 class Crease(NamedTuple):
-    """Visible crease of an object."""
+    """A visible crease of an object."""
 
     points: Contour
-    """Its points; normals point from the first to the second face."""
+    """Points on the crease; normals point from the first face to the second."""
     colors: FaceColors
-    """Colors of the first face and of the second one."""
+    """Color models of the first and the second face."""
 
 
 class _Borders(NamedTuple):
-    """Pairs of neighboring pixels on two faces, each once."""
+    """Pairs of neighboring pixels that show two faces; each pair occurs once."""
 
     first: Int[np.ndarray, " n"]
-    """Face of the first pixel, the smaller index."""
+    """Index of the face at the first pixel; it is smaller than the index at the second pixel."""
     second: Int[np.ndarray, " n"]
     row: Int[np.ndarray, " n"]
-    """Of the first pixel."""
+    """Row of the first pixel."""
     column: Int[np.ndarray, " n"]
     down: Int[np.ndarray, " n"]
-    """Rows from the first to the second pixel."""
+    """Number of rows from the first pixel to the second."""
     right: Int[np.ndarray, " n"]
 
 
 def smooth_faces(
     vertices: Float[np.ndarray, "v 3"], triangles: Int[np.ndarray, "t 3"]
 ) -> Int[np.ndarray, " t"]:
-    """Return the smooth face of each triangle of a surface; faces end at sharp edges."""
+    """Return the index of the smooth face of each triangle of a surface.
+
+    Smooth faces end at sharp edges.
+    """
     if not len(triangles):
         return np.zeros(0, int)
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
@@ -69,15 +72,16 @@ def smooth_faces(
 def creases(
     drawn: DrawnObjects, lab: Float[np.ndarray, "row column 3"], k: int, margin: int
 ) -> Iterator[Crease]:
-    """Yield the visible creases of an object whose two faces have enough pixels.
+    """Yield each visible crease of an object if both of its faces show enough pixels.
 
-    Points near the end of a crease do not count: two margins along their normal is another face.
+    Points near the end of a crease are omitted if another face lies two margins away along their
+    normals.
 
     Args:
-        drawn: the objects at a placement, with their faces.
-        lab: the photograph.
+        drawn: the objects rendered in a placement, with their faces.
+        lab: the photograph [CIE Lab].
         k: index of the object.
-        margin: width of the margin [px] along a face's border that its colors leave out.
+        margin: width of the margin [px] along a face's border that the color models omit.
     """
     mask = drawn.owner == k
     if drawn.face is None or not mask.any():
@@ -126,14 +130,14 @@ def creases(
 def _at(
     face: Int[np.ndarray, "row column"], pixel: Float[np.ndarray, "n 2"]
 ) -> Int[np.ndarray, " n"]:
-    """Return the face at each pixel, that of the nearest pixel beyond the window."""
+    """Return the face at each position [px]; positions outside the window are clipped to it."""
     column, row = np.floor(pixel).astype(int).T
     height, width = face.shape
     return face[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
 
 
 def _borders(face: Int[np.ndarray, "row column"]) -> _Borders:
-    """Return where two faces meet."""
+    """Return the pairs of neighboring pixels at which two faces meet."""
     found = []
     for right, down in ((1, 0), (0, 1)):
         height, width = face.shape[0] - down, face.shape[1] - right
@@ -151,7 +155,7 @@ def _borders(face: Int[np.ndarray, "row column"]) -> _Borders:
 def _colors(
     mask: Bool[np.ndarray, "row column"], lab: Float[np.ndarray, "row column 3"], margin: int
 ) -> Float[np.ndarray, "n 3"] | None:
-    """Return the colors of a face's pixels, or None if it has too few."""
+    """Return the colors of a face's inner pixels, or None if there are too few."""
     window = window_of(mask)
     mask, lab = mask[window], lab[window]
     depth = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]

@@ -1,4 +1,4 @@
-"""Picture of the pixels' evidence: where the photograph agrees with an object, and where not."""
+"""Picture of the pixel evidence: where the photograph agrees with an object, and where not."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -10,18 +10,18 @@ from .photo_evidence import WIDTH_PX, rated_pixels
 from .rasterize import height_of
 
 AGREES, CONTRADICTS, UNCLAIMED = (0.0, 200.0, 80.0), (255.0, 0.0, 60.0), (60.0, 90.0, 255.0)
-"""Colors (sRGB) of an object's pixels that look like it, of those that look like what is behind it,
-and of pixels around it that look like it."""
+"""Colors (sRGB) of three kinds of pixels: pixels of an object that look like the object, pixels of
+an object that look like the background, and pixels around an object that look like the object."""
 GRAY = 0.35
-"""Share of the photograph's gray in the picture."""
+"""Share of the gray photograph in the picture; the rest is white."""
 
 
 def evidence_picture(
     scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
 ) -> UInt8[np.ndarray, "_ _ 3"]:
-    """Draw the log likelihood ratio of every pixel near an object over the gray photograph.
+    """Draw the log likelihood ratio of every pixel near an object over a gray photograph.
 
-    The stronger the color, the larger the ratio. What no object claims and what is silent is gray.
+    The stronger the color, the larger the absolute ratio. All other pixels are gray.
 
     Args:
         scene: the scene, with a camera.

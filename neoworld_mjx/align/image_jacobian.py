@@ -1,4 +1,4 @@
-"""Derivatives of image points by the unknowns of the alignment, as finite differences."""
+"""Derivatives of image points with respect to the alignment's unknowns, by finite differences."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,21 +18,21 @@ def image_jacobian(
     width: int,
     bodies: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n v"]:
-    """Return the derivatives of points along normals in the image.
+    """Return the derivatives of image points along normals with respect to the unknowns.
 
     Args:
         unknowns: the unknowns.
         now: the placement.
-        neighbors: of `Unknowns.neighbors`, at the same values.
+        neighbors: the placements of `Unknowns.neighbors`, at the same values of the unknowns.
         k: index of the object.
-        points: points of its bodies [m].
-        normal: directions in the image.
+        points: points in the frames of their bodies [m].
+        normal: unit vectors in the image, one for each point.
         width: width of the image [px].
-        bodies: body of each point; the object itself by default.
+        bodies: body of each point; if None, all points belong to body `k`.
 
     Returns:
-        Pixels by unit of the unknowns, followed by those of the stretches of
-        `Unknowns.stretch_columns`.
+        The derivatives [px per unit] with respect to all unknowns, and then with respect to the
+        stretches of `Unknowns.stretch_columns`.
     """
     along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
     # Objects without open joints are transformed as a whole.
@@ -54,7 +54,7 @@ def image_jacobian(
         anchor = unknowns.joints[j].anchor
         if anchor is None or body is k:
             continue
-        # A door of another length looks like one at another angle.
+        # A longer door may look like a door at another angle.
         moves = np.array([j in part.joints for part in unknowns.parts])
         rows = np.append(np.zeros(len(unknowns.scene.objects), bool), moves)[body]
         for axis in range(STRETCH):

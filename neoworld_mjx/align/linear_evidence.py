@@ -1,4 +1,4 @@
-"""Evidence of an object's contour, creases and 2D box, linearized in the unknowns."""
+"""Evidence from an object's contour, creases and 2D box, linearized in the unknowns."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,39 +15,41 @@ from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import Unknowns
 
 REFERENCE_PX = 640.0
-"""Width of the image in which the constants in pixels are given."""
+"""Width [px] of the image to which constants in pixels refer."""
 CONTOUR_PX = 0.7
-"""Standard deviation of a contour of the right shape."""
+"""Standard deviation of a contour of the right shape [px]."""
 SHAPE = 0.01
-"""Standard deviation of a contour due to its shape, over its length / pi."""
+"""Standard deviation of a contour due to a wrong shape, relative to the contour's length / pi."""
 CORRELATION_PX, OBSERVATIONS = 16.0, 30
-"""Length of a contour that counts as one observation, and the largest number of observations of a
-contour: errors of shapes are smooth."""
+"""Length of a contour [px] that counts as one observation, and the largest number of observations
+per contour. Errors of shapes are smooth, so neighboring points are correlated."""
 MARGIN_PX = 3.0
-"""Margin along contours that color models leave out [px]."""
+"""Width of the margin along contours that color models omit [px]."""
 LEAST_SPREAD = 0.5
 """Least robust spread of the displacements of a contour [px]."""
 LEAST_POINTS = 10
-"""Number of informed points from which what a joint moves has a spread of its own."""
+"""Least number of informative points for which the parts moved by a joint get a separate spread."""
 LEAST_PRECISION = 1e-4
-"""Precision [1/px^2] below which the colors of a contour's two sides are the same."""
+"""Precision [1/px^2] below which the colors on the two sides of a contour count as equal."""
 OUTLYING = 2.0
-"""Displacement, in robust spreads, at which a point has half of its weight."""
+"""Displacement at which the weight of a point is halved, in multiples of the robust spread."""
 BOX_PX, BOX = 3.0, 0.01
-"""Standard deviation of a side of a parsed 2D box: pixels, and a share of the box."""
+"""Standard deviation of a side of a parsed 2D box: a constant [px], plus a share of the box's
+size."""
 BOX_OUTLYING = 3.0
-"""Residual of a side, in deviations, at which it has half of its weight."""
+"""Residual at which the weight of a side is halved, in standard deviations."""
 END_PX = 2.5
-"""Largest distance between the extreme point of an object and that of its visible part at which the
-object itself ends there."""
+"""Largest distance [px] between the extreme point of an object and that of its visible part at
+which the object itself is assumed to end there, rather than to be occluded."""
 
 
 @dataclass(frozen=True)
 class LinearEvidence:
-    """Evidence of one object, linearized: weight * (residual - jacobian @ change)^2."""
+    """Linearized evidence about one object: weight * (residual - jacobian @ change)^2."""
 
     jacobian: Float[np.ndarray, "n v"]
-    """Derivatives by all unknowns, and by the stretches of `stretch_columns` [px]."""
+    """Derivatives [px per unit] with respect to all unknowns, and then with respect to the
+    stretches of `Unknowns.stretch_columns`."""
     residual: Float[np.ndarray, " n"]
     """[px]"""
     weight: Float[np.ndarray, " n"]
@@ -66,18 +68,18 @@ def contour_evidence(
     step: float,
     with_creases: bool = True,
 ) -> LinearEvidence | None:
-    """Return the evidence of an object's contour and creases, or None without a contour.
+    """Return the evidence of an object's contour and creases, or None if there is no evidence.
 
     Args:
         unknowns: the unknowns.
         now: the placement.
-        neighbors: of `Unknowns.neighbors`.
-        drawn: the objects at the placement.
+        neighbors: the placements of `Unknowns.neighbors`.
+        drawn: the objects rendered in the placement.
         image: the photograph.
         k: index of the object.
-        reach: largest displacement, in pixels of REFERENCE_PX.
-        step: distance of the samples along normals, in the same unit.
-        with_creases: whether creases count, too.
+        reach: largest displacement, in pixels of an image REFERENCE_PX wide.
+        step: distance between samples along normals, in pixels of an image REFERENCE_PX wide.
+        with_creases: if True, use creases, too.
     """
     points = contour(drawn, k)
     if points is None:
@@ -113,7 +115,7 @@ class _Located(NamedTuple):
     depth: Float[np.ndarray, " n"]
     normal: Float[np.ndarray, "n 2"]
     body: Int[np.ndarray, " n"]
-    """Body that shows there, see `open_joints`."""
+    """Index of the body that is visible at each point, as defined in `open_joints`."""
     value: Float[np.ndarray, " n"]
     """Displacement along the normal [px]."""
     weight: Float[np.ndarray, " n"]
@@ -130,14 +132,14 @@ def _located(
     reach: float,
     step: float,
 ) -> _Located | None:
-    """Locate a contour or crease of an object in the photograph; None if colors do not show it.
+    """Locate a contour or crease in the photograph; return None if the colors do not show it.
 
     Args:
-        points: its points.
-        models: colors on its two sides.
+        points: points of the contour or crease.
+        models: color models of its two sides.
         image: the photograph.
         length: length of the object's contour [px].
-        mover: what moves each body, as `Unknowns.mover`.
+        mover: index of what moves each body, as in `Unknowns.mover`.
         reach: as for `contour_evidence`.
         step: as for `contour_evidence`.
     """
@@ -157,7 +159,7 @@ def _located(
         return None
     spread = _spreads(moved.value, informed, mover[points.body], LEAST_SPREAD * unit)
     robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
-    # A contour that disagrees with itself is less certain than its colors say.
+    # A contour with contradictory displacements is less certain than its colors suggest.
     precision = moved.precision / (1 + moved.precision * spread**2)
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
@@ -172,8 +174,8 @@ def _spreads(
 ) -> Float[np.ndarray, " n"]:
     """Return the robust spread of displacements at each point [px].
 
-    A door at a wrong angle is displaced as a whole and has a spread of its own, so that it is no
-    outlier; what has few informed points shares that of all.
+    A door at a wrong angle is displaced as a whole. Its points have a separate spread, so that they
+    do not count as outliers. Parts with few informative points have the spread of all points.
     """
     spread = np.empty(len(value))
     few = [g for g in np.unique(mover).tolist() if informed[mover == g].sum() < LEAST_POINTS]
@@ -206,7 +208,10 @@ def box_evidence(
     drawn: DrawnObjects,
     k: int,
 ) -> LinearEvidence | None:
-    """Return the evidence of the sides of an object's parsed 2D box at which the object ends."""
+    """Return the evidence of an object's parsed 2D box, or None if no side of the box is used.
+
+    A side is used if the object itself ends there, rather than an occluder or the image.
+    """
     item = unknowns.scene.objects[k]
     shown = drawn.owner == k
     if item.box2d is None or not shown.any():

@@ -1,4 +1,4 @@
-"""Looks of a scene from its photograph: prints, exposure, white balance and backdrop."""
+"""Appearance of a scene from its photograph: prints, exposure, white balance and backdrop."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -15,31 +15,35 @@ from ..spec.scene import Backdrop
 from .colors import to_lab
 
 WIDTH = 240
-"""Width of the compared pictures [px]."""
+"""Width of the images that are compared [px]."""
 LEAST_BACKDROP = 0.005
-"""Fraction of the picture without objects from which its color is measured."""
+"""Least fraction of the picture that must show no object for the backdrop's color to be
+measured."""
 BEHIND_M = 0.02
-"""Distance of the backdrop from the farthest visible point [m]."""
+"""Distance between the backdrop and the farthest visible point [m]."""
 LEAST_PIXELS = 25
-"""Number of visible pixels from which an object counts."""
+"""Least number of visible pixels at which an object is used to fit the gains."""
 EXPOSURE_DEVIATION, EXPOSURE_BOUND = 0.5, 0.7
-"""Prior deviation and bound of the logarithm of the exposure: between half and twice."""
+"""Prior standard deviation and bound of the log exposure. The bound allows half to twice the
+exposure."""
 BALANCE_DEVIATION, BALANCE_BOUND = 0.2, 0.3
-"""The same of the gains of red and blue relative to green."""
+"""Prior standard deviation and bound of the log gains of red and blue relative to green."""
 OUTLIER = 5.0
-"""Difference of color [CIE Lab] beyond which an object counts linearly, as a wrong color would."""
+"""Color difference [CIE Lab] above which an object's cost grows only linearly, because the object's
+color is probably wrong."""
 
 
 def as_photographed(scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]) -> SceneSpec:
-    """Return a scene that looks like its photograph; shapes, masses and poses are unchanged.
+    """Return a scene that looks like its photograph; shapes, masses and poses do not change.
 
     - The photograph is printed on large flat faces of objects.
-    - The camera has one gain for each color channel, fitted to the mean colors of all visible
-      objects, in the photograph and in the rendered scene, where nothing is printed: robustly, and
-      with a prior near 1.
-    - A plane behind everything has the median color of the pixels that show no object.
+    - The camera has one gain for each color channel. A robust fit with a prior near 1 determines
+      the gains from the mean colors of all visible objects, in the photograph and in the rendered
+      scene. Pixels of large flat faces are ignored, because the photograph is printed there.
+    - A backdrop, a plane behind all objects, has the median color of the pixels that show no
+      object.
 
-    A scene without a camera is returned as it is.
+    A scene without a camera is returned unchanged.
 
     Args:
         scene: the scene, aligned with the photograph.
@@ -72,7 +76,7 @@ def as_photographed(scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]) 
 def _backdrop(
     image: RenderedImage, view: View, photo: UInt8[np.ndarray, "row column 3"]
 ) -> Backdrop | None:
-    """Return the backdrop behind a rendered image; None if hardly any of it would be visible."""
+    """Return the backdrop of a rendered scene, or None if hardly any of it would be visible."""
     rows, columns = np.nonzero(image.segmentation >= 0)
     if not len(rows):
         return None
@@ -91,7 +95,7 @@ def _gain(
     rendered: Float[np.ndarray, "k 3"],
     weights: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "3"]:
-    """Return the gains of linear colors that best map rendered to photographed objects."""
+    """Return the gains that best map linear colors of rendered objects to photographed ones."""
     target = _lab(in_photo)
     weights = np.sqrt(weights / weights.max())
     deviations = np.array([EXPOSURE_DEVIATION, BALANCE_DEVIATION, BALANCE_DEVIATION])

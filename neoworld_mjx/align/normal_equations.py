@@ -1,4 +1,4 @@
-"""Normal equations of the alignment: prior, linearized evidence by object, and contacts."""
+"""Normal equations of the alignment, from the prior, the linearized evidence, and contacts."""
 
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
@@ -14,20 +14,24 @@ from .unknowns import STRETCH, Unknowns
 OVERLAP_M = 0.002
 """Standard deviation of the overlap of two objects [m]."""
 DEEP_M = 0.005
-"""Overlap at which a contact has half of its weight [m]: a deeper one is rather a wrong shape."""
+"""Overlap at which the weight of a contact is halved [m]. Deeper overlaps are probably due to wrong
+shapes."""
 GIVEN = 1e18
-"""Precision of an unknown that is given."""
+"""Precision of an unknown whose value is given."""
 ACTIVE_SETS = 10
-"""Largest number of times that contacts are added to those that a step would violate."""
+"""Largest number of updates of the active set, the contacts that a step would violate."""
 
 
 class NormalEquations:
-    """Normal equations of the unknowns and of all stretches, with the contours kept by object."""
+    """Normal equations of the unknowns and of all stretches.
+
+    The contour evidence is stored by object, so that `solved` can omit it.
+    """
 
     def __init__(
         self, unknowns: Unknowns, prior: Float[np.ndarray, "v v"], x: Float[np.ndarray, " u"]
     ):
-        """Start from the prior's precision matrix, at some values of the unknowns."""
+        """Start from the prior's precision matrix, at the values `x` of the unknowns."""
         self._unknowns, self._x = unknowns, x
         self._prior, self._precision = prior, prior.copy()
         self._gradient = -prior[:, : unknowns.size] @ x
@@ -41,17 +45,17 @@ class NormalEquations:
         self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
 
     def add_contacts(self, contacts: ContactGaps) -> None:
-        """Add the gaps between objects, which `solved` keeps from closing."""
+        """Set the gaps between objects; `solved` penalizes steps that would make a gap negative."""
         self._contacts = contacts
 
     def add_contour(self, k: int, evidence: LinearEvidence) -> None:
-        """Add the evidence of an object's contour, which `solved` may omit."""
+        """Add the evidence of an object's contour, which `solved` can omit."""
         self._contours[k] = self._block(k, evidence)
         self._add(self._contours[k], 1.0, self._precision, self._gradient)
 
     @property
     def with_contour(self) -> tuple[int, ...]:
-        """Indices of the objects with evidence of a contour."""
+        """Indices of the objects with contour evidence."""
         return tuple(self._contours)
 
     @property
@@ -62,11 +66,11 @@ class NormalEquations:
     def solved(
         self, without: Collection[int] = (), held: Mapping[int, float] | None = None
     ) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns, in which joints are within their limits.
+        """Return new values of the unknowns; joints stay within their limits.
 
         Args:
-            without: objects whose contours do not count.
-            held: values of unknowns that are given, by index.
+            without: indices of the objects whose contours are omitted.
+            held: given values of unknowns, by index of the unknown.
         """
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
@@ -88,7 +92,7 @@ class NormalEquations:
     def _fixed(
         self, precision: np.ndarray, gradient: np.ndarray, values: Mapping[int, float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the equations with some unknowns at given values."""
+        """Return the equations with some unknowns fixed at given values."""
         if not values:
             return precision, gradient
         columns = list(values)
@@ -98,7 +102,7 @@ class NormalEquations:
         return precision, gradient
 
     def _separated(self, precision: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """Return the step in which a penalty acts on every gap that would be negative."""
+        """Return the solution with a penalty on every gap that would otherwise be negative."""
         step = np.linalg.solve(precision, gradient)
         gap, jacobian = self._contacts
         weight = 1 / (OVERLAP_M**2 * (1 + (np.minimum(gap, 0.0) / DEEP_M) ** 2))
@@ -114,19 +118,21 @@ class NormalEquations:
         return step
 
     def covariance(self) -> Float[np.ndarray, "u u"]:
-        """Return the covariance of the unknowns, in which contacts do not count."""
+        """Return the covariance of the unknowns; contacts are ignored."""
         return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
 
     def shape_evidence(self) -> dict[int, ShapeEvidence]:
-        """Return what contours and 2D boxes say about the stretches of each object with a contour.
+        """Return the evidence about the stretches of each object with contour evidence, by index.
 
-        All other unknowns are marginalized; contacts do not count.
+        The evidence comes from contours and 2D boxes. All other unknowns are marginalized, and
+        contacts are ignored.
         """
         covariance = np.linalg.inv(self._precision)
         estimate = covariance @ self._gradient
         found = {}
         for k in self.with_contour:
-            # The first are those of the object itself, not of what its joints move.
+            # The first stretches are those of the object itself, not of the parts that its joints
+            # move.
             rows = np.array(self._unknowns.stretch_columns(k)[:STRETCH])
             block = np.ix_(rows, rows)
             precision = np.linalg.inv(covariance[block])

@@ -1,7 +1,7 @@
-"""Joints that are seen open: doors, drawers and lids whose openings are unknowns of the alignment.
+"""Open joints: doors, drawers and lids whose openings are unknowns of the alignment.
 
-A body is what moves rigidly: an object at its composed joint values, or one of the parts that its
-open joints move. Bodies 0 to n - 1 are the n objects, without their moving parts.
+A body moves rigidly. It is either an object without the parts that its open joints move, or one of
+these parts. Bodies 0 to n - 1 are the n objects; the moving parts follow.
 """
 
 from collections.abc import Mapping
@@ -14,28 +14,28 @@ from ..spec.opening import opening_value
 from ..spec.pose import Pose
 
 LEAST_OPENING = 0.05
-"""Share of its range by which a joint that is an unknown is open, at least."""
+"""Least opening of a joint that is an unknown, relative to the joint's range."""
 
 
 @dataclass(frozen=True)
 class OpenJoint:
-    """A hinge or slide that is composed open."""
+    """A hinge or slide that is open in the composed scene."""
 
     object: int
-    """Index of its object."""
+    """Index of the joint's object."""
     name: str
     value: float
     """Composed position [rad or m]."""
     closed: float
     """Closed position [rad or m]."""
     lower: float
-    """Limits [rad or m]."""
+    """Lower and upper limit, extended to include `value` [rad or m]."""
     upper: float
     anchor: tuple[float, float, float] | None
-    """Point on the axis of a hinge, as composed, in the object's frame [m]; None for a slide."""
+    """Point on the composed axis of a hinge, in the object's frame [m]; None for a slide."""
 
     def limit_beyond(self, change: float) -> float | None:
-        """Return the change that reaches the limit which a change exceeds; None within limits."""
+        """Return the change to the limit that `change` exceeds; None if it is within the limits."""
         low, high = self.lower - self.value, self.upper - self.value
         return high if change > high else low if change < low else None
 
@@ -46,14 +46,14 @@ class MovingPart(NamedTuple):
     object: int
     part: str
     joints: frozenset[int]
-    """Indices of these joints among all open joints."""
+    """Indices of the joints that move the part, among all open joints."""
 
 
 def open_joints(items: Mapping[int, SceneObject]) -> tuple[OpenJoint, ...]:
-    """Return the joints of objects that are composed open by LEAST_OPENING or more.
+    """Return the joints that are open by at least LEAST_OPENING in the composed scene.
 
-    These are hinges and slides with limits that follow no other joint, and of whose moving parts at
-    least one can be seen and is not see-through.
+    Only hinges and slides with limits are returned. They follow no other joint, and at least one
+    geom of their moving parts is visible and opaque.
 
     Args:
         items: objects by index.
@@ -95,7 +95,7 @@ def _is_unknown(spec: ObjectSpec, joint: JointSpec, value: float) -> bool:
 def parts_moved(
     items: Mapping[int, SceneObject], joints: tuple[OpenJoint, ...]
 ) -> tuple[MovingPart, ...]:
-    """Return the parts that open joints move, by object and in the order of its parts."""
+    """Return the parts that open joints move, ordered by object and by part."""
     found = []
     for k in sorted({joint.object for joint in joints}):
         spec = items[k].spec
@@ -112,11 +112,11 @@ def parts_moved(
 
 
 def part_motions(item: SceneObject, changes: Mapping[str, float]) -> dict[str, Pose]:
-    """Return how far each part is from its composed place, in the object's frame at scale 1.
+    """Return the motion of each part from its composed pose, in the object's frame at scale 1.
 
     Args:
         item: the object.
-        changes: of the values of its joints [rad or m].
+        changes: changes of the object's joint values [rad or m], by name.
     """
     before = link_poses(item.spec, item.joint_state)
     after = link_poses(item.spec, with_changes(item, changes).joint_state)
@@ -124,6 +124,6 @@ def part_motions(item: SceneObject, changes: Mapping[str, float]) -> dict[str, P
 
 
 def with_changes(item: SceneObject, changes: Mapping[str, float]) -> SceneObject:
-    """Return an object with some joint values changed [rad or m]."""
+    """Return an object with changes [rad or m] added to its joint values, by name."""
     state = {name: item.joint_state.get(name, 0.0) + by for name, by in changes.items()}
     return item.model_copy(update={"joint_state": item.joint_state | state})

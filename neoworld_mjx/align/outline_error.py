@@ -1,4 +1,4 @@
-"""Distances of a scene's outlines from the photograph's, by the colors on their two sides."""
+"""Distances between a scene's outlines and the photograph's, from the colors on their two sides."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -11,9 +11,10 @@ from .linear_evidence import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_P
 from .rasterize import DrawnObjects, draw_scene, height_of
 
 REACH_PX, STEP_PX = 24.0, 1.0
-"""Largest distance that is recognized, and the distance of samples [px of REFERENCE_PX]."""
+"""Largest distance that is recognized, and distance between samples, in pixels of an image
+REFERENCE_PX wide."""
 LEAST_INFORMED = 0.25
-"""Share of an outline whose two sides differ in color, below which its error is unknown."""
+"""Share of an outline with different colors on its two sides below which the error is unknown."""
 
 
 def outline_errors(
@@ -21,21 +22,23 @@ def outline_errors(
     photo: UInt8[np.ndarray, "row column 3"],
     drawn: DrawnObjects | None = None,
 ) -> dict[str, float | None]:
-    """Return the median distance of each object's visible outline from the photograph's.
+    """Return the median distance between each object's visible outline and the photograph's.
 
-    Along the outline's normals, the colors inside the object and behind it say where the edge is,
-    as in the alignment. Distances are at most REACH_PX and rather too small from about 6 px on, as
-    the colors are those that the scene shows; an object that is off by more than its own size may
-    find another edge.
+    As in the alignment, the colors inside the object and behind it determine where the edge is
+    along each normal of the outline. Distances are at most REACH_PX. Distances above about 6 px are
+    underestimated, because the color models come from the pixels that show the object in the scene.
+    An object that is off by more than its size may match another edge.
 
     Args:
         scene: the scene, with a camera.
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
-        drawn: the scene as `draw_scene` draws it in REFERENCE_PX columns; None draws it.
+        drawn: the scene rendered by `draw_scene` at a width of REFERENCE_PX; if None, it is
+            rendered.
 
     Returns:
-        Pixels of an image 640 px wide, by object that is not a support; None where the object is
-        not visible or see-through, or the colors do not tell it from what is behind it.
+        The distance of each object except environment supports, in pixels of an image 640 px wide,
+        by name. It is None if the object is invisible or see-through, or if its colors do not
+        distinguish it from the background.
     """
     assert scene.camera is not None
     width = round(REFERENCE_PX)
@@ -52,7 +55,7 @@ def outline_errors(
             models = color_models(drawn.owner, image.bins, k, round(MARGIN_PX))
         if points is None or models is None:
             continue
-        # Of the whole object, as a wrong outline may have only background within.
+        # Use the whole object: near a wrong outline, there may be only background.
         models = models._replace(inside=color_model(image.bins[drawn.owner == k]))
         moved = displacements(
             image.lab, points, models, reach=REACH_PX, step=STEP_PX, noise=CONTOUR_PX, unit=1.0

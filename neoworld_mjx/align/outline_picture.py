@@ -1,4 +1,4 @@
-"""Picture of the objects' outlines over the photograph, as evidence of the alignment."""
+"""Picture of the objects' outlines over the photograph, before and after the alignment."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,7 +14,7 @@ MARGIN_PX = 8
 def outline_picture(
     photo: UInt8[np.ndarray, "row column 3"], before: SceneSpec, after: SceneSpec
 ) -> UInt8[np.ndarray, "_ _ 3"]:
-    """Draw the outlines of both scenes over the photograph, side by side.
+    """Draw the outlines of each scene over a copy of the photograph; return both side by side.
 
     Args:
         photo: the photograph.

@@ -1,9 +1,9 @@
-"""Evidence of the photograph's pixels for whole populations of layouts: log likelihood ratios.
+"""Log likelihood ratios of the photograph's pixels, as evidence for whole populations of layouts.
 
-Once for a photograph and a composed scene, the colors of every object and of what surrounds it are
-estimated, as for its contours, and every pixel near the object is rated: is its color that of the
-object, or that of what is behind it? A candidate then only adds up the ratings of the pixels at
-which it shows the object (`physics.visibility`).
+The colors of every object and of its surroundings are estimated once for a photograph and a
+composed scene, as for contours. Every pixel near an object is rated: does its color belong to the
+object or to the background? The score of a candidate is then the sum of the ratings of the pixels
+at which the candidate shows the object (`physics.visibility`).
 """
 
 import dataclasses
@@ -23,21 +23,22 @@ from .linear_evidence import MARGIN_PX
 from .rasterize import draw_scene, height_of, window_of
 
 EVIDENCE_CELLS = 48
-"""Cells of an object's evidence along each axis of its window."""
+"""Number of cells of an object's evidence along each axis of its window."""
 WIDTH_PX = 640
 """Width of the image in which pixels are rated [px]."""
 MARGIN = 0.5
-"""Width of the window around an object, relative to the longer side of its box."""
+"""Width of the margin between an object's 2D box and its window, relative to the longer side of the
+box."""
 LEAST_RATIO = 0.5
-"""Mean log likelihood ratio within an object below which its colors do not tell it from what
-surrounds it [nats]: its pixels are silent."""
+"""Mean log likelihood ratio within an object [nats] below which the object has no evidence, because
+its colors do not distinguish it from its surroundings."""
 
 
 def with_photo(model: SceneModel, photo: UInt8[np.ndarray, "row column 3"]) -> SceneModel:
-    """Return a compiled scene with the evidence of its photograph, which `s_photo` rates.
+    """Return a compiled scene with the evidence of its photograph, which `s_photo` uses.
 
     Args:
-        model: the compiled scene; its camera and layout are taken as nearly right.
+        model: the compiled scene; its camera and layout must be nearly right.
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
     """
     evidence, window = photo_evidence(model.spec, photo)
@@ -51,10 +52,12 @@ def photo_evidence(
     """Return the scaled log likelihood ratios of the pixels near each object.
 
     Returns:
-        The log likelihood ratio over its absolute sum within the object as composed [1/px^2], so
-        that the sum of an object's pixels is at most about 1; and the window that it covers, left,
-        top, right, bottom from the middle of the image [px]. Zero for silent objects: those of the
-        environment, see-through and invisible ones, and those of their surroundings' colors.
+        The scaled ratios, and the windows that they cover. Ratios [1/px^2] are divided by the sum
+        of their absolute values within the object in the given scene, so that the sum over the
+        pixels of an object is at most about 1. Windows are left, top, right and bottom, relative to
+        the middle of the image [px]. The ratios are zero for environment supports, for see-through
+        or invisible objects, and for objects whose colors do not distinguish them from their
+        surroundings.
     """
     camera = scene.camera
     evidence = np.zeros((len(scene.objects), EVIDENCE_CELLS, EVIDENCE_CELLS))
@@ -78,16 +81,16 @@ def photo_evidence(
 
 
 class RatedPixels(NamedTuple):
-    """Log likelihood ratios of the pixels near an object: of its colors over those behind it."""
+    """Log likelihood ratios of the pixels near an object: the object versus the background."""
 
     k: int
     """Index of the object."""
     window: tuple[slice, slice]
-    """Rows and columns in an image of WIDTH_PX."""
+    """Rows and columns in an image WIDTH_PX wide."""
     ratio: Float[np.ndarray, "row column"]
     """[nats]"""
     inside: Bool[np.ndarray, "row column"]
-    """Pixels that show the object as it is placed."""
+    """Pixels that show the object in the given scene."""
 
 
 def rated_pixels(

@@ -1,7 +1,7 @@
 """Rasterization of triangle meshes: the object and the depth at every pixel.
 
-Unlike the ray caster of `render`, it needs no compiled model, so a scene can be drawn again after
-every change of a pose or a size.
+Unlike the ray caster of `render`, the rasterizer needs no compiled model. A scene can therefore be
+rendered again after every change of a pose or a size.
 """
 
 import itertools
@@ -16,21 +16,21 @@ from ..render import visible_surface
 from ..spec import Camera, SceneSpec, world_poses
 
 NEAR_M = 0.02
-"""Triangles with a corner nearer to the camera than this are not drawn [m]."""
+"""Least depth [m]; triangles with a corner at a smaller depth are not rendered."""
 CHUNK = 1 << 21
-"""Number of pixels that are drawn at once."""
+"""Number of pixels that are rendered at once; it bounds the memory."""
 LEAST_AREA = 1e-12
-"""Twice the area [px^2] below which a triangle is not drawn."""
+"""Triangles of less than half this area [px^2] are not rendered."""
 
 
 class WorldMesh(NamedTuple):
-    """A triangle mesh in the world."""
+    """A triangle mesh in the world frame."""
 
     vertices: Float[np.ndarray, "v 3"]
     """[m]"""
     triangles: Int[np.ndarray, "t 3"]
     face: Int[np.ndarray, " t"] | None = None
-    """Smooth face of each triangle, see `creases`; None for a single one."""
+    """Index of the smooth face of each triangle, see `creases`; if None, there is a single face."""
 
 
 def joined(meshes: Sequence[WorldMesh]) -> WorldMesh:
@@ -50,13 +50,14 @@ class DrawnObjects(NamedTuple):
     depth: Float[np.ndarray, "row column"]
     """Depth along the view [m]; inf for none."""
     body: Int[np.ndarray, "row column"] | None = None
-    """Index of the body where objects have several, see `open_joints`; -1 for none."""
+    """Index of the nearest body, as defined in `open_joints`; -1 for none. If None, bodies are not
+    distinguished."""
     face: Int[np.ndarray, "row column"] | None = None
-    """Smooth face of the nearest object, see `creases`; -1 for none."""
+    """Index of the nearest smooth face, see `creases`; -1 for none."""
 
 
 def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:
-    """Return the rows and columns of a nonempty mask, with `reach` more on every side."""
+    """Return the rows and columns of a nonempty mask, widened by `reach` pixels on each side."""
     rows, columns = find_objects(mask.astype(np.uint8))[0]
     widened = lambda span: slice(max(span.start - reach, 0), span.stop + reach)
     return widened(rows), widened(columns)
@@ -65,7 +66,7 @@ def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[sli
 def pixels_of(
     camera: Camera, points: Float[np.ndarray, "n 3"], width: int
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Project points to pixels of an image of another width; also return depths [m]."""
+    """Project points to an image that is `width` pixels wide; return pixels and depths [m]."""
     pixels, depth = camera.project(points)
     return pixels * (width / camera.width), depth
 
@@ -76,7 +77,7 @@ def height_of(camera: Camera, width: int) -> int:
 
 
 def draw_scene(scene: SceneSpec, camera: Camera, width: int) -> DrawnObjects:
-    """Draw the visible surfaces of a scene's objects; see `draw_objects`."""
+    """Render the visible surfaces of a scene's objects; see `draw_objects`."""
     poses, meshes = world_poses(scene), []
     for item in scene.objects:
         vertices, triangles = visible_surface(item.spec, item.joint_state)
@@ -85,7 +86,7 @@ def draw_scene(scene: SceneSpec, camera: Camera, width: int) -> DrawnObjects:
 
 
 def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> DrawnObjects:
-    """Draw meshes with a depth buffer; both sides of a triangle are visible.
+    """Render meshes with a depth buffer; both sides of a triangle are visible.
 
     Args:
         meshes: one for each object.
@@ -116,15 +117,16 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     shape = (height, width)
     with np.errstate(divide="ignore"):
         depth = np.where(first >= 0, 1.0 / nearest, np.inf)
-    # No triangle has the index -1.
+    # At pixels without a triangle, the index -1 selects the appended -1.
     owner, face = (np.append(ids, -1)[first].reshape(shape) for ids in (owner, face))
     return DrawnObjects(owner, depth.reshape(shape), face=face)
 
 
 class _Spans(NamedTuple):
-    """Runs of pixels in one row of the image that one triangle covers."""
+    """Runs of adjacent pixels in a row of the image, each covered by one triangle."""
 
     triangle: Int[np.ndarray, " n"]
+    """Index of the triangle."""
     line: Int[np.ndarray, " n"]
     """Row of the image."""
     start: Int[np.ndarray, " n"]
@@ -138,16 +140,16 @@ class _Spans(NamedTuple):
 
 
 def _spans(triangle: Float[np.ndarray, "t 3 3"], width: int, height: int) -> _Spans:
-    """Return the runs of pixels whose centers lie in triangles.
+    """Return the runs of pixels whose centers are inside triangles.
 
     Args:
-        triangle: corners, each with its pixel and its inverse depth [1/m], which is linear in
-            the image.
+        triangle: corners as (column, row, inverse depth); columns and rows in pixels, inverse
+            depths in 1/m. The inverse depth is linear in the image.
         width: width of the image [px].
         height: height of the image [px].
     """
     order = np.lexsort((triangle[..., 0], triangle[..., 1]), axis=1)
-    # Edges run downward, so triangles with a common edge end at the same pixels.
+    # Edges run downward, so two triangles with a common edge end at the same pixels.
     top, middle, bottom = np.take_along_axis(triangle, order[..., None], axis=1).transpose(1, 2, 0)
     left, right = middle - top, bottom - top
     area = left[0] * right[1] - right[0] * left[1]
@@ -176,7 +178,7 @@ def _spans(triangle: Float[np.ndarray, "t 3 3"], width: int, height: int) -> _Sp
 def _crossing(
     x0: np.ndarray, y0: np.ndarray, x1: np.ndarray, y1: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
-    """Return where edges cross rows; the start of an edge that does not descend."""
+    """Return the columns at which edges cross rows; a horizontal edge crosses at its start."""
     height = y1 - y0
     share = np.divide(y - y0, height, out=np.zeros_like(y), where=height > 0)
     return x0 + share * (x1 - x0)
@@ -185,7 +187,7 @@ def _crossing(
 def _covered(
     spans: _Spans, width: int
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the pixels of spans, their inverse depths [1/m], and the triangle of each."""
+    """Return the pixels of all spans, with the inverse depth [1/m] and the triangle of each pixel."""
     row, offset = _runs(np.zeros(len(spans.count), int), spans.count)
     pixel = (spans.line * width + spans.start)[row] + offset
     inverse = spans.inverse[row] + spans.slope[row] * offset
@@ -195,7 +197,7 @@ def _covered(
 def _runs(
     start: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Return start, start + 1, ... of every run of `count` integers, after the run's index."""
+    """Return runs of `count` consecutive integers: the index of the run, and the integer."""
     count = np.maximum(count, 0)
     row = np.repeat(np.arange(len(count)), count)
     first = np.cumsum(count) - count

@@ -1,10 +1,15 @@
-"""Unknowns of the alignment: the camera, the layout of what may move, and the joints seen open.
+"""Unknowns of the alignment: the camera, the layout of movable objects, and open joints.
 
-x = (pitch, roll, log focal length, log height; then dx, dy, yaw, log scale of each free object;
-then the value of each open joint, at scale 1) are changes of a composed scene, zero for the scene
-itself. A change of the focal length moves the
-camera along its view (a dolly zoom), so that the image of the scene's middle stays: a wrong field
-of view goes with wrong distances. As the camera stands above the origin, the scene moves instead.
+The vector `x` consists of
+
+- pitch, roll, log focal length and log height of the camera,
+- dx, dy, yaw and log scale of each free object,
+- the value of each open joint, at scale 1.
+
+All entries are changes from the composed scene, for which `x` is zero. A change of the focal length
+also moves the camera along its view (a dolly zoom), so that the image of the scene's middle does
+not change: a response with a wrong field of view also has wrong distances. The camera stays above
+the origin, so the scene moves instead.
 """
 
 import math
@@ -37,12 +42,12 @@ CAMERA = 4
 FOCAL = 2
 """Index of the logarithm of the focal length."""
 EACH = 4
-"""Number of unknowns of an object."""
+"""Number of unknowns of a free object, without its joints."""
 STRETCH = 3
-"""Number of nuisance unknowns of an object, and of what a joint moves: logarithms of stretches
+"""Number of nuisance unknowns of an object, and of the parts that a joint moves: the log stretches
 along the object's axes."""
 STEP = 1e-5
-"""Step of finite differences, in m, rad or log."""
+"""Step of finite differences, in the unit of each unknown."""
 
 
 @dataclass(frozen=True)
@@ -52,25 +57,27 @@ class Unknowns:
     scene: SceneSpec
     camera: Camera
     free: Int[np.ndarray, " free"]
-    """Indices of the objects that may move: all with a support, and furniture."""
+    """Indices of the objects that may move: all objects with a parent."""
     arrangement: Arrangement
     in_wall: Float[np.ndarray, "object 2"]
-    """Horizontal direction in the wall that an object is attached to, in its support's frame; zero
-    for other objects. Such an object moves along it and up: dx and dy are these two."""
+    """Horizontal direction in the wall to which an object is attached, in the frame of the object's
+    support; zero for other objects. For an object attached to a wall, dx is the change along this
+    direction, and dy is the change of height."""
     round: Bool[np.ndarray, " object"]
     """True for objects whose image does not depend on their heading."""
     lowest: Float[np.ndarray, " object"]
-    """Height of each object's lowest point below or above its origin [m]."""
+    """Height of each object's lowest point relative to the object's origin [m]."""
     middle_depth: float
-    """Depth of the scene's middle along the view [m], which a dolly zoom keeps in place."""
+    """Depth of the scene's middle along the view [m]. A dolly zoom preserves the image at this
+    depth."""
     joints: tuple[OpenJoint, ...] = ()
     """Open joints of free objects."""
     parts: tuple[MovingPart, ...] = ()
-    """Parts that these move, which are the bodies after the objects."""
+    """Parts that the open joints move. They are the bodies after the objects."""
 
     @classmethod
     def of(cls, scene: SceneSpec, camera: Camera, *, joints: bool = True) -> "Unknowns":
-        """Return the unknowns of a composed scene, with or without its open joints."""
+        """Return the unknowns of a composed scene; open joints are unknowns if `joints` is True."""
         free = [k for k, item in enumerate(scene.objects) if item.parent is not None]
         items = {k: scene.objects[k] for k in free} if joints else {}
         opened = open_joints(items)
@@ -108,12 +115,15 @@ class Unknowns:
 
     @cached_property
     def object_of(self) -> Int[np.ndarray, " body"]:
-        """Object of each body."""
+        """Index of each body's object."""
         return np.array([*range(len(self.scene.objects)), *(p.object for p in self.parts)])
 
     @cached_property
     def mover(self) -> Int[np.ndarray, " body"]:
-        """Mover of each body: 0 is its object's pose alone, k >= 1 the k-th set of open joints."""
+        """Index of what moves each body relative to its object.
+
+        It is 0 if no joint moves the body, and k if the k-th distinct set of open joints does.
+        """
         sets = list(dict.fromkeys(part.joints for part in self.parts))
         moved = [1 + sets.index(part.joints) for part in self.parts]
         return np.array([0] * len(self.scene.objects) + moved)
@@ -126,7 +136,7 @@ class Unknowns:
 
     @cached_property
     def surfaces(self) -> list[WorldMesh]:
-        """Visible surface of each body; every smooth face of the scene has an index of its own."""
+        """Visible surface of each body; the indices of smooth faces are unique in the scene."""
         moving = {(p.object, p.part) for p in self.parts}
         shown = []
         for k, item in enumerate(self.scene.objects):
@@ -154,20 +164,20 @@ class Unknowns:
         return joined([self.body_mesh(place, b) for b in bodies])
 
     def vertices(self, k: int) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-        """Return the vertices of an object's visible surface, and the body of each."""
+        """Return the vertices of an object's visible surface, and the body of each vertex."""
         bodies = np.flatnonzero(self.object_of == k).tolist()
         points = [self.surfaces[b].vertices for b in bodies]
         return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
 
     def draw(self, place: Placement, width: int) -> DrawnObjects:
-        """Draw the scene at a placement, with the body and the face at each pixel."""
+        """Render the scene in a placement, with the body and the smooth face at each pixel."""
         meshes = [self.body_mesh(place, b) for b in range(len(self.surfaces))]
         drawn = draw_objects(meshes, place.camera, width)
         owner = np.append(self.object_of, -1)[drawn.owner]
         return DrawnObjects(owner, drawn.depth, drawn.owner, drawn.face)
 
     def columns(self, k: int) -> slice:
-        """Return the indices of the unknowns of a free object's place."""
+        """Return the indices of the unknowns of a free object's pose and size."""
         first = CAMERA + EACH * int(np.flatnonzero(self.free == k)[0])
         return slice(first, first + EACH)
 
@@ -176,7 +186,7 @@ class Unknowns:
         return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
 
     def stretch_columns(self, k: int) -> list[int]:
-        """Return the indices of the stretches of a free object and of what its joints move."""
+        """Return the indices of the stretches of a free object and of its moving parts."""
         own = int(np.flatnonzero(self.free == k)[0])
         joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
         return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
@@ -186,14 +196,14 @@ class Unknowns:
         return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
 
     def joint_changes(self, x: Float[np.ndarray, " u"]) -> dict[int, dict[str, float]]:
-        """Return the changes of joint values, by object and joint."""
+        """Return the changes of joint values, by index of the object and name of the joint."""
         changes: dict[int, dict[str, float]] = {}
         for joint, value in zip(self.joints, x[self.first_joint :].tolist(), strict=True):
             changes.setdefault(joint.object, {})[joint.name] = value
         return changes
 
     def layout(self, x: Float[np.ndarray, "batch u"]) -> Layout:
-        """Return the objects' unknowns as layouts."""
+        """Return the unknowns of all objects as a batch of layouts."""
         values = np.zeros((len(x), len(self.scene.objects), EACH))
         own = x[:, CAMERA : self.first_joint]
         values[:, self.free] = own.reshape(len(x), -1, EACH)
@@ -204,10 +214,10 @@ class Unknowns:
     def heights(
         self, x: Float[np.ndarray, "batch u"], layout: Layout
     ) -> Float[np.ndarray, "batch object"]:
-        """Return the height of each origin above its support frame [m].
+        """Return the height of each object's origin above the object's support frame [m].
 
-        Supports are taken as flat, so an object keeps its clearance above its support, which grows
-        with its parent; settling corrects what remains.
+        Supports are assumed to be flat, so the height of an object's lowest point scales with the
+        size of the object's parent. Settling corrects the remaining errors.
         """
         a = self.arrangement
         size = np.exp(np.asarray(layout.log_scale))
@@ -220,7 +230,7 @@ class Unknowns:
         return np.where(fixed, a.z * parent + up, standing)
 
     def camera_at(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, float]:
-        """Return the camera, and how far the scene moves ahead of it [m]."""
+        """Return the camera, and the shift of the scene along the world's x axis [m]."""
         c = self.camera
         pitch, roll, log_focal, log_height = x[:CAMERA].tolist()
         back = self.middle_depth * math.expm1(log_focal)
@@ -233,7 +243,7 @@ class Unknowns:
         return Camera.model_validate(dict(c) | update), back * math.cos(c.pitch)
 
     def place(self, x: Float[np.ndarray, "batch u"]) -> list[Placement]:
-        """Place the scene for several values of the unknowns."""
+        """Return the placement of the scene for each row of `x`."""
         layout = self.layout(x)
         arrangement, motions = self._opened(x)
         poses = compose_poses(arrangement, layout, self.heights(x, layout), np)
@@ -255,9 +265,10 @@ class Unknowns:
         return placements
 
     def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
-        """Return the arrangement with the support frames on moving parts, and the parts' motions.
+        """Return the arrangement with updated support frames, and the motions of moving parts.
 
-        The frames have a leading axis of rows of `x`.
+        Support frames on moving parts are updated. All frames have a leading axis for the rows of
+        `x`.
         """
         a = self.arrangement
         if not self.parts:
@@ -290,32 +301,32 @@ class Unknowns:
         return a._replace(frame_pos=frame_pos, frame_yaw=frame_yaw), rows
 
     def neighbors(self, x: Float[np.ndarray, " u"]) -> list[Placement]:
-        """Place the scene with every unknown increased by STEP."""
+        """Return one placement for each unknown, in which this unknown is increased by STEP."""
         return self.place(x + STEP * np.eye(self.size))
 
     def view_axes(self, now: Placement, k: int) -> Float[np.ndarray, "2 2"]:
-        """Return the horizontal directions along and across the view of an object, as rows.
+        """Return horizontal unit vectors along and across the line of sight to an object, as rows.
 
-        They are in the frame of the object's support, as its layout is.
+        The vectors are in the frame of the object's support, like the object's layout.
         """
         a = self.arrangement
         offset = (now.pos[k] - now.camera.position())[:2]
         along = offset / max(float(np.linalg.norm(offset)), 1e-6)
-        # The heading of the frame is that of the composed supports, whose yaws change little.
+        # The composed headings of the supports are used, because they change little.
         above = np.flatnonzero(a.ancestors[k])
         heading = float(np.sum(a.frame_yaw[above]) + np.sum(a.yaw[above[above != k]]))
         c, s = math.cos(heading), math.sin(heading)
         return np.array([along, [-along[1], along[0]]]) @ np.array([[c, -s], [s, c]])
 
     def columns_of(self, k: int) -> list[int]:
-        """Return the indices of the unknowns that move an object: its own and its supports'."""
+        """Return the indices of the unknowns of an object and of all its supports."""
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
         places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
         return places + [u for other in above.tolist() for u in self.joint_columns(other)]
 
     def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
-        """Return the scene with its camera at some values of the unknowns."""
+        """Return the scene, with its camera, at the values `x` of the unknowns."""
         layout = self.layout(x[None])
         items = list(self.scene.objects)
         for k, changes in self.joint_changes(x).items():
@@ -337,7 +348,7 @@ class Unknowns:
 
 
 def _direction_in_wall(scene: SceneSpec, item: SceneObject) -> Float[np.ndarray, " 2"]:
-    """Return the horizontal direction of the wall that an object is attached to, or zero."""
+    """Return the horizontal direction in the wall to which an object is attached, or zero."""
     if item.relation != "attached" or item.parent is None:
         return np.zeros(2)
     low, high = bounds(scene.object(item.parent).spec)

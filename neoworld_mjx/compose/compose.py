@@ -1,7 +1,7 @@
-"""Scene composition: rescale objects to their parsed boxes and snap them onto their supports.
+"""Scene composition: scale objects to their parsed boxes and snap them onto their supports.
 
-Paper Section 3.3, Step 4, and Appendix B. Programs have arbitrary units; the parsed 3D box
-determines the absolute scale of each object, and the support determines its height.
+Paper Section 3.3, Step 4, and Appendix B. Programs have arbitrary units. The parsed 3D box
+determines the absolute scale of each object, and the support determines the object's height.
 """
 
 from collections.abc import Mapping
@@ -32,24 +32,25 @@ from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
 
 NOTED_TILT_DEG = 2.0
-"""Smallest change from the parsed tilt that is reported in a note."""
+"""Smallest change from the parsed tilt that a note reports [deg]."""
 NOTED_SLOPE_TILT_DEG = 10.0
-"""The same on a curved or sloped support, where an image constrains the tilt weakly."""
+"""Smallest change from the parsed tilt that a note reports on a curved or sloped support [deg].
+There, an image hardly constrains the tilt."""
 NOTED_SHIFT_M = 0.03
-"""Smallest horizontal shift that is reported in a note."""
+"""Smallest horizontal shift that a note reports [m]."""
 
 
 @dataclass(frozen=True)
 class Composed:
-    """Composed scene, with notes on its differences from the parse."""
+    """A composed scene, with notes on its differences from the parse."""
 
     scene: SceneSpec
     scales: dict[str, float]
     """Isotropic scale factor of each object."""
     notes: tuple[str, ...]
-    """Descriptions of the differences, each after the name of its object."""
+    """Descriptions of the differences; each begins with the name of the object."""
     shortfalls: tuple[str, ...] = ()
-    """Those of `notes` in which composition could not follow the parse."""
+    """Notes that state where composition could not follow the parse; `notes` contains them, too."""
 
 
 def compose(
@@ -59,11 +60,11 @@ def compose(
     *,
     name: str = "scene",
 ) -> Composed:
-    """Compose a scene top-down from a parse and its objects.
+    """Compose a scene from a parse and the built objects, parents before children.
 
     Args:
         tree: the parse.
-        objects: object of every node, by node name.
+        objects: built object of every node, by the node's name.
         options: clearance under snapped objects, and switches for settling and joint friction.
         name: name of the scene.
 
@@ -72,7 +73,9 @@ def compose(
     """
     missing = [node.name for node in tree.nodes if node.name not in objects]
     if missing:
-        raise SpecError(f"no object for node {', '.join(missing)}; there are {sorted(objects)}")
+        raise SpecError(
+            f"no object for node {', '.join(missing)}; the objects are {sorted(objects)}"
+        )
     options = options or ComposeOptions()
     notes, shortfalls = list[str](), list[str]()
     placed: dict[str, SceneObject] = {}
@@ -82,7 +85,7 @@ def compose(
         shortfalls += _unmatched_notes(node, fit)
         spec, state = fit.scaled()
         scales[node.name] = fit.factor
-        # Deviation of each edge from the parsed one after isotropic scaling.
+        # Relative difference between each edge and the parsed edge after isotropic scaling.
         residual = tuple((fit.factor / fit.ratio - 1.0).tolist())
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes, shortfalls)
         if options.settle:
@@ -96,11 +99,11 @@ def compose(
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:
-    """Return a note for every open part in the photo without a matching joint."""
+    """Return a note for every part that is open in the photo and that no joint matches."""
     names = ", ".join(joint.name for joint in fit.spec.joints) or "none"
     return [
         f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
-        f"joint of the program matches it (joints: {names}); composition left it closed"
+        f"joint of the program matches this part (joints: {names}); composition left it closed"
         for part in fit.unmatched
         if part.opening > 0
     ]
@@ -133,7 +136,7 @@ def _place(
     box = _parsed_pose(node, tilted=False)
     local_pose = frame.inverse().then(box).then(_origin_in_box(spec, state))
     tilt, shift = node.base_tilt, np.zeros(3)
-    # On another support, what cannot stay upright is settled from its resting pose on level ground.
+    # On other supports, unstable objects settle from their resting poses on level ground.
     if on_level(node, tree) or (node.relation == "on" and np.allclose(tilt, IDENTITY)):
         tilt, shift = _rest(node, spec, state, notes, shortfalls)
     local_pose = local_pose.then(pose(shift))
@@ -146,7 +149,7 @@ def _place(
     elif fixed and not node.fixed_base and not node.environment:
         notes.append(f"{node.name}: composition fixed it to {node.parent}, because it is attached")
     elif node.relation == "attached" and not fixed:
-        notes.append(f"{node.name}: composition left it loose, held by {node.held_by}")
+        notes.append(f"{node.name}: composition left it free to move, held by {node.held_by}")
     _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
     return SceneObject(
         name=node.name,
@@ -177,9 +180,10 @@ def _settle_tilted(
     notes: list[str],
     shortfalls: list[str],
 ) -> SceneObject:
-    """Return an object settled on its parent by simulation, if it is tilted or cannot stay upright.
+    """Return an object after settling in simulation, if it is tilted or cannot stay upright.
 
-    On a curved or sloped support the resting pose depends on the parent.
+    The object settles on its parent: on a curved or sloped support, the resting pose depends on the
+    support.
     """
     obj = placed[node.name]
     stays = np.allclose(obj.base_tilt, IDENTITY) and (
@@ -207,7 +211,7 @@ def _settle_tilted(
 
 
 def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
-    """Move an upright object in a container, or a lid on it, to where it stands inside."""
+    """Move an upright object in a container, or a lid on one, so that it stands inside."""
     upright = np.allclose(obj.base_tilt, IDENTITY)
     if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
         return obj
@@ -239,9 +243,9 @@ def _rest(
     notes: list[str],
     shortfalls: list[str],
 ) -> tuple[Quat, NDArray]:
-    """Return the tilt of an object's resting pose on level ground, and the shift of its origin [m].
+    """Return the tilt of a resting pose on level ground, and the shift of the object's origin [m].
 
-    A stable upright object stays upright; a spoon with a round handle rolls onto its side.
+    A stable upright object stays upright. A spoon with a round handle rolls onto its side.
     """
     parsed = node.base_tilt
     upright = np.allclose(parsed, IDENTITY)
@@ -269,9 +273,10 @@ def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:
 
 
 def _origin_in_box(spec: ObjectSpec, state: dict[str, float]) -> Pose:
-    """Return the object's origin relative to the center of its box's bottom, with posed joints.
+    """Return the object's origin relative to the bottom center of its box, with posed joints.
 
-    They coincide with closed joints; an open drawer moves the box's center, not the origin.
+    The two points coincide if all joints are closed. An open drawer moves the center of the box,
+    but not the origin.
     """
     low, high = bounds(spec, state)
     return pose([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])

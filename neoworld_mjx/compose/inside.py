@@ -1,8 +1,7 @@
-"""Placement of objects inside containers whose rim their parsed position overlaps.
+"""Placement of objects inside containers if their parsed positions overlap the rim.
 
-Rims are about a centimetre wide, and parsed positions are off by some centimetres: nested pots,
-tubes in a rack, a lid on its jar. Snapped at its parsed position, such an object would stand on the
-rim.
+Rims are about a centimeter wide, but parsed positions are off by some centimeters. If a nested pot,
+a tube in a rack or a lid of a jar were snapped at its parsed position, it would stand on the rim.
 """
 
 from collections.abc import Iterable
@@ -19,33 +18,35 @@ from ..spec.extent import part_bounds
 from ..spec.pose import IDENTITY
 
 SIDE = 48
-"""Grid points along each side of a container: 2 mm apart over 10 cm."""
+"""Number of grid points along each side of a container, for example 2 mm apart over 10 cm."""
 LOWER, LOWER_M = 0.1, 0.005
-"""Smallest drop in height, relative to the object's and [m]; a tilted floor causes smaller ones."""
+"""Smallest drop, relative to the object's height and [m]. A tilted floor causes smaller drops."""
 DEEP = 0.5
 """Fraction of the largest drop above which a grid point is inside the container."""
 AS_LOW_M = 0.002
-"""Tolerance for equal heights."""
+"""Difference up to which heights count as equal [m]."""
 WITHIN = 0.9
-"""Smallest distance of a position from the container's outline, over the object's half width."""
+"""Smallest distance of a position from the container's outline, relative to half of the object's
+width."""
 CLEAR = 1
 """Neighborhood, in grid spacings, over which a position is centered between walls."""
 ALIKE = 0.12
-"""Largest relative difference of two footprints at which one object covers the other."""
+"""Largest relative difference between two footprints at which one object covers the other."""
 
 
 def entrance(
     parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the position nearest to an object's own at which it stands inside its container.
+    """Return the nearest position at which an object stands inside its container.
 
     Args:
         parent: the container.
-        obj: an object in it, or a lid on it; assumed upright.
+        obj: an object in the container, or a lid on it; assumed to be upright.
         others: objects already in the container, which the result avoids.
 
     Returns:
-        Position [m] in the frame of `SceneObject.xy`; None if no position is lower.
+        The position [m] in the frame of `SceneObject.xy`; None if the object is not lower at any
+        other position.
     """
     root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**root, "z": 0.0, "yaw": 0.0})
@@ -76,7 +77,7 @@ def entrance(
 
 
 def covers(parent: SceneObject, obj: SceneObject) -> bool:
-    """Return whether an object has the footprint of its parent, as a lid has its jar's."""
+    """Return whether an object and its parent have about equal footprints, like a lid and a jar."""
     size = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
     low, high = _bounds_of(parent, obj.parent_link)
     parent_size = (high - low)[:2]
@@ -88,7 +89,7 @@ def covers(parent: SceneObject, obj: SceneObject) -> bool:
 
 
 def _min_separation(a: SceneObject, b: SceneObject) -> float:
-    """Return the smallest distance [m] of two objects in a container."""
+    """Return the smallest distance [m] between the positions of two objects in a container."""
     widths = [np.ptp(bounds(o.spec, o.joint_state), axis=0)[:2].min() for o in (a, b)]
     return float(sum(widths)) / 4
 
@@ -102,7 +103,7 @@ def _bounds_of(parent: SceneObject, link: str | None) -> Float[np.ndarray, "2 3"
 def _depths(
     parent: SceneObject, link: str | None, positions: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the distances [m] of positions from a container's outline, positive inside."""
+    """Return the distances [m] of positions from a container's outline; positive inside it."""
     if link is not None:
         low, high = _bounds_of(parent, link)
         return np.minimum(positions - low[:2], high[:2] - positions).min(axis=1)

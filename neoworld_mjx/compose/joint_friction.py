@@ -1,7 +1,7 @@
 """Dry friction that holds joints at their parsed positions against gravity.
 
-A half-open part at rest is held by friction. The friction in a program may be too small at the
-parsed size and opening; the joint then moves in every rollout, for any layout.
+Friction holds a half-open part at rest. The friction in a program may be too small at the parsed
+size and opening. The joint then moves in every rollout, whatever the layout is.
 """
 
 from ..errors import SpecError
@@ -9,18 +9,18 @@ from ..physics.exact import start_state
 from ..spec import JointSpec, SceneObject, SceneSpec, joint_position
 
 MARGIN = 1.5
-"""Ratio of the friction to the load."""
+"""Ratio of the raised friction to the load."""
 AT_LIMIT = 1e-3
-"""Distance [rad or m] within which a joint is at its limit."""
+"""Distance from a limit within which a joint counts as being at the limit [rad or m]."""
 NEGLIGIBLE = 1e-9
-"""Load [N m or N] that is zero up to rounding."""
+"""Largest load that counts as zero, because of rounding [N m or N]."""
 
 
 def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, float]]]:
     """Raise the dry friction of joints that gravity would move from their composed positions.
 
-    Joints with springs, ball joints and mimic joints do not change; the load of a mimic joint acts
-    on its leader.
+    Joints with springs, ball joints and mimic joints do not change. The load of a mimic joint acts
+    on the joint that it follows.
 
     Args:
         obj: an object in its composed orientation.
@@ -54,7 +54,7 @@ def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, f
 
 
 def with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
-    """Return an object whose joints stay at their positions, and append a note for each change."""
+    """Return an object with enough friction to hold its joints; append a note for each change."""
     holding, changes = hold_joints(obj)
     for joint, (before, after) in changes.items():
         unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
@@ -68,8 +68,8 @@ def with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
 def joint_loads(obj: SceneObject) -> dict[str, float]:
     """Return the gravity load of each movable joint, without springs [N m or N].
 
-    Positive loads move a joint toward its upper limit. The load of a mimic joint is added to its
-    leader; that of a ball joint is 0.
+    Positive loads move a joint toward its upper limit. The load of a mimic joint is added to the
+    joint that it follows. The load of a ball joint is 0.
     """
     as_root = {"parent": None, "parent_link": None, "relation": "on", "environment": True}
     alone = SceneSpec(name="held", objects=(obj.model_copy(update=as_root),))

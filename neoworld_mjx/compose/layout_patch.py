@@ -14,11 +14,11 @@ from ..io.files import write_atomic
 from ..spec import Box2D, JointKey, Name, Number, SceneSpec, Spec, joint_keys
 
 LAYOUT_PATCH = "layout.patch.json"
-"""Name of the file in a run folder."""
+"""Name of the patch's file in a run folder."""
 
 
 class ObjectPlacement(Spec):
-    """Manual edits of one object; None keeps the value of composition."""
+    """Manual edits of one object; if a field is None, the composed value is kept."""
 
     xy: tuple[Number, Number] | None = None
     """Position in the parent's frame [m]."""
@@ -27,11 +27,11 @@ class ObjectPlacement(Spec):
     box2d: Box2D | None = None
     """Box in the photograph [px]."""
     joint_state: dict[JointKey, Number] = Field(default_factory=dict)
-    """Joint values [rad or m]; other joints keep their values."""
+    """Joint values [rad or m]; joints that are missing keep their values."""
 
 
 class LayoutPatch(Spec):
-    """Manual edits of a scene, by object."""
+    """Manual edits of a scene, by the object's name."""
 
     objects: dict[Name, ObjectPlacement] = Field(default_factory=dict)
 
@@ -43,7 +43,7 @@ class LayoutPatch(Spec):
         return LayoutPatch(objects=self.objects | {name: before.model_copy(update=update)})
 
     def to_json(self) -> str:
-        """Serialise deterministically."""
+        """Serialize the patch deterministically."""
         return self.model_dump_json(indent=1, exclude_none=True) + "\n"
 
 
@@ -58,7 +58,7 @@ def apply_layout(
         gap: clearance under snapped objects [m].
 
     Returns:
-        The scene, and the objects and joints that the patch names but the scene lacks.
+        The scene, and the names of objects and joints in the patch that the scene does not contain.
 
     Raises:
         SpecError: the placed scene is invalid.
@@ -101,7 +101,7 @@ def read_layout_patch(folder: Path) -> LayoutPatch:
 
 
 def write_layout_patch(folder: Path, patch: LayoutPatch) -> None:
-    """Write the patch of a run folder; an empty one deletes the file.
+    """Write the patch of a run folder; if the patch is empty, delete the file.
 
     Raises:
         SpecError: the file cannot be written.

@@ -1,7 +1,8 @@
-"""Placement of leaning objects in contact with the object that they lean on.
+"""Placement of leaning objects in contact with the objects on which they lean.
 
-Parsed distances are accurate to a few percent: a leaning board may be some centimetres in front of
-its wall, fall onto it in every rollout and settle at another tilt, or it may overlap the wall.
+Parsed distances are accurate only to a few percent. A leaning board may therefore be some
+centimeters in front of its wall, fall onto it in every rollout and settle at another tilt. It may
+also overlap the wall.
 """
 
 import mujoco
@@ -14,37 +15,40 @@ from ..spec.pose import matrix
 from .sliding import SceneColliders, colliders, shift_object, supported_geoms
 
 FARTHEST = 0.5
-"""Largest displacement, over the object's height; farther objects are not what it leans on."""
+"""Largest displacement, relative to the object's height. An object does not lean on objects that
+are farther away."""
 FARTHEST_NAMED = 1.0
-"""The same for an object whose `leans_on` is stated."""
+"""Largest displacement of an object whose `leans_on` is stated, relative to its height."""
 LEAST_M = 0.001
-"""Smallest displacement; smaller ones are left to the search."""
+"""Smallest displacement [m]; smaller ones are left to the search."""
 TOUCHING_M = 2e-4
-"""Distance at which two objects touch."""
+"""Distance up to which two objects count as touching [m]."""
 STEPS = 60
-"""Maximum number of steps, each to the nearest geom ahead or out of the deepest one."""
+"""Maximum number of steps; each step moves to the nearest geom ahead, or out of the deepest
+overlap."""
 LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
-"""Range of tilts of a leaning object [rad]: below it stands, above it lies."""
+"""Range of tilts of a leaning object [rad]. At smaller tilts, the object stands; at larger ones, it
+lies."""
 FOOT = 0.1
-"""Fraction of the height below which a contact is a support."""
+"""Fraction of the object's height below which a contact is a support, not something to lean on."""
 AHEAD = 0.3
-"""Smallest cosine between the direction of motion and that to an object to lean on."""
+"""Smallest cosine between the direction of motion and the direction to an object to lean on."""
 
 
 def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     """Move each leaning object until it touches the object ahead of it without overlap.
 
-    That is the one which `leans_on` names, otherwise the nearest.
+    The object ahead is the one that `leans_on` names, or else the nearest one.
 
-    Objects are processed from the farthest along their direction: a book may lean on a book that
-    leans on a wall.
+    Objects that are farthest along their direction of lean are moved first, because a book may lean
+    on a book that leans on a wall.
 
     Args:
         scene: the composed and snapped scene.
 
     Returns:
-        The scene, and for each moved object the distance [m], negative if backward out of an
-        overlap, and the name of the object that it leans on.
+        The scene, and for each moved object the distance [m] and the name of the object that it
+        leans on. The distance is negative if the object moved backward, out of an overlap.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
@@ -63,14 +67,15 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
 
 
 def bring_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
-    """Move walls into contact with what leans on them.
+    """Move walls into contact with the objects that lean on them.
 
-    After an alignment with the photograph, a leaning object is known better than an even wall
-    behind it, which shows no contours. A wall is an environment object that supports nothing. It
-    moves by the smallest distance to what leans on it, unless it would then be deeper in an object.
+    After an alignment with the photograph, the pose of a leaning object is known better than that
+    of an even wall behind it, which shows no contours. A wall is an environment object that
+    supports nothing. It moves by the smallest distance to an object that leans on it, unless this
+    would increase its penetration of another object.
 
     Returns:
-        The scene, and for each moved wall the distance [m].
+        The scene, and the distance [m] of each moved wall, by name.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
@@ -93,13 +98,16 @@ def bring_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
 
 
 def _depth(scene: SceneSpec, name: str) -> float:
-    """Return the largest depth [m] of an object in others."""
+    """Return the largest penetration depth [m] between an object and any other."""
     depths = object_depths(scene, *start_state(scene))
     return max((depth for pair, depth in depths.items() if name in pair), default=0.0)
 
 
 def _lean_directions(scene: SceneSpec) -> list[tuple[str, NDArray]]:
-    """Return leaning objects and their horizontal directions of lean, farthest along first."""
+    """Return the names of leaning objects and their horizontal directions of lean.
+
+    Objects that are farthest along their directions come first.
+    """
     directions = []
     for name, world_pose in world_poses(scene).items():
         obj, up = scene.object(name), matrix(world_pose.quat)[:, 2]
@@ -118,10 +126,11 @@ def _gap(
     direction: NDArray,
     collision_scene: SceneColliders,
 ) -> tuple[float, str] | None:
-    """Return the distance [m] to the object ahead, and its name; move the geoms by it.
+    """Return the distance [m] to the object ahead and its name; move the geoms by this distance.
 
-    The distance is negative if the object has to move back out of an overlap. Return None, and move
-    nothing, if the objects already touch, none is near, or the distance is too long.
+    The distance is negative if the object has to move back, out of an overlap. Return None, and
+    move nothing, if the objects already touch, if no object is near, or if the distance is too
+    large.
     """
     model, data, owner = collision_scene
     moving = supported_geoms(scene, owner, name)
@@ -173,7 +182,7 @@ def _geoms_ahead(
 ) -> NDArray:
     """Return the geoms of the objects whose centers are ahead of an object's center.
 
-    Overlapping objects in front of it stay in front.
+    Objects that overlap and are in front therefore stay in front.
     """
     along = data.geom_xpos[:, :2] @ direction
     centers = {k: along[owner == k].mean() for k in np.unique(owner[others])}
@@ -184,7 +193,7 @@ def _geoms_ahead(
 def _overlap_ahead(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, others: NDArray, direction: NDArray
 ) -> tuple[float, int | None]:
-    """Return the largest distance [m] to move back out of an overlapping geom ahead, and the geom.
+    """Return the largest distance [m] back out of an overlapping geom ahead, and the geom.
 
     The geom is None if there is no overlap ahead.
     """
@@ -212,7 +221,7 @@ def _nearest_ahead(
 ) -> tuple[float, int | None]:
     """Return the distance [m] to the nearest geom ahead and above the foot, and the geom.
 
-    The geom is None if there is none within reach.
+    The geom is None if no such geom is within `reach`.
     """
     nearest, geom, ends = reach, None, np.zeros(6)
     for a in geoms:
@@ -221,7 +230,7 @@ def _nearest_ahead(
         # Skip planes, which have zero radius: objects do not lean on the floor.
         for b in others[(gaps < nearest) & (model.geom_rbound[others] > 0)]:
             gap = geom_distance(model, data, int(a), int(b), nearest, ends)
-            # The ends are swapped for overlapping geoms.
+            # The two end points are swapped for overlapping geoms.
             vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
             ahead = vector[:2] @ direction > AHEAD * np.linalg.norm(vector) and ends[2] > foot
             if gap < nearest and ahead:

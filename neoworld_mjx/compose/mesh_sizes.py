@@ -1,10 +1,11 @@
-"""Sizes of posed objects by the heights at which they are given.
+"""Sizes of posed objects, corrected by the given heights.
 
-A method that is wrong about the size of an object places its middle, but not its underside: what
-stands on a carton that is too small is given above it, and the carton itself above or in the table.
-Heights and sizes are corrected together, so that objects touch their supports and their surfaces
-move least: the mean square displacement of the points of each surface, summed over the objects. A
-vertical shift of all objects alike costs nothing; it says that the height of the support is wrong.
+If a method estimates a wrong size for an object, the object's middle may be right, but its
+underside is wrong. A carton that is too small then floats above the table, and objects on the
+carton float above it. Heights and sizes are corrected together, so that objects touch their
+supports and their surfaces move as little as possible. The cost is the mean square displacement of
+the points of each surface, summed over the objects. An equal vertical shift of all objects costs
+nothing, because it means that the height of the support is wrong.
 """
 
 from collections.abc import Collection
@@ -16,18 +17,19 @@ from ..spec.pose import Pose
 from ..spec.scale import scaled_state
 
 MOST = 0.2
-"""Largest relative change of a size; where more would be needed, a height is wrong, not a size."""
+"""Largest relative change of a size. If a larger change is needed, the height is probably wrong,
+not the size."""
 
 
 def fitted_sizes(
     given: SceneSpec, supported: SceneSpec, kept: Collection[str]
 ) -> tuple[SceneSpec, list[str]]:
-    """Return the given scene with objects scaled about their middles.
+    """Return the given scene, with objects scaled about their middles.
 
     Args:
         given: objects at their given poses, without parents.
         supported: the same objects on their supports, at the given sizes.
-        kept: objects whose sizes stay.
+        kept: names of the objects whose sizes do not change.
 
     Returns:
         The scene, and a note for each size that changed.
@@ -35,7 +37,7 @@ def fitted_sizes(
     before, after = world_poses(given), world_poses(supported)
     free = [item for item in supported.objects if not item.static]
     column = {item.name: k for k, item in enumerate(free)}
-    # An object's rise is linear in the changes of size of itself and of all below it.
+    # An object's rise is linear in the changes of its size and of the sizes of all objects below.
     rises: dict[str, np.ndarray] = {}
     moved, extent = np.zeros(len(free)), np.zeros(len(free))
     for k, item in enumerate(free):
@@ -66,13 +68,14 @@ def fitted_sizes(
 def _least_motion(
     rises: np.ndarray, moved: np.ndarray, extent: np.ndarray, known: np.ndarray
 ) -> np.ndarray:
-    """Return the relative changes of size [n] at which surfaces move least.
+    """Return the relative changes of size at which surfaces move least, shape [n].
 
     Args:
-        rises: rise of each middle with each change of size [n, n] m.
-        moved: rise of each middle at the given sizes [n] m.
-        extent: mean square distance of each surface from its middle [n] m^2.
-        known: True for each object whose size stays [n].
+        rises: derivative of the rise of each middle with respect to each change of size [m], shape
+            [n, n].
+        moved: rise of each middle at the given sizes [m], shape [n].
+        extent: mean square distance of each surface from its middle [m^2], shape [n].
+        known: True for each object whose size does not change, shape [n].
     """
     known, weights, n = known.copy(), np.ones(len(moved)), len(moved)
     while True:
@@ -89,12 +92,12 @@ def _least_motion(
 
 
 def _middle(item: SceneObject, pose: Pose) -> np.ndarray:
-    """Return the middle of an object's bounding box in the world [m], [3]."""
+    """Return the middle of an object's bounding box in the world frame [m], shape [3]."""
     return pose.apply(np.mean(bounds(item.spec, item.joint_state), axis=0))
 
 
 def _lowest(item: SceneObject, pose: Pose) -> float:
-    """Return the height of an object's underside above its origin [m]."""
+    """Return the height of an object's underside relative to its origin [m]."""
     return float(bounds(item.spec, item.joint_state, tuple(pose.quat.tolist()))[0][2])
 
 
@@ -113,7 +116,7 @@ def _mean_square(item: SceneObject) -> float:
 
 
 def _scaled(item: SceneObject, pose: Pose, size: float) -> SceneObject:
-    """Return an object without a parent scaled about its middle."""
+    """Return an object without a parent, scaled about its middle."""
     state = scaled_state(item.spec, item.joint_state, size)
     shift = (1 - size) * (_middle(item, pose) - pose.pos)
     x, y, z = (pose.pos + shift).tolist()

@@ -1,7 +1,8 @@
-"""Compose a scene of posed objects that states no supports, such as meshes of another method.
+"""Compose a scene of posed objects without stated supports, such as meshes of another method.
 
-The support of an object is the highest surface below its middle, within its footprint. Objects that
-carry others and have nothing below them are supports; others without a support stand on a floor.
+The support of an object is the highest surface below its middle, within its footprint. Wide objects
+that carry others and have nothing below them are supports. All other objects without a support
+stand on a floor.
 """
 
 from collections.abc import Collection, Mapping
@@ -33,25 +34,27 @@ if TYPE_CHECKING:
     import trimesh
 
 FOOTPRINT_GRID = 9
-"""Rays along each side of an object's footprint."""
+"""Number of rays along each side of an object's footprint."""
 LEAST_SHARE = 0.15
-"""Least share of an object's rays that hit its support; less is a neighbor that it touches."""
+"""Least share of an object's rays that must hit its support. An object hit by fewer rays is a
+neighbor."""
 WIDE = 4.0
-"""Least area of a support that no file fixes, over the largest footprint that it carries."""
+"""Least area of a support that is not fixed in the given scene, relative to the largest footprint
+that it carries."""
 MARGIN_M = 0.5
-"""Width of the floor around the objects."""
+"""Distance by which the floor extends beyond the objects [m]."""
 FLOOR_M = 0.1
-"""Thickness of the floor."""
+"""Thickness of the floor [m]."""
 
 
 @dataclass(frozen=True)
 class FoundSupports:
-    """A scene at its given poses, and what carries its objects."""
+    """A scene at its given poses, and the supports of its objects."""
 
     scene: SceneSpec
-    """The given objects, supports fixed, and a floor if something needs it."""
+    """The given objects with fixed supports, and a floor if an object needs one."""
     parents: dict[str, str]
-    """The support of every free object."""
+    """Name of the support of every free object."""
     notes: tuple[str, ...]
 
 
@@ -61,20 +64,20 @@ class Supported:
 
     scene: SceneSpec
     notes: tuple[str, ...]
-    """Supports, the floor, and tilts and sizes that were corrected."""
+    """Notes on supports, on the floor, and on corrected tilts and sizes."""
 
 
 def find_supports(scene: SceneSpec) -> FoundSupports:
-    """Find what carries each object of a scene, and fix what cannot move.
+    """Find the support of each object of a scene, and fix the supports that cannot move.
 
     Args:
-        scene: objects at their poses in the world, without parents; fixed ones are supports.
+        scene: objects at their poses in the world, without parents; fixed objects are supports.
 
     Raises:
-        SpecError: the scene has no object that is free to move, or has parents already.
+        SpecError: the scene has no object that is free to move, or already states parents.
     """
     if any(item.parent is not None for item in scene.objects):
-        raise SpecError(f"scene {scene.name} states its supports already; refine it as it is")
+        raise SpecError(f"scene {scene.name} already states its supports; refine the scene instead")
     if all(item.static for item in scene.objects):
         raise SpecError(f"scene {scene.name} has no object that is free to move")
     parents = _parents(scene)
@@ -100,14 +103,14 @@ def with_supports(
 ) -> Supported:
     """Return a scene with every object on its support.
 
-    A tilt becomes that of the nearest resting pose (`resting_tilt`), about the object's middle;
-    headings and places stay, and heights follow from the supports.
+    Each object is tilted about its middle to the nearest resting pose (`resting_tilt`). Headings
+    and horizontal positions do not change, and heights follow from the supports.
 
     Args:
-        found: the objects and what carries them.
-        resting: objects that rest as they are given: they keep their poses if what carries them
-            does.
-        sizes: True to correct sizes by the given heights (`fitted_sizes`).
+        found: the objects and their supports.
+        resting: names of the objects that rest at their given poses. Such an object keeps its pose
+            if the objects that carry it keep theirs.
+        sizes: if True, correct sizes by the given heights (`fitted_sizes`).
     """
     scene, parents = found.scene, found.parents
     kept = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
@@ -123,7 +126,7 @@ def with_supports(
 def _composed(
     scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str]
 ) -> tuple[SceneSpec, list[str]]:
-    """Put objects onto their supports, each after what carries it; notes say what turned."""
+    """Put objects onto their supports, from the bottom up; return the scene, and notes on tilts."""
     poses, notes = world_poses(scene), list[str]()
     objects = [item for item in scene.objects if item.static]
     frames = {item.name: poses[item.name] for item in objects}
@@ -150,7 +153,7 @@ def _composed(
 def _placed(
     item: SceneObject, pose: Pose, parent: str, frame: Pose, *, as_given: bool
 ) -> tuple[SceneObject, list[str]]:
-    """Return an object in the frame of its parent, upright unless it stays as given."""
+    """Return an object in its parent's frame, in a resting pose unless `as_given`; and notes."""
     yaw = yaw_of(pose.quat)
     tilt = quat_mul(conjugate(from_yaw(yaw)), pose.quat)
     tilt = tuple((tilt / np.linalg.norm(tilt)).tolist())
@@ -163,7 +166,7 @@ def _placed(
         angle = np.degrees(angle_between(np.array(resting), np.array(tilt)))
         if angle > 0.1:
             notes.append(f"{item.name} is turned upright by {angle:.1f} deg")
-    # The middle of the object stays above its place: pose errors of a mesh turn about it.
+    # The object turns about its middle, which does not move.
     low, high = bounds(item.spec, item.joint_state)
     middle = (low + high) / 2
     turned = quat_mul(from_yaw(yaw), np.array(resting))
@@ -181,7 +184,7 @@ def _placed(
 
 
 def _parents(scene: SceneSpec) -> dict[str, str]:
-    """Return the support of each free object that has anything below it."""
+    """Return the support of each free object with another object below it."""
     import trimesh
 
     poses, meshes = world_poses(scene), {}
@@ -208,14 +211,14 @@ def _parents(scene: SceneSpec) -> dict[str, str]:
                 height = float(np.quantile(heights, 0.9))
                 if best is None or height > best[0]:
                     best = height, other
-        # Objects that hook into each other cannot all carry each other.
+        # Interlocking objects must not form a cycle of supports.
         if best is not None and item.name not in _chain(best[1], parents):
             parents[item.name] = best[1]
     return parents
 
 
 def _chain(name: str, parents: Mapping[str, str]) -> list[str]:
-    """Return an object and all that carry it."""
+    """Return the names of an object and of all objects that carry it, from top to bottom."""
     names = [name]
     while names[-1] in parents:
         names.append(parents[names[-1]])
@@ -223,7 +226,10 @@ def _chain(name: str, parents: Mapping[str, str]) -> list[str]:
 
 
 def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
-    """Return origins of downward rays [n, 3] at half the height of a mesh, over its footprint."""
+    """Return origins of rays that point down, over a mesh's footprint, shape [n, 3].
+
+    The origins are at half of the mesh's height, in the world frame [m].
+    """
     from shapely import MultiPoint, contains_xy
 
     (x0, y0, z0), (x1, y1, z1) = mesh.bounds
@@ -235,14 +241,17 @@ def _footprint(mesh: "trimesh.Trimesh") -> NDArray:
 
 
 def _above(upper: "trimesh.Trimesh", other: "trimesh.Trimesh") -> bool:
-    """Return whether the boxes of two meshes overlap from above, and the first is the higher."""
+    """Return whether a mesh's middle is above another mesh's bottom, and their footprints overlap.
+
+    The bounding boxes of the meshes are compared.
+    """
     (a0, a1), (b0, b1) = upper.bounds, other.bounds
     overlap = np.minimum(a1[:2], b1[:2]) - np.maximum(a0[:2], b0[:2])
     return bool((overlap > 0).all() and (a0[2] + a1[2]) / 2 > b0[2])
 
 
 def _heights(mesh: "trimesh.Trimesh", origins: NDArray) -> NDArray:
-    """Return the height of the first hit of each ray that hits."""
+    """Return the height of the first hit of each ray that hits the mesh [m]."""
     down = np.tile([0.0, 0.0, -1.0], (len(origins), 1))
     points, _, _ = mesh.ray.intersects_location(origins, down, multiple_hits=False)
     return np.asarray(points).reshape(-1, 3)[:, 2]
@@ -266,7 +275,7 @@ def _area(item: SceneObject) -> float:
 
 
 def _floor(scene: SceneSpec, names: list[str]) -> SceneObject:
-    """Return a floor at the median of the lowest points of some objects."""
+    """Return a floor with its top at the median height of some objects' lowest points."""
     poses, corners = world_poses(scene), []
     lowest = []
     for item in scene.objects:

@@ -1,4 +1,4 @@
-"""Contact of objects with what carries them: heights from supports, and moves off walls."""
+"""Contact of objects with their supports: heights from supports, and moves out of walls."""
 
 import numpy as np
 
@@ -17,15 +17,17 @@ from .walls import clear_walls
 def in_contact(
     scene: SceneSpec, options: ComposeOptions | None = None, *, composed: SceneSpec | None = None
 ) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Put objects onto their supports, clear of walls, and up to what they lean on.
+    """Put objects onto their supports, out of walls, and up to the objects on which they lean.
 
     Args:
         scene: the scene.
-        options: of the composition.
-        composed: the scene before its alignment, see `kept_on_level` and `bring_walls`.
+        options: options of the composition.
+        composed: the scene before its alignment, see `kept_on_level` and `bring_walls`; None if the
+            scene was not aligned.
 
     Returns:
-        The scene, and a note for each object that moved sideways and for each joint that was held.
+        The scene, and a note for each object that moved sideways and for each joint whose friction
+        was raised.
     """
     options = options or ComposeOptions()
     notes: list[str] = []
@@ -59,7 +61,8 @@ def in_contact(
         scene, brought = bring_walls(scene)
         for wall, distance in brought.items():
             notes.append(
-                f"{wall}: composition moved it by {1e3 * distance:.0f} mm, up to what leans on it"
+                f"{wall}: composition moved it by {1e3 * distance:.0f} mm, up to an object that "
+                "leans on it"
             )
     scene, moved = lean(scene)
     scene = snap(scene, options.gap_m) if moved else scene
@@ -73,7 +76,7 @@ def in_contact(
 
 
 def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
-    """Hold the joints of objects whose openings the alignment estimated; see `joint_friction`."""
+    """Raise the friction of joints on objects whose openings were aligned; see `joint_friction`."""
     objects = [
         with_held_joints(item, notes)
         if item.uncertainty is not None and item.uncertainty.joints
@@ -86,20 +89,22 @@ def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
 def kept_on_level(
     scene: SceneSpec, composed: SceneSpec, gap: float
 ) -> tuple[SceneSpec, dict[str, str]]:
-    """Return objects that the alignment moved off what they rest on to their composed places.
+    """Move objects that the alignment moved off their supports back to their composed positions.
 
-    The alignment sees contours, not what is under an object: a millimetre puts a tube onto the rim
-    of its rack. Sideways moves do not change what an object rests on, so one whose height above its
-    support changes by more than the bounds of `settled_by` is refused, and one past the end of an
-    object that carries it. Of a support of the environment, `put_back` knows the edge.
+    The alignment uses contours and ignores the surface under an object. A shift of a millimeter can
+    therefore put a tube onto the rim of its rack. A sideways move is refused in two cases:
+
+    - The height of the object above its support changes by more than the bounds of `settled_by`.
+    - The object moves past the edge of the object that carries it. For edges of environment
+      supports, see `put_back`.
 
     Args:
         scene: the aligned scene.
-        composed: the scene before, with the same objects.
-        gap: clearance of snapped objects [m].
+        composed: the scene before the alignment, with the same objects.
+        gap: clearance under snapped objects [m].
 
     Returns:
-        The scene, and the refused move of each object concerned, in words, by name.
+        The scene, and a phrase that describes each refused move, by the object's name.
     """
     objects, kept = [], dict[str, str]()
     for item, level, before in zip(
@@ -129,7 +134,7 @@ def kept_on_level(
 
 
 def _above(scene: SceneSpec, item: SceneObject) -> bool:
-    """Return True if an object's box is, at least in part, above that of its parent object."""
+    """Return True if at least a part of an object's box is above the box of its parent object."""
     parent = scene.object(item.parent or "")
     if parent.environment or item.parent_link is not None:
         return True

@@ -1,8 +1,8 @@
-"""Move objects that a fit leaves next to their support back onto it.
+"""Move objects back onto their supports if a fit moved them past the edge.
 
-A fit moves an object along the line of sight, and may move it past the edge of a table, from which
-it would fall to the floor or, without one, forever. What hangs over the edge of another object,
-such as a throw over a bed, is left where it is.
+A fit moves an object along the line of sight. It may move the object past the edge of a table, so
+that the object would fall to the floor, or forever if there is no floor. Objects that hang over the
+edge of a movable object, such as a throw over a bed, do not change.
 """
 
 import numpy as np
@@ -12,17 +12,18 @@ from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import IDENTITY, from_yaw, rotate
 
 INSET = 0.5
-"""Distance from the edge to which an object's middle is moved, over its least width."""
+"""Distance from the edge to which an object's middle is moved, relative to the object's least
+width."""
 
 
 def put_back(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
-    """Move each object whose middle is outside the box of its environment support onto it.
+    """Move each object whose middle is outside the box of its environment support back onto it.
 
     Args:
         scene: the composed scene.
 
     Returns:
-        The scene, and the distance [m] of each moved object, by name.
+        The scene, and the distance [m] by which each object moved, by name.
     """
     objects, moved = [], dict[str, float]()
     for item in scene.objects:
@@ -36,7 +37,7 @@ def put_back(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
 
 
 def _shift(scene: SceneSpec, item: SceneObject) -> NDArray:
-    """Return the shift [2] m in the support's frame; zero for an object that is on its support."""
+    """Return the shift in the support's frame [m], shape [2]; zero if the object needs no shift."""
     none = np.zeros(2)
     if item.parent is None or item.static or item.relation != "on" or item.parent_link is not None:
         return none

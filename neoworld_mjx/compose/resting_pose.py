@@ -1,8 +1,8 @@
 """Resting poses on level ground: the tilt nearest to a parsed one at which an object is stable.
 
-Parsed tilts are approximate: the stem of a mushroom tipped by exactly 90 degrees would float, as
-its cap is thicker. The search does not change tilts, so composition descends from the parsed tilt
-to a local minimum of the height of the center of mass.
+Parsed tilts are approximate. For example, if a mushroom were tipped by exactly 90 degrees, its stem
+would float, because the cap is thicker. The search does not change tilts, so composition descends
+from the parsed tilt to a local minimum of the height of the center of mass.
 """
 
 from collections.abc import Callable
@@ -16,19 +16,21 @@ from ..spec.convex import Piece
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MAX_TILT_RAD = np.radians(30.0)
-"""Largest change of the tilt; beyond it the object has another support, or the parse is wrong."""
+"""Largest change of the tilt [rad]. If a larger change is needed, the object has another support,
+or the parse is wrong."""
 LEVEL_M = 1e-7
-"""Smallest drop of the center of mass on tilting an unstable object; zero for a ball."""
+"""Drop of the center of mass by a tilt up to which an object counts as stable [m]. The drop of a
+ball is zero."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
 def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat | None:
-    """Return the tilt nearest to a given one at which an object rests on level ground.
+    """Return the tilt nearest to a given tilt at which an object rests on level ground.
 
     Args:
         spec: the object.
         state: joint positions.
-        tilt: parsed rotation before yaw.
+        tilt: parsed tilt, the rotation that is applied before the yaw.
 
     Returns:
         The tilt, or None if there is no resting pose within 30 degrees.
@@ -46,17 +48,17 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
         if best_height - height > max(0.5 * (best_height - predicted), 1e-9):
             down, best_height = direction, height
         else:
-            step *= 0.85  # Its points have extended the linear model.
+            step *= 0.85  # The new points have extended the linear model.
         if down @ parsed < np.cos(MAX_TILT_RAD):
             return None
     return _turned(tilt, down, parsed)
 
 
 def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
-    """Return whether tilting an upright object lifts its center of mass, so that it stays upright.
+    """Return whether no small tilt lowers an upright object's center of mass, so it stays upright.
 
-    The test is sufficient only: an object on a foot narrower than the tilt may also be stable, see
-    `resting_tilt`.
+    The condition is sufficient, but not necessary: an object on a narrow foot may be stable
+    although a tilt by the tested angle lowers its center of mass; see `resting_tilt`.
     """
     lowest, down = _lowest_points(spec, state), np.array([0.0, 0.0, -1.0])
     lowest_height = float((lowest(down) @ down).max()) - LEVEL_M
@@ -66,8 +68,10 @@ def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
 
 
 def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArray], NDArray]:
-    """Return a function of a unit vector: each piece's furthest point along it, relative to the
-    center of mass [n, 3] m.
+    """Return a function that maps a unit vector to the farthest point of each piece along it.
+
+    The points are relative to the center of mass [m], shape [n, 3].
+
     """
     links = link_poses(spec, state)
     placed = [
@@ -96,7 +100,7 @@ def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArr
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:
-    """Return whether an object is on level ground: an environment support built from its box."""
+    """Return whether an object is on level ground, an environment support built from its 3D box."""
     supported = node.parent is not None and tree.node(node.parent).slab
     return supported and node.relation == "on"
 
@@ -104,14 +108,14 @@ def on_level(node: TreeNode, tree: SceneTree) -> bool:
 def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
     """Return the tilt at which to verify an object without its scene, on level ground.
 
-    A lying object is verified in its resting pose. An object that leans, hangs, is tilted on a
-    support that is not level, or stands in a container without a base of its own depends on its
-    scene, and would fall without it.
+    A lying object is verified in its resting pose. Some objects depend on their scene and would
+    fall without it: objects that lean or hang, objects that are tilted on a support that is not
+    level, and objects in a container that cannot stand on their own.
 
     Args:
         node: the object, as parsed.
         spec: the object.
-        level: True if it is on level ground in its scene.
+        level: True if the object is on level ground in its scene.
 
     Returns:
         The tilt, and True if the object depends on its scene.
@@ -129,15 +133,15 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
 
 
 def _around(down: NDArray, step: float) -> list[NDArray]:
-    """Return four unit vectors around a given one."""
+    """Return four unit vectors that are tilted from `down` in four directions."""
     across = np.linalg.svd(down[None])[2][1:]
     return [(down + side) / np.hypot(1.0, step) for side in step * np.vstack([across, -across])]
 
 
 def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
-    """Minimise the extent of points [n, 3] along a direction within a step of `down`.
+    """Minimize the extent of points along a direction that is within a step of `down`.
 
-    The extent is a maximum of linear functions, so it is not smooth; a linear program minimizes it.
+    The extent is a maximum of linear functions, so it is not smooth. A linear program minimizes it.
 
     Returns:
         The unit vector, and the extent along it [m].
@@ -155,7 +159,7 @@ def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, floa
 
 
 def _furthest(piece: Piece, d: NDArray) -> NDArray:
-    """Return the point of a piece that is furthest along a unit vector, in the piece's frame."""
+    """Return the point of a piece that is farthest along a unit vector, in the piece's frame."""
     s = np.array(piece.size)
     if piece.kind == "mesh":
         vertices = np.array(piece.vertices)

@@ -1,7 +1,7 @@
 """Settling of an object on a parent that is not level, such as a spoon on a saucer.
 
-The search does not change tilts. An object at its parsed tilt would settle by some degrees in every
-rollout, and that drift would mask other errors of a candidate.
+The search does not change tilts. An object at its parsed tilt would turn by some degrees in every
+rollout until it rests. This motion would mask other errors of a candidate.
 """
 
 import itertools
@@ -29,23 +29,25 @@ from .inside import entrance
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
-"""Terminal speed of the fall; the drag prevents bouncing and sliding past the resting pose."""
+"""Terminal speed of the fall [m/s]. The drag prevents bouncing and sliding past the resting
+pose."""
 MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 8.0, 0.002, 0.1
 STILL_M_S, CREEP_M_S = 5e-4, 0.003
-"""Speeds of an object's ends: below the first it is at rest; below the second at the time limit,
-only its contacts creep, which on a slope never stops."""
+"""Speeds of an object's ends [m/s]. Below the first speed, the object is at rest. If it is below
+the second speed at the time limit, only its contacts creep, which never stops on a slope."""
 CLEAR_M, LIFT_M = 1e-4, 0.002
 MAX_SHIFT, MAX_SHIFT_INSIDE = 0.25, 1.0
-"""Largest horizontal shift over the object's diagonal; larger in a container, which the object must
-enter."""
+"""Largest horizontal shift relative to the object's diagonal, outside and inside a container. It is
+larger in a container, because the object must enter the container."""
 DROP_FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Fractions of the offset to a container's center by which an object's lowest points are moved."""
+"""Fractions of the offset to a container's center by which an object is moved before it is
+dropped."""
 SOLE_M = 0.002
-"""Height within which points count as an object's lowest."""
+"""Height above an object's lowest point up to which points count as lowest points [m]."""
 SHIFT_COST = 0.2
-"""Cost in height per horizontal shift of a resting pose."""
+"""Cost of a horizontal shift of the resting pose, as a height per distance."""
 JOINT_DRAG = 1e6
-"""Drag of joints over that of the fall, which keeps them at their parsed positions."""
+"""Drag of joints relative to the drag of the fall. It keeps joints at their parsed positions."""
 
 
 def settle(
@@ -53,9 +55,10 @@ def settle(
 ) -> SceneObject | None:
     """Settle an object on or in its parent, in a simulation with strong drag.
 
-    An object in a container may penetrate its wall as parsed, and would settle on the rim. So it is
-    also dropped with its lowest points nearer to the center, and from where it would stand upright
-    inside; the resting pose of the lowest cost of height, tilt and shift is returned.
+    At its parsed position, an object in a container may penetrate the container's wall, and would
+    settle on the rim. Therefore, it is also dropped with its lowest points nearer to the center,
+    and from a position where it would stand upright inside. The resting pose with the lowest cost
+    is returned. The cost depends on the height, the change of tilt and the horizontal shift.
 
     Args:
         parent: the parent, which does not move.
@@ -63,11 +66,12 @@ def settle(
         others: objects already in the container, see `entrance`; they are not simulated.
 
     Returns:
-        The object with the heading, tilt and position of its resting pose; None if there is none
-        within 30 degrees and a quarter of its size, or in a container within its size.
+        The object with the heading, tilt and position of its resting pose. None if there is no
+        resting pose within 30 degrees and a horizontal shift of a quarter of the object's diagonal,
+        or of the whole diagonal in a container.
 
     Raises:
-        SpecError: MuJoCo cannot compile the two.
+        SpecError: MuJoCo cannot compile the two objects.
     """
     as_root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**as_root, "z": 0.0, "yaw": 0.0})
@@ -96,7 +100,7 @@ def settle(
         entrance(parent, obj, others) if obj.relation == "in" and tilt < MAX_TILT_RAD else None
     )
     if position is not None:
-        # It fits a narrow hole only upright.
+        # The object fits into a narrow hole only if it is upright.
         upright = quat_mul(frame.quat, from_yaw(obj.yaw))
         drops.append((rotate(frame.quat, [*np.subtract(position, obj.xy), 0.0])[:2], upright))
     for shift, quat in drops:
@@ -104,7 +108,7 @@ def settle(
         resting = None if end is None else _resting(obj, frame.inverse().then(end), start, size)
         if resting is None:
             continue
-        # The tilt term penalizes an end that got stuck on the rim.
+        # The tilt term penalizes an object that got stuck on the rim.
         cost = height + size / 2 * float(angle_between(obj.base_tilt, resting.base_tilt))
         cost += SHIFT_COST * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
         if cost < least_cost:
@@ -113,7 +117,7 @@ def settle(
 
 
 def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) -> list[NDArray]:
-    """Return the horizontal shifts [m] from the parsed position at which an object is dropped."""
+    """Return the horizontal shifts [m] from the parsed position from which an object is dropped."""
     if obj.relation != "in":
         return [np.zeros(2)]
     data = mujoco.MjData(model)
@@ -128,7 +132,7 @@ def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) 
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
-    """Return the corners of the boxes of a body subtree's collision geoms, in the world frame."""
+    """Return the corners of the collision geoms' boxes in a body's subtree, in the world frame."""
     ids = np.arange(model.nbody)
     parts = ids == body
     for child in ids[body + 1 :]:
@@ -144,7 +148,7 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
 def _drop(
     model: mujoco.MjModel, body: int, shift: NDArray, quat: NDArray, size: float
 ) -> tuple[Pose | None, float]:
-    """Drop a body at a shift and rotation; return its resting pose, and its center of mass height.
+    """Drop a body at a shift and rotation; return its resting pose and center of mass height [m].
 
     The pose is None if the body does not settle.
     """
@@ -169,7 +173,7 @@ def _drop(
 
 
 def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:
-    """Return an object at its resting pose, or None if that is too far from the parsed one.
+    """Return an object at its resting pose, or None if that is too far from the parsed pose.
 
     Args:
         obj: the object.
@@ -194,7 +198,7 @@ def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObje
 
 
 def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, limit: float) -> bool:
-    """Lift a free body until it penetrates nothing; return False if `limit` [m] is exceeded."""
+    """Lift a free body until it penetrates nothing; return False if that exceeds `limit` [m]."""
     height = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
     tree = model.body_rootid[model.geom_bodyid]
     for _ in range(round(limit / LIFT_M) + 1):

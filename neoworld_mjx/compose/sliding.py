@@ -14,7 +14,7 @@ from ..spec.pose import conjugate, rotate
 
 
 class SceneColliders(NamedTuple):
-    """Compiled scene in its initial state."""
+    """A compiled scene in its initial state."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -26,7 +26,7 @@ def colliders(scene: SceneSpec) -> SceneColliders:
     """Compile a scene in its initial state.
 
     Raises:
-        SpecError: MuJoCo cannot compile it.
+        SpecError: MuJoCo cannot compile the scene.
     """
     try:
         model, data = start_state(scene)

@@ -1,8 +1,8 @@
-"""Displacement of objects in or on a parent out of the walls that they overlap.
+"""Displacement of objects out of the walls of their parents.
 
-Parsed positions are off by about a centimetre, and containers are hardly wider than their contents.
-An object then stands at the right height with a corner in a wall; snapped exactly, it would be
-raised onto the rim and topple.
+Parsed positions are off by about a centimeter, and containers are hardly wider than their contents.
+An object may then stand at the right height with a corner in a wall. If it were snapped exactly, it
+would be raised onto the rim and topple.
 """
 
 import mujoco
@@ -16,15 +16,17 @@ from ..spec.pose import IDENTITY
 from .sliding import SceneColliders, colliders, shift_object, supported_geoms
 
 LEAST_M = 0.001
-"""Smallest overlap that is cleared; less passes the final check."""
+"""Smallest overlap that is cleared [m]; smaller overlaps pass the final check."""
 CLEAR_M = 2e-4
-"""Distance from a wall to which an object is moved."""
+"""Distance from the wall after an object has been moved [m]."""
 FARTHEST = 0.5
-"""Largest displacement, over the object's least width; beyond it the object does not fit."""
+"""Largest displacement, relative to the object's least width. If a larger one is needed, the object
+does not fit."""
 STEPS = 30
-"""Maximum number of steps, each out of the deepest overlap."""
+"""Maximum number of steps; each step moves out of the deepest overlap."""
 LEVEL = 0.7
-"""Smallest horizontal component of an overlap's direction; floors and slopes are not walls."""
+"""Smallest horizontal component of the unit vector along an overlap; floors and slopes are not
+walls."""
 
 
 def clear_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
@@ -34,7 +36,7 @@ def clear_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
         scene: the composed and snapped scene.
 
     Returns:
-        The scene, and the distance [m] of each moved object, by name.
+        The scene, and the distance [m] by which each object moved, by name.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
@@ -66,10 +68,10 @@ def _may_have_walls(scene: SceneSpec, item: SceneObject) -> bool:
 def _clearing_shift(
     scene: SceneSpec, item: SceneObject, collision_scene: SceneColliders
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the horizontal displacement [m] out of the parent's walls; move the geoms by it.
+    """Return the horizontal displacement [m] out of the parent's walls, and move the geoms by it.
 
-    Return None, and move nothing, if the object overlaps no wall, does not fit between the walls,
-    or would overlap other objects more.
+    Return None, and move nothing, if the object overlaps no wall, if it does not fit between the
+    walls, or if it would overlap other objects more.
     """
     assert item.parent is not None
     model, data, owner = collision_scene
@@ -100,7 +102,10 @@ def _clearing_shift(
 def _step_out(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray, walls: NDArray, limit: float
 ) -> Float[np.ndarray, " 2"] | None:
-    """Return the horizontal displacement [m] out of the nearest wall, if nearer than `limit`."""
+    """Return the horizontal displacement [m] out of the nearest wall, or None if none is near.
+
+    A wall is near if its distance is less than `limit` [m].
+    """
     nearest, shift, ends = limit, None, np.zeros(6)
     for a in geoms:
         gaps = np.linalg.norm(data.geom_xpos[walls] - data.geom_xpos[a], axis=1)
@@ -110,7 +115,7 @@ def _step_out(
             gap = geom_distance(model, data, int(a), int(b), CLEAR_M, ends)
             if gap >= nearest:
                 continue
-            # The ends are swapped for overlapping geoms.
+            # The two end points are swapped for overlapping geoms.
             vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
             level = float(np.linalg.norm(vector[:2]))
             if level > LEVEL * np.linalg.norm(vector):

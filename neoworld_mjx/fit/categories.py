@@ -1,15 +1,22 @@
 """Object categories: size range and outline of objects, by the head noun of a label.
 
-The ranges are deliberately wide: they reject a cup of 1 m, but accept one of 18 cm.
+The ranges are deliberately wide: they reject a cup of 1 m, but accept a cup of 18 cm.
 """
 
 import re
 from typing import Literal, NamedTuple, cast
 
 Outline = Literal["box", "round", "tapered", "ball", "handled", "spoon", "loose"]
-"""Shape of an object within its 3D box: the box, an upright cylinder, one with a narrower foot, a
-ball, a round body with a handle at its front, a lying bowl with a thin handle at its back, or a
-shape between box and cylinder."""
+"""Shape of an object within its 3D box:
+
+- "box": the box itself,
+- "round": an upright cylinder,
+- "tapered": an upright cylinder with a narrower foot,
+- "ball": a ball,
+- "handled": a round body with a handle at its front,
+- "spoon": a lying bowl with a thin handle at its back,
+- "loose": a shape between box and cylinder.
+"""
 
 
 class Category(NamedTuple):
@@ -111,7 +118,7 @@ def size_range(label: str) -> tuple[float, float] | None:
     """Return the range of longest edges [m] for a label; words like "small" and "large" widen it.
 
     Returns:
-        None if the category is unknown.
+        The lower and the upper limit, or None if the category is unknown.
     """
     category = category_of(label)
     if category is None:
@@ -122,10 +129,10 @@ def size_range(label: str) -> tuple[float, float] | None:
 
 
 def category_of(label: str) -> Category | None:
-    """Return the category of a label's head noun: "soup can" is a can, "box of tea" a box.
+    """Return the category of a label's head noun: "soup can" is a can, "box of tea" is a box.
 
     Returns:
-        None if no word of the label is in the table.
+        The category, or None if no word of the label is in the table.
     """
     words = re.findall(r"[a-z]+", re.split(r"\b(?:of|with|for|in|on)\b", label.lower())[0])
     for word in reversed(words):

@@ -1,4 +1,4 @@
-"""Constants of the fit, one row per object: 2D boxes, outlines, priors, indices of parents."""
+"""Constants of the fit, with one row per object: 2D boxes, outlines, priors, indices of parents."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,50 +31,51 @@ CAMERA = 2
 class FitData:
     """The scene tree and the objects to fit, as arrays.
 
-    Unknowns are the camera's pitch [rad] and log height, each over its prior standard deviation,
-    then for each object x, y, z [m], log length, log width, log height, and yaw [rad]. A rigid
-    object keeps its proportions: its log length is its log scale, and the next two unknowns stay 0.
+    The first two unknowns are the camera's pitch [rad] and log height, each divided by its prior
+    standard deviation. For each object, seven unknowns follow: x, y, z [m], log length, log width,
+    log height, and yaw [rad]. A rigid object keeps its proportions: its log length is its log
+    scale, and its log width and log height stay 0.
     """
 
     tree: SceneTree
     objects: tuple[TreeNode, ...]
     parents: Int[np.ndarray, " n"]
-    """Index of the parent among the objects; -1 for the environment."""
+    """Index of each object's parent among the objects; -1 if the parent is in the environment."""
     levels: Int[np.ndarray, " n"]
-    """Number of ancestors of an object among the objects."""
+    """Number of ancestors of each object among the objects."""
     rigid: Bool[np.ndarray, " n"]
     """True for objects with a built shape."""
     round: Bool[np.ndarray, " n"]
-    """True for outlines that do not depend on the heading."""
+    """True for objects whose outlines do not depend on the heading."""
     sizes: Float[np.ndarray, "n 3"]
-    """Size [m] of the outlines' unit boxes; 1 for built shapes, which are in metres."""
+    """Size [m] of the outlines' unit boxes; 1 for built shapes, which are in meters."""
     values: Float[np.ndarray, "n 7"]
-    """Unknowns of the objects in the tree."""
+    """Values of the objects' unknowns in the tree."""
     tilts: Float[np.ndarray, "n 4"]
     boxes: Float[np.ndarray, "n 4"]
-    """2D boxes [px]."""
+    """2D boxes (x0, y0, x1, y1) [px]."""
     contacts: Float[np.ndarray, "n 2"]
-    """Pixels at which objects touch their supports; NaN if unknown."""
+    """Image points at which objects touch their supports [px]; NaN if unknown."""
     inner: Float[np.ndarray, "n a 3"]
-    """Points of the smallest outline."""
+    """Points of each object's smallest outline."""
     outer: Float[np.ndarray, "n b 3"]
-    """Points of the largest outline."""
+    """Points of each object's largest outline."""
     lowest: Float[np.ndarray, "n c 3"]
-    """Points of which the lowest is at the height of the object's box."""
+    """Points of each object; the lowest of them is at the height of the object's box."""
     hidden: Bool[np.ndarray, "n 4"]
-    """True for sides of a 2D box that may not be the object's own outline."""
+    """True for sides of a 2D box that an occluder or the picture's border may cut."""
     normals: Float[np.ndarray, "n 3"]
-    """Normal of the wall that an object is attached to; 0 for other objects."""
+    """Unit normal of the wall to which an object is attached; 0 for other objects."""
     camera_sd: Float[np.ndarray, "2"]
     side_sd: Float[np.ndarray, "n 4"]
     scale_sd: Float[np.ndarray, " n"]
     edge_sd: Float[np.ndarray, "n 3"]
     yaw_sd: Float[np.ndarray, " n"]
     whitening: Float[np.ndarray, "n 3 3"]
-    """Matrices that map changes of position [m] to standard deviations."""
+    """Matrices that map changes of position [m] to multiples of prior standard deviations."""
     cut: tuple[CutSurfaces, ...] = ()
-    """Smallest outlines of the objects that the border may cut, then the largest ones that
-    differ from them."""
+    """Smallest outlines of the objects that the picture's border may cut, then their largest
+    outlines; a largest outline that equals the smallest one is omitted."""
 
     @cached_property
     def heights(self) -> Float[np.ndarray, " n"]:
@@ -82,17 +83,17 @@ class FitData:
         return np.array([node.box3d.size[2] for node in self.objects])
 
     def initial_unknowns(self) -> Float[np.ndarray, " u"]:
-        """Return the unknowns of the tree."""
+        """Return the values of the unknowns in the tree."""
         return np.concatenate([np.zeros(CAMERA), self.values.ravel()])
 
     def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: Any) -> Float[np.ndarray, "k 3"]:
-        """Return the log ratios of the edge lengths of some objects to the initial ones."""
+        """Return the log ratios of edge lengths to initial edge lengths, for the objects `rows`."""
         return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 
     def unpacked(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
         """Return the camera and the objects' unknowns.
 
-        For an object on a wall, the displacement along the wall's normal is removed.
+        For an object attached to a wall, the displacement along the wall's normal is removed.
         """
         camera = self.tree.camera
         pitch, log_height = x[:CAMERA] * self.camera_sd
@@ -108,7 +109,7 @@ class FitData:
         return moved, values
 
     def repeated(self, count: int) -> "FitData":
-        """Return the objects `count` times over, each copy with its own parents, and one camera."""
+        """Return `count` copies of all objects with one camera; each copy has its own parents."""
         n = len(self.objects)
         arrays = {
             field.name: np.concatenate([value] * count)
@@ -133,7 +134,7 @@ def object_data(
     shown: Mapping[str, SidesShown],
     silhouettes: Sequence[Silhouette],
 ) -> FitData:
-    """Collect the data of some objects, parents first; see `fit_problem`."""
+    """Collect the data of objects, which are ordered parents first; see `fit_problem`."""
     names = [node.name for node in objects]
     parents = [names.index(n.parent) if n.parent in names else -1 for n in objects]
     levels = np.zeros(len(objects), int)

@@ -1,4 +1,4 @@
-"""Least-squares problem of the fit: residuals of picture and priors, and their Jacobian."""
+"""Least-squares problem of the fit: residuals of the picture and the priors, and the Jacobian."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,21 +17,21 @@ from .projection import Silhouette, silhouette_of
 from .wireframe import Wireframe
 
 STEP = 1e-7
-"""Step of finite differences, in m, log or rad."""
+"""Step of finite differences, in the unit of each unknown."""
 DEAD_ZONE = 1.0
-"""Residual of a side up to which it has no effect, in standard deviations."""
+"""Largest residual of a side that has no effect, in standard deviations."""
 HIDDEN_RESIDUAL = 5.0
-"""Residual of a partly hidden object's side above which the side counts as hidden, in standard
-deviations."""
+"""For a partly hidden object, distance by which a side of the 2D box must lie inside the projected
+outline to count as hidden, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Residuals of the unknowns of a `FitData`."""
+    """Residuals as functions of the unknowns of a `FitData`."""
 
     data: FitData
     follow: Float[np.ndarray, "n 3"]
-    """Fraction of the parent's motion along x, y, z that an object's prior position follows."""
+    """Fraction of the parent's motion along x, y, z with which an object's prior position moves."""
     offsets: Float[np.ndarray, "n 3"]
     """Prior positions [m] relative to `anchors`."""
 
@@ -40,7 +40,7 @@ class FitProblem:
 
         Args:
             fixed: True for objects that do not move.
-            camera: True if the camera moves.
+            camera: True if the camera may move.
         """
         data = self.data
         free = np.ones((len(data.objects), 7), bool)
@@ -55,11 +55,11 @@ class FitProblem:
         return np.einsum("nij,nj->ni", self.data.whitening, offset)
 
     def residuals(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " r"]:
-        """Return all residuals, each over its standard deviation; soft L1 except the camera's.
+        """Return all residuals, divided by their standard deviations and with a soft L1 loss.
 
         Residuals of the picture below `DEAD_ZONE` are 0, so objects that agree with the picture do
         not move. The soft L1 loss limits the effect of outliers among boxes and parsed values. The
-        prior of the camera is quadratic, so no single object moves the camera far.
+        prior of the camera has a quadratic loss instead, so no single object moves the camera far.
         """
         data = self.data
         _, values = data.unpacked(x)
@@ -80,16 +80,16 @@ class FitProblem:
         )
 
     def costs(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n_1"]:
-        """Return the sum of squared residuals of each object and, last, of the camera."""
+        """Return the sum of squared residuals of each object, followed by that of the camera."""
         n = len(self.data.objects)
         return np.bincount(self._owners() % (n + 1), self.residuals(x) ** 2, n + 1)
 
     def jacobian(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, "r u"]:
         """Return the derivative of the residuals by forward differences.
 
-        An object's residuals depend only on its unknowns, its parent's and the camera's. One
-        difference therefore serves all objects whose depths in the tree have the same parity. The
-        differences are evaluated together, as copies of the objects.
+        An object's residuals depend only on the unknowns of the object, of its parent and of the
+        camera. One finite difference can therefore perturb all objects whose depths in the tree
+        have the same parity. All differences are evaluated together, on copies of the objects.
         """
         residuals = self.residuals(x)
         jacobian = np.zeros((len(residuals), len(x)))
@@ -120,7 +120,7 @@ class FitProblem:
 
     @cached_property
     def _repeated(self) -> "tuple[FitProblem, Int[np.ndarray, '14 r']]":
-        """Return a copy of all objects for each difference, and the copies' rows."""
+        """Return a problem with a copy of all objects per difference, and the rows of each copy."""
         count, n = 14, len(self.data.objects)
         problem = FitProblem(
             self.data.repeated(count),
@@ -133,16 +133,16 @@ class FitProblem:
         )
 
     def _owners(self) -> Int[np.ndarray, " r"]:
-        """Return the object of each residual, in the order of `residuals`; -1 for the camera's."""
+        """Return the object index of each row of `residuals`; -1 for rows of the camera."""
         n = len(self.data.objects)
         owners = np.concatenate([np.arange(n).repeat(count) for count in (6, 3, 1, 3, 1)])
         return np.insert(owners, 6 * n, [-1] * CAMERA)
 
     def tree(self, x: Float[np.ndarray, " u"], fixed: Bool[np.ndarray, " n"]) -> SceneTree:
-        """Return the tree of the unknowns, lengths rounded to 10 um, angles to 1e-5 rad.
+        """Return the tree at `x`, with lengths rounded to 10 um and angles rounded to 1e-5 rad.
 
         Args:
-            x: the unknowns.
+            x: values of the unknowns.
             fixed: True for objects that stay exactly as in the initial tree.
         """
         data = self.data
@@ -182,8 +182,8 @@ def fit_problem(
     Args:
         tree: the parsed scene.
         objects: the nodes to fit, parents first.
-        shapes: built surfaces [m] by name, untilted, in the frame of `Box3D`, its position at their
-            origin; other objects have the outline of their category.
+        shapes: built surfaces [m] by name, untilted, in the frame of `Box3D` with the origin at the
+            position of the box. Objects without a built surface have the outline of their category.
         shown: visible sides of the built shapes, see `hidden_sides`.
     """
     shapes, shown = shapes or {}, shown or {}
@@ -206,7 +206,7 @@ def fit_problem(
     follow = np.column_stack([share, share, np.ones(len(objects))])
     offsets = data.values[:, :3] - _anchors(data, follow, data.values)
     offsets[:, 2] += [_prior_lift(tree, node) for node in objects]
-    # The prior position of a content is in its container, even if its parsed position is not.
+    # The prior position is inside a container, even if the parsed position is not.
     supported = data.parents >= 0
     offsets[supported, :2] += np.array([shift_inside(tree, node) for node in objects])[supported]
     return FitProblem(data, follow, offsets)
@@ -215,10 +215,10 @@ def fit_problem(
 def _anchors(
     data: FitData, follow: Float[np.ndarray, "n 3"], values: Float[np.ndarray, "n 7"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return the points [m] that prior positions are relative to.
+    """Return the points [m] to which prior positions are relative.
 
-    These are points on top of the parents, scaled by `follow`, or the world's origin for objects on
-    the environment.
+    For an object on another fitted object, the point is on top of its parent, multiplied by
+    `follow`. For an object on the environment, it is the world's origin.
     """
     parents = data.parents
     grown = np.exp(values[parents, np.where(data.rigid[parents], 3, 5)])
@@ -230,8 +230,8 @@ def _anchors(
 def _prior_lift(tree: SceneTree, node: TreeNode) -> float:
     """Return the prior height of an object above its parsed height [m].
 
-    An object on a slab of the environment is at its top. Elsewhere it may be at any depth within
-    its parent, which may be hollow. Attached and leaning objects keep their height.
+    An object on a slab of the environment is at the slab's top. Elsewhere, an object may be at any
+    depth within its parent, which may be hollow. Attached and leaning objects keep their height.
     """
     if node.parent is None or node.relation in ("attached", "leaning"):
         return 0.0
@@ -243,5 +243,5 @@ def _prior_lift(tree: SceneTree, node: TreeNode) -> float:
 
 
 def _soft_l1(residual: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Return residuals whose squares grow like r^2 near 0 and like 2 |r| far from it (soft L1)."""
+    """Return residuals whose squares grow like r^2 near 0 and like 2 |r| far from 0 (soft L1)."""
     return residual * np.sqrt(2.0 / (np.sqrt(1.0 + residual**2) + 1.0))

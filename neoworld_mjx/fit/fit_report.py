@@ -1,4 +1,4 @@
-"""Report of a fit: changes of the camera and of each object's box, and of supports."""
+"""Report of a fit: changes of the camera, of each object's box, and of supports."""
 
 import math
 from collections.abc import Iterator
@@ -9,12 +9,12 @@ from ..spec import Box3D
 from ..spec.tree import Relation
 
 NOTED_M, NOTED_SIZE = 0.10, 0.10
-"""Changes of position [m] and size above which a note reports them."""
+"""Changes of position [m] and size (relative) above which a note reports them."""
 MIN_GAIN = 2 * math.log(31)
-"""Minimum decrease of the sum of squared residuals for another support.
+"""Minimum decrease of the sum of squared residuals at which another support is used.
 
-It is twice the log of the prior odds 31:1 of the parsed support, by Laplace's rule of succession:
-of 30 objects in five rendered pictures, none had a wrong one."""
+It is twice the log of the prior odds of the parsed support. The odds are 31:1 by Laplace's rule of
+succession: of 30 objects in five rendered pictures, none had a wrong support."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,13 @@ class BoxChange:
     hidden: tuple[bool, bool, bool, bool]
     """True for sides of the 2D box (left, top, right, bottom) that are not the object's outline."""
     refused: str = ""
-    """Reason why the fit was refused and the box is as parsed; empty if it was not."""
+    """Reason why the object's fit was refused and its box is as parsed; empty if it was not
+    refused."""
 
 
 @dataclass(frozen=True)
 class OtherSupport:
-    """Support of an object that replaces the parsed one."""
+    """New support of an object, which replaces the parsed support."""
 
     before: str
     """Parsed relation and parent."""
@@ -49,11 +50,11 @@ class OtherSupport:
     """Decrease of the sum of squared residuals of the object's fit."""
 
     def phrase(self) -> str:
-        """Return the reason in words."""
+        """Return the reason for the change as a phrase."""
         return (
-            f"{self.before} it would penetrate another object or rest on nothing; "
-            f"{self.relation} {self.parent} its fit to the photo is better by {self.gain:.0f} "
-            f"squared standard deviations, of which {MIN_GAIN:.0f} are needed"
+            f"{self.before}, it would penetrate another object or rest on nothing; "
+            f"{self.relation} {self.parent}, the sum of squared residuals of its fit is lower by "
+            f"{self.gain:.0f}, and at least {MIN_GAIN:.0f} is required"
         )
 
 
@@ -65,8 +66,8 @@ class FitReport:
     """True if anything moved."""
     reason: str
     agreement_before: float
-    """Mean agreement of the 2D boxes with the projected outlines of categories or built shapes, 0
-    to 1."""
+    """Mean agreement of the 2D boxes with the projected outlines of categories or built shapes,
+    from 0 to 1."""
     agreement_after: float
     pitch_deg: float = 0.0
     """Change of the camera's pitch [deg]."""
@@ -77,7 +78,10 @@ class FitReport:
     """New supports of the objects whose parsed support is infeasible."""
 
     def notes(self) -> Iterator[tuple[str, str]]:
-        """Yield a note for a fit that was not applied, and for refused and far objects."""
+        """Yield a note, as a title and a text, if the fit was not applied.
+
+        Each object whose fit was refused or that moved far has a note, too.
+        """
         if self.reason.startswith("not applied"):
             yield "the parsed camera and boxes are kept", self.reason
         for name, change in self.objects.items():

@@ -1,12 +1,17 @@
 """Fit of camera and 3D boxes to the 2D boxes by robust least squares.
 
-A model localises objects well in the picture and knows their common sizes, but estimates distances
+A model localizes objects well in the picture and knows their common sizes, but estimates distances
 less accurately. The fit therefore moves the camera (pitch, height) and the boxes (position, size,
-heading) only as far as the picture requires: a visible side of a 2D box counts only if its residual
-exceeds its noise, a hidden side only if the outline does not reach it, and `priors` keep everything
-else near the parsed values. The camera moves only if this improves the fit of several objects. An
-object whose fit is refused keeps its parsed box and does not affect the others. Supports of the
-environment do not move. After Step 2, built shapes replace the outlines, see `refit`.
+heading) only as far as the picture requires:
+
+- A visible side of a 2D box has an effect only if its residual exceeds its noise.
+- A hidden side has an effect only if the outline does not reach it.
+- `priors` keep all values near the parsed ones.
+- The camera moves only if this improves the fit of several objects.
+- An object whose fit is refused keeps its parsed box and does not affect the others.
+- Supports of the environment do not move.
+
+After Step 2, built shapes replace the outlines of categories, see `refit`.
 """
 
 import math
@@ -30,23 +35,25 @@ from .tree_checks import agreement, check_objects
 from .wireframe import Wireframe
 
 MAX_RESIDUAL_GROWTH = 1.0
-"""Maximum growth of an object's largest residual, in standard deviations."""
+"""Maximum growth of an object's largest residual at which its fit is accepted, in standard
+deviations."""
 MAX_AGREEMENT_LOSS = 0.005
 """Loss of mean agreement with the 2D boxes above which a fit is not applied."""
 CAMERA_GAIN = 0.01
 """Minimum decrease of the sum of squared residuals for which the camera moves."""
 LARGE_CHANGE, SIDES_FOR_LARGE_CHANGE = 3.0, 3
-"""Change, in standard deviations, above which an object needs a number of visible sides."""
+"""Change, in prior standard deviations, above which an object must have this number of visible
+sides."""
 MAX_EVALUATIONS = 60
 """Maximum number of evaluations by the solver."""
 MAX_WORK, FEWEST_EVALUATIONS = 50_000, 5
-"""Maximum number of evaluations times squared objects, which limits crowds of more than 28 objects,
-and the number that a crowd of any size gets."""
+"""Maximum product of the number of evaluations and the squared number of objects, which reduces the
+evaluations for more than 28 objects; and the least number of evaluations."""
 MAX_SOLVES = 3
-"""Maximum number of solves, each with the refused objects fixed."""
+"""Maximum number of further solves, in which refused objects are fixed."""
 MAX_EXACT_OBJECTS = 12
-"""Maximum number of objects for the exact solver, which is reproducible across machines to 1e-8
-rather than 1e-6 (lsmr)."""
+"""Maximum number of objects for the exact solver. Its results are reproducible across machines to
+1e-8, those of lsmr only to 1e-6."""
 
 
 def fit_tree(
@@ -90,11 +97,12 @@ def fit_tree(
 def _solve_with_camera(
     problem: FitProblem, fixed: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, " u"]:
-    """Return the solution with a fixed camera, or the one with a moved camera if that is better.
+    """Return the solution with a moved camera if it is better than the one with a fixed camera.
 
-    The gain of the objects, without the largest one, must exceed the cost of the camera's prior: an
-    error of a single object is no evidence about the camera. The camera does not move if the
-    environment contains walls or furniture, which would not move with it.
+    The sum of all objects' gains without the largest gain must exceed the cost of the camera's
+    prior, because the error of a single object is no evidence about the camera. Otherwise, the
+    solution with a fixed camera is returned. The camera does not move if the environment contains
+    walls or furniture, which would not move with it.
     """
     data = problem.data
     fixed_camera = _minimize(problem, data.initial_unknowns(), fixed, camera=False)
@@ -176,7 +184,10 @@ def _refused_objects(
 
 
 def _prior_deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
-    """Return each object's largest change of horizontal position or scale, in prior deviations."""
+    """Return each object's largest change of position or scale, in prior standard deviations.
+
+    Only horizontal positions count.
+    """
     data, values = problem.data, x[CAMERA:].reshape(-1, 7)
     position = np.abs(problem.position_deviations(values)[:, :2]).max(axis=1)
     log_scale = np.where(data.rigid, values[:, 3], values[:, 3:6].mean(axis=1))
@@ -198,10 +209,13 @@ def _outcome(
     refused: dict[str, str],
     shapes: Mapping[str, Wireframe],
 ) -> tuple[SceneTree, FitReport]:
-    """Return the fitted tree and the report; the initial tree if the fit lowers the agreement."""
+    """Return the fitted tree and the report.
+
+    If the fit lowers the agreement, the initial tree is returned.
+    """
     data = problem.data
     initial, fitted = data.tree, problem.tree(x, fixed)
-    # The cuboid of a built object extends beyond its shape: its agreement may fall in a good fit.
+    # The 3D box of a built object extends beyond its shape, so a good fit may lower its agreement.
     of_shapes = [outline_agreements(data, u) for u in (data.initial_unknowns(), x)]
     changes = {}
     for i, node in enumerate(data.objects):
@@ -217,7 +231,7 @@ def _outcome(
         change.distance_m > 0 or change.yaw_deg != 0 or change.size_ratio != (1.0, 1.0, 1.0)
         for change in changes.values()
     )
-    # Contents and containers move towards each other, whatever their boxes.
+    # Contents and containers move toward each other, even if their 2D boxes then agree less.
     inside = {
         name for node in initial.nodes if node.relation == "in" for name in (node.name, node.parent)
     }

@@ -28,11 +28,12 @@ _OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
 
 def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, "n 6"]:
-    """Return the distances of 2D sides and contacts from the projected outlines [px].
+    """Return the distances of 2D boxes' sides and contacts from the projected outlines [px].
 
     Columns 0 to 3 are positive if the 2D box extends beyond the largest outline, and negative if
-    the smallest outline extends beyond a visible side. The last two columns are those of the
-    contact, right and down; 0 without a contact.
+    the smallest outline extends beyond a visible side. The last two columns are the distances of
+    the contact from the projected foot, to the right and down. They are 0 if the contact is
+    unknown.
     """
     camera, values = data.unpacked(x)
     extents, feet = [], []
@@ -68,9 +69,9 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
 
 
 def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
-    """Return the intersection over union of each projected outline and 2D box, 0 to 1.
+    """Return the intersection over union of each projected outline and 2D box, from 0 to 1.
 
-    Hidden sides agree wherever the outline extends beyond them.
+    A hidden side agrees with every outline that extends beyond it.
     """
     outward = _OUTWARD * data.boxes
     projected = _OUTWARD * (outward - outline_residuals(data, x)[:, :4])
@@ -88,7 +89,7 @@ def to_camera_frame(
     points: Float[np.ndarray, "k m 3"],
     rows: Int[np.ndarray, " k"],
 ) -> tuple[Float[np.ndarray, "k m 3"], Float[np.ndarray, "k m"]]:
-    """Return points of some objects in the camera frame, and their heights above the lowest [m]."""
+    """Return points of the objects `rows` in the camera frame, and heights above the lowest [m]."""
     values, tilts = values[rows], data.tilts[rows][:, None]
     log_sizes = data.log_sizes(values, rows)
     sizes = (data.sizes[rows] * np.exp(np.clip(log_sizes, -3, 3)))[:, None]
@@ -108,7 +109,7 @@ def cut_surfaces(
 ) -> tuple[CutSurfaces, ...]:
     """Return the surfaces of the first objects that the picture's border may cut; see `FitData`.
 
-    Sides at the border do not count for the others.
+    At most MAX_CUT objects are included. For the others, sides at the border are ignored.
     """
     rows = itertools.islice((i for i in range(len(data.objects)) if _may_be_cut(data, i)), MAX_CUT)
     smallest: dict[int, Wireframe] = {}
@@ -135,7 +136,7 @@ def _may_be_cut(data: FitData, index: int) -> bool:
 
 
 def _trimmed(data: FitData, index: int, frame: Wireframe) -> Wireframe:
-    """Return the wireframe of a cut object without edges that cannot determine its visible box."""
+    """Return the wireframe of a cut object, without edges that cannot determine its visible box."""
     camera, rows = data.tree.camera, np.array([index])
     view, _ = to_camera_frame(data, camera, data.values, frame.points[None], rows)
     edges = near_border(camera, view[0], frame.edges)

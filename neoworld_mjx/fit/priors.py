@@ -1,9 +1,10 @@
 """Prior standard deviations of the fit, with a reason for each.
 
-Percentages and angles in the docstrings are the median and the 90th percentile of the changes that
-a weakly regularised fit of boxes made to responses about four photographs (61 objects). They are
-upper bounds, since they include the error of the fit. The losses are soft, so values with larger
-errors can move. A response's own uncertainty of an object replaces the constants, within `SPREAD`.
+Each pair of percentages or angles in the docstrings is the median and the 90th percentile of
+changes by a weakly regularized fit of boxes. The fit was applied to the responses for four
+photographs (61 objects). These values are upper bounds, because they include the error of the fit.
+The losses are soft, so values with larger errors can move. If a response states a standard
+deviation, it replaces the constant, within a factor of `SPREAD`.
 """
 
 import math
@@ -15,45 +16,51 @@ from ..spec import Camera, SceneTree, TreeNode
 from ..spec.pose import from_yaw, matrix
 
 PIXELS, SIDE = 0.003, 0.015
-"""A 2D side: fraction of the picture's longer side, plus a fraction of the 2D box. Sides are
-accurate to 1 to 3 px at 640, less so where an outline is blurred."""
+"""Side of a 2D box: a fraction of the picture's longer side, plus a fraction of the 2D box's size.
+Sides are accurate to 1 to 3 px in a picture of 640 px, but less accurate if an outline is
+blurred."""
 LOG_SIZE, LOG_ASPECT = 0.03, 0.02
-"""Logarithm of an object's scale, and of the ratios of its edges: 1 %, 5 %. Sizes come from known
-sizes of such objects and are the most accurate values."""
+"""Logarithm of an object's scale, and logarithm of the ratios of its edges: 1 %, 5 %. Sizes are the
+most accurate values, because the sizes of such objects are well known."""
 KNOWN_SIZE = 0.01
-"""Logarithm of an edge of standard length."""
+"""Logarithm of an edge that has a standard length."""
 YAW = math.radians(3.0)
-"""Heading [rad]: 0.2 deg, 2 deg, if the box depends on it."""
+"""Heading [rad]: 0.2 deg, 2 deg, if the box depends on the heading."""
 DEPTH, ACROSS = 0.035, 0.015
-"""Position along and across the view, over the distance from the camera: together 4 %, 8 %. The
-pixel of a foot locates it, and a row of pixels spans more metres than a column."""
+"""Position along and across the view, relative to the distance from the camera: together 4 %, 8 %.
+The pixel of an object's foot determines the position, and one row of pixels spans more meters than
+one column."""
 LEANING = 0.5
-"""Fraction of `DEPTH` for an object that leans on another one, which locates it."""
+"""Fraction of `DEPTH` for an object that leans on another object, because that object limits the
+position."""
 MIN_CLEARANCE_M = 0.005
-"""Minimum clearance [m] in a container: boxes are approximate, contents may protrude."""
+"""Minimum clearance [m] in a container, because boxes are approximate and contents may protrude."""
 UPRIGHT = math.radians(10.0)
-"""Maximum tilt at which the foot of an object is assumed in the middle of its box."""
+"""Maximum tilt [rad] at which the foot of an object is assumed to be in the middle of its box."""
 FASTENED_M, FASTENED = 0.005, 0.025
-"""An attached object: along its support's normal [m], and in its plane, over the distance."""
+"""Position of an attached object: along the support's normal [m], and in the support's plane,
+relative to the distance from the camera."""
 CONTACT_M, CONTACT = 0.002, 0.05
-"""Height over the support: metres, plus a fraction of the object's height (feet, rims). On a slab
-of the environment, only the metres, as composition places the object on its top."""
+"""Height above the support: a constant [m], plus a fraction of the object's height (for feet and
+rims). On a slab of the environment, only the constant is used, because composition places the
+object on the slab's top."""
 SLAB = 0.2
 """Maximum ratio of a slab's height to its shorter edge."""
 PITCH, LOG_HEIGHT = math.radians(1.5), 0.04
 """Camera's pitch [rad] and logarithm of its height, which are computed from vanishing points,
 ellipses and known sizes. Roll and field of view are fixed: boxes cannot distinguish a wrong field
-of view from wrong distances, while vanishing points can."""
+of view from wrong distances, but vanishing points can."""
 MEASURED = 0.3
-"""Factor of both for a value that was measured in the picture."""
+"""Factor of `PITCH` and `LOG_HEIGHT` for a value that was measured in the picture."""
 SPREAD = 4.0
-"""Maximum ratio, in both directions, of a stated standard deviation to these constants."""
+"""Maximum ratio of a stated standard deviation to its constant, and of the constant to it."""
 
 
 def camera_sd(tree: SceneTree) -> Float[np.ndarray, "2"]:
     """Return the standard deviations of the camera's pitch [rad] and log height.
 
-    They are those that the response states, else the usual ones of guesses or measurements.
+    If the response states them, they are used within `SPREAD`. Otherwise, they are the constants,
+    reduced by `MEASURED` if the response measured the value.
     """
     usual = {
         name: sd * (MEASURED if stated is None and name in tree.camera_measured else 1.0)
@@ -74,7 +81,7 @@ def side_sd(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"]:
 
 
 def size_sd(node: TreeNode) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Return the standard deviations of a node's log scale, and of the log of each edge's ratio."""
+    """Return the standard deviations of a node's log scale, and of the log ratio of each edge."""
     scale = _stated_or_usual(node.cues.size_sd, LOG_SIZE)
     edges = np.full(3, LOG_ASPECT * scale / LOG_SIZE)
     known = np.array([axis in node.cues.known_size for axis in "xyz"])
@@ -87,11 +94,12 @@ def yaw_sd(node: TreeNode) -> float:
 
 
 def position_whitening(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3 3"]:
-    """Return the matrix that maps a change of position [m] to standard deviations.
+    """Return the matrix that maps a change of position [m] to multiples of standard deviations.
 
-    Rows are directions over their deviations: along the view, across it, and up; for an attached
-    object, the normal of its support and two directions in its plane. The clearance in a container
-    limits the horizontal deviations of its content.
+    Each row is a unit vector divided by the standard deviation in its direction. The directions are
+    along the view, across the view, and up. For an attached object, they are the normal of the
+    support's largest face and two directions in this face. For an object in a container, the
+    clearance limits the horizontal standard deviations.
     """
     offset = np.array(node.box3d.position) - tree.camera.position()
     distance = float(np.linalg.norm(offset))
@@ -118,11 +126,12 @@ def position_whitening(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3 
 
 
 def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
-    """Return the smallest shift [m] that puts a content's box over its container's.
+    """Return the smallest horizontal shift [m] that aligns an object's box with its container's.
 
-    Along each side of the container, the larger of the two boxes then spans the smaller: a lid, a
-    pot in a pot, a spoon that protrudes from a bowl. The shift is zero for tilted objects, whose
-    box is far from their foot, and for contents of a part of the container, such as a drawer.
+    After the shift, the larger of the two boxes spans the smaller box along each side of the
+    container. The object may be the larger one, such as a lid or a spoon that protrudes from a
+    bowl. The shift is zero for tilted objects, whose boxes are far from their feet, and for objects
+    in a part of the container, such as a drawer.
     """
     if node.relation != "in" or node.parent is None or node.parent_link is not None:
         return np.zeros(2)
@@ -137,7 +146,7 @@ def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
 
 
 def is_slab(node: TreeNode) -> bool:
-    """Return True if a node is flat, such as a floor or the top of a table."""
+    """Return True if a node is flat, like a floor or the top of a table."""
     length, width, height = node.box3d.size
     return height < SLAB * min(length, width)
 
@@ -151,9 +160,9 @@ def rests_on_slab(tree: SceneTree, node: TreeNode) -> bool:
 
 
 def wall_normal(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3"]:
-    """Return the horizontal unit normal of the wall that a node is attached to; zero without one.
+    """Return the horizontal unit normal of the wall to which a node is attached, or zero.
 
-    Objects on a wall of the environment can neither leave it nor turn.
+    Objects attached to a wall of the environment can neither leave the wall nor turn.
     """
     if node.relation == "attached" and node.parent is not None:
         support = tree.node(node.parent)

@@ -1,8 +1,8 @@
 """Projection of 3D boxes by the parsed camera: visible boxes, edges, and outlines of objects.
 
-A tight 2D box around a cup is smaller than the projection of its 3D box. The category of an object
-therefore gives the shape of its outline within the 3D box: the box itself, an upright cylinder, a
-ball, ..., or a shape between box and cylinder if the category is unknown.
+A tight 2D box around a cup is smaller than the projection of the cup's 3D box. The category of an
+object therefore gives the shape of its outline within the 3D box: the box itself, an upright
+cylinder, a ball, ..., or a shape between box and cylinder if the category is unknown.
 """
 
 from collections.abc import Sequence
@@ -52,8 +52,8 @@ def outline_of(node: TreeNode) -> Outline:
 def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
     """Return points on a node's outline in a unit box, and the weight of the box's corners.
 
-    The points are in the frame of `Box3D`. The extent of a node is the weighted mean of the extents
-    of the corners and of the points.
+    The points are in the frame of `Box3D`. The extent of a node is the weighted mean of the extent
+    of the corners and the extent of the points.
     """
     outline = outline_of(node)
     length, width, _ = node.box3d.size
@@ -78,13 +78,13 @@ def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
 class Silhouette(NamedTuple):
     """Smallest and largest outline of an object, between which its true extents lie.
 
-    Points are in the frame of `Box3D`; for outlines of categories, in a unit box.
+    Points are in the frame of `Box3D`; outlines of categories are scaled to a unit box.
     """
 
     inner: Float[np.ndarray, "a 3"]
     outer: Float[np.ndarray, "b 3"]
     lowest: Float[np.ndarray, "c 3"]
-    """Points of which the lowest is at the height of the box."""
+    """Points; the lowest of them is at the height of the box."""
     round: bool = False
     """True if the silhouette does not depend on the heading."""
 
@@ -108,7 +108,7 @@ def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | Non
     """Return the box in pixels (x0, y0, x1, y1) of a node's unoccluded outline.
 
     Returns:
-        None if the node is outside the picture.
+        The box, or None if the node is outside the picture.
     """
     box = node.box3d
     if node.outline.shape != "rectangle":
@@ -161,7 +161,7 @@ def edges_in_view(
 
 
 def _outlined_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
-    """Return the box in pixels of a support with an outline that does not fill its 3D box."""
+    """Return the box in pixels of a support whose outline does not fill its 3D box."""
     flat = node.outline.corners()
     n = len(flat)
     ends = np.vstack([np.column_stack([flat, np.full(n, z)]) for z in (0.0, 1.0)])
@@ -179,11 +179,12 @@ def visible_box(
 
     Args:
         camera: the camera.
-        corners: corners of the solid [m]; of a box in the order of `Box3D.corners`.
-        faces: indices of each face's corners in order around it; by default those of a box.
+        corners: corners of the solid [m]; for a box, in the order of `Box3D.corners`.
+        faces: indices of each face's corners, in order around the face; by default, the faces of a
+            box.
 
     Returns:
-        None if the solid is outside the picture.
+        The box, or None if the solid is outside the picture.
     """
     local = (corners - camera.position()) @ camera.axes()
     if local[:, 2].min() > NEAR_M:

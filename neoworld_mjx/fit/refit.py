@@ -1,7 +1,7 @@
 """Second fit of camera and boxes, with built shapes in place of the outlines of categories.
 
 After Step 2, the program determines the proportions and the silhouette of an object. The 2D box
-then determines its scale, position and heading more accurately.
+then determines the object's scale, position and heading more accurately.
 """
 
 from collections.abc import Mapping
@@ -33,8 +33,8 @@ def refit_tree(
         tree: the scene tree of Step 1.
         objects: the built objects by name, at any size.
         shown: visible sides of the objects, from `measure.shown_sides` of the scene composed from
-            the tree; without it, occlusion is estimated from boxes.
-        change_supports: True to allow supports other than those of the tree; see `other_supports`.
+            the tree; if None, occlusion is estimated from 2D boxes.
+        change_supports: if True, allow supports other than those of the tree; see `other_supports`.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
@@ -52,7 +52,7 @@ def refit_tree(
 def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:
     """Return an object's visible surface [m], in the frame of its parsed box.
 
-    The object is scaled to the box as in the composition, with the parsed joint states.
+    The object is scaled to the box as in composition, and has the parsed joint states.
     """
     fit = fit_to_box(spec, node)
     vertices, triangles = visible_surface(spec, fit.state)

@@ -17,9 +17,9 @@ class SolidColumns:
     """Vertical columns [m] in the world through an object that is scaled to its parsed box.
 
     Attributes:
-        xy: positions of the columns that intersect the object.
-        bottom: lowest height of the object in each column.
-        top: highest height of the object in each column.
+        xy: positions of the columns that intersect the object [m].
+        bottom: lowest height of the object in each column [m].
+        top: highest height of the object in each column [m].
     """
 
     def __init__(self, node: TreeNode, spec: ObjectSpec) -> None:
@@ -46,7 +46,7 @@ class SolidColumns:
     def spans(
         self, xy: Float[np.ndarray, "k 2"]
     ) -> tuple[Float[np.ndarray, "p k"], Float[np.ndarray, "p k"]]:
-        """Return the lowest and highest height [m] of each convex piece in columns.
+        """Return the lowest and the highest height [m] of each convex piece in vertical columns.
 
         The result is (inf, -inf) for a piece that does not intersect the column.
         """

@@ -14,13 +14,13 @@ STEPS = 40
 
 
 class SupportFit:
-    """Fits of one object at given heights and positions, with its parsed position as the prior.
+    """Fits of one object at given heights and positions, with the parsed position as the prior.
 
     Args:
         parsed: the scene tree before the fit.
         fitted: the fitted scene tree.
         node: the object in the fitted tree.
-        surface: its built surface, see `fit_problem`.
+        surface: the object's built surface, see `fit_problem`.
     """
 
     def __init__(
@@ -39,10 +39,10 @@ class SupportFit:
     def cost(
         self, support: str, relation: str, z: float, xy: Float[np.ndarray, " 2"] | None = None
     ) -> tuple[float, Float[np.ndarray, " 2"]]:
-        """Fit scale and heading at a height; if no position [m] is given, fit that as well.
+        """Fit scale and heading at the height `z` [m]; if `xy` is None, also fit the position.
 
         Returns:
-            The sum of squared residuals, and the position.
+            The sum of squared residuals, and the position [m].
         """
         problem = self._problem(support, relation, z)
         initial = problem.data.initial_unknowns()

@@ -2,9 +2,10 @@
 
 A response may state that a sponge is on the table although its position is in a basket, where it
 would penetrate the basket's floor. Either the position is wrong, and the sponge is next to the
-basket, or the support is wrong. Both hypotheses are fitted to the 2D box with built shapes: on the
-parsed support, at the nearest position without overlap, and in or on the other object. The support
-changes only if the likelihood ratio exceeds the prior odds of the parsed support.
+basket, or the support is wrong. Both hypotheses are fitted to the 2D box with built shapes. One
+hypothesis places the object on the parsed support, at the nearest position without overlap. The
+other places it in or on the other object. The support changes only if the likelihood ratio exceeds
+the prior odds of the parsed support.
 """
 
 import math
@@ -25,20 +26,22 @@ from .tree_checks import INSIDE_WARNS
 from .wireframe import Wireframe
 
 MAX_OVERLAP_M = 0.002
-"""Overlap of built shapes above which an object cannot be at its parsed position."""
+"""Overlap of built shapes [m] above which an object cannot be at its parsed position."""
 MIN_FOOTPRINT = 0.01
-"""Fraction of a footprint over its support below which the object is not on it."""
+"""Fraction of an object's footprint over its support below which the object is not on the
+support."""
 LEVEL_M = 0.004
 """Height difference up to which surfaces count as one [m]."""
 BELOW_RIM = 0.1
-"""Depth below the support's top, relative to the lower object's height, above which a relation is
-`in`."""
+"""Depth below a support's top above which the relation is `in`, relative to the smaller of the two
+objects' heights."""
 POSITIONS = 9
 """Number of positions along each side of a square around an object's position."""
 MAX_FITS = 3
-"""Number of positions or heights to fit: those with the lowest cost before the fit."""
+"""Maximum number of positions or heights to fit; those with the lowest costs before the fit are
+used."""
 DIRECTIONS, STEPS = 16, 40
-"""Number of directions away from another object, and of positions along each."""
+"""Number of directions in which an object is moved out of others, and of positions along each."""
 
 
 class _Level(NamedTuple):
@@ -92,7 +95,7 @@ def other_supports(
 def without_cycles(
     tree: SceneTree, supports: Mapping[str, OtherSupport]
 ) -> dict[str, OtherSupport]:
-    """Return the changes without those that close a cycle; larger gains take precedence."""
+    """Return the changes except those that close a cycle; larger gains take precedence."""
     parents = {node.name: node.parent for node in tree.nodes}
     accepted = {}
     for name, change in sorted(supports.items(), key=lambda entry: -entry[1].gain):
@@ -105,7 +108,7 @@ def without_cycles(
 
 
 def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> SceneTree:
-    """Return a tree with other supports for some objects, which move with their children."""
+    """Return a tree with new supports for some objects; children move with their parents."""
     lifts: dict[str, float] = {}
     nodes = {node.name: node for node in tree.nodes}
     for node in tree.top_down():
@@ -125,7 +128,7 @@ def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> Scene
 def _candidates(
     tree: SceneTree, node: TreeNode, solids: Mapping[str, SolidColumns]
 ) -> list[TreeNode]:
-    """Return alternative supports of an object; none if its parent is feasible."""
+    """Return alternative supports of an object; an empty list if its parent is feasible."""
     excluded = {node.name, node.parent}
     for other in tree.top_down():
         excluded |= {other.name} if other.parent in excluded - {node.parent} else set()
@@ -148,7 +151,7 @@ def _share_over(node: TreeNode, support: TreeNode) -> float:
 
 
 def _cost_at(fit: SupportFit, level: _Level) -> float:
-    """Return the cost of an object's fit on a level; infinite if the object leaves it."""
+    """Return the cost of an object's fit on a level; infinite if the object leaves the support."""
     support, relation, z, xy = level
     cost, fitted_xy = fit.cost(support.name, relation, z)
     if _share_over(fit.placed(fitted_xy, z), support) >= INSIDE_WARNS:
@@ -187,7 +190,7 @@ def _cost_as_parsed(
 
 
 def _nearest_over(node: TreeNode, support: TreeNode) -> Float[np.ndarray, " 2"]:
-    """Return the nearest position [m] to an object that is over another object's box."""
+    """Return the position [m] over a support's box that is nearest to an object."""
     box, axes = upright(support), matrix(from_yaw(support.box3d.yaw))[:2, :2]
     half = np.array(box.size[:2]) / 2
     offset = axes.T @ np.subtract(node.box3d.position[:2], box.position[:2])
@@ -200,9 +203,10 @@ def _levels(
     support: TreeNode,
     solids: Mapping[str, SolidColumns],
 ) -> Iterator[_Level]:
-    """Yield the levels in or on another object with the nearest position [m] on each.
+    """Yield the levels in or on another object, each with the nearest position [m].
 
-    Positions are up to half a width away from `xy`, to tolerate an inaccurate hole position.
+    Positions are up to half of the object's width away from `xy`, so that the position of a hole
+    need not be accurate.
     """
     solid, other = solids[node.name], solids[support.name]
     away = np.linspace(-0.5, 0.5, POSITIONS) * min(node.box3d.size[:2])

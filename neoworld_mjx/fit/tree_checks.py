@@ -1,7 +1,10 @@
-"""Checks of a parse without a model: geometry against the photo, the hierarchy, plausible sizes.
+"""Checks of a parse that need no model: agreement with the photo, hierarchy, and sizes.
 
-`SceneTree` itself validates names, parents and the absence of cycles. Each issue states its
+`SceneTree` itself validates names, parents and the absence of cycles. Each issue states the
 measured value, the threshold, and a hint for the correction.
+
+Of two thresholds, an issue beyond `..._WARNS` is a warning, and an issue beyond `..._FAILS` is an
+error.
 """
 
 import itertools
@@ -30,18 +33,20 @@ from .visible_sides import EDGE, hidden_sides
 AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""
 INSIDE_WARNS, INSIDE_FAILS = 0.6, 0.25
-"""Minimum fraction of a child's footprint within its parent's."""
+"""Minimum fraction of a child's footprint that is within its parent's footprint."""
 GAP_WARNS, GAP_FAILS = 0.15, 1.0
 """Maximum gap under an object, relative to its height."""
 GAP_LEAST_M = 0.01
-"""Minimum reported gap [m]."""
+"""Smallest gap that is reported [m]."""
 SIZE_FAILS = 2.0
-"""Ratio of the longest edge to the limit of its category's range above which it is an error."""
+"""Factor by which the longest edge of an object must be outside its category's range to be an
+error."""
 OVERLAP_WARNS = 0.4
-"""Maximum fraction of the smaller of two boxes within the other, if neither supports the other."""
+"""Maximum fraction of the smaller of two boxes that is within the larger box, if neither object
+supports the other."""
 SAME_WARNS = 0.6
-"""Maximum intersection over union of two boxes if the larger object may not fill its box: the arm
-of a lamp may be over a cup, a trunk under a table."""
+"""Maximum intersection over union of two boxes if the larger object may not fill its box. For
+example, the arm of a lamp may be over a cup, or a trunk may be under a table."""
 TWICE_WARNS = 0.85
 """Maximum intersection over union of the 2D boxes of two objects with the same label."""
 
@@ -49,7 +54,7 @@ _ENVIRONMENT = ("floor", "wall", "counter", "countertop", "ground", "ceiling", "
 
 
 class SceneIssue(BaseModel):
-    """One fault of a parse."""
+    """An issue of a parse."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -57,23 +62,23 @@ class SceneIssue(BaseModel):
     node: str
     code: str
     value: float
-    """Measured fraction or ratio; metres if the code ends in _m."""
+    """Measured fraction or ratio; a length in meters if the code ends in _m."""
     threshold: float
     hint: str
 
     def phrase(self) -> str:
-        """Return one line, with numbers rounded to be the same on every machine."""
+        """Return the issue as one line; rounded numbers make it equal on all machines."""
         return f"{self.node}: {self.hint} [{self.code} {self.value:.2g}, bound {self.threshold:g}]"
 
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
-    """Check a parse; return errors before warnings, each in the order of the nodes."""
+    """Check a parse; return errors, then warnings, each in the order of the nodes."""
     issues = [*check_objects(tree), *_pairs(tree)]
     return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
 
 
 def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
-    """Check every node and its support; pairs of objects, which `check_tree` adds, only warn."""
+    """Check every node and its support; `check_tree` also checks pairs of objects."""
     for node in tree.nodes:
         yield from _projection(tree, node)
         yield from _size(node)
@@ -83,10 +88,10 @@ def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
-    """Return the score of a parse in [0, 1]: the mean of its agreement and its freedom from issues.
+    """Return the score of a parse in [0, 1]: the mean of agreement and freedom from issues.
 
-    For the latter, an object with an error counts 0, and each warning costs a third. A camera with
-    issues counts as another object.
+    The freedom of a node from issues is 0 if the node has an error. Otherwise, it is 1, reduced by
+    1/3 for each warning. A camera with issues counts as another node.
     """
     objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
     mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
@@ -101,8 +106,8 @@ def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
 def agreement(tree: SceneTree, node: TreeNode) -> float:
     """Return the agreement of a node's projected 3D box with its 2D box, in [0, 1].
 
-    It is the intersection over union for a fully visible object. Hidden sides of a 2D box may lie
-    anywhere within the projection.
+    For a fully visible object, the agreement is the intersection over union. Hidden sides of a 2D
+    box may lie anywhere within the projection.
     """
     expected = expected_box(tree.camera, node)
     if expected is None:
@@ -130,7 +135,7 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
 
 
 def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
-    """Return True if every visible side of a projected box is within the reading error."""
+    """Return True if every visible side is within the reading error of the projected box."""
     expected = expected_box(tree.camera, node)
     if expected is None:
         return False
@@ -139,7 +144,7 @@ def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
 
 
 def _mismatch(tree: SceneTree, node: TreeNode) -> str:
-    """Describe the difference of a projected box from the 2D box."""
+    """Describe the difference between the projected box and the 2D box."""
     expected = expected_box(tree.camera, node)
     if expected is None:
         return ": it lies outside the picture"
@@ -251,12 +256,12 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
 
 
 def _fills_box_loosely(node: TreeNode) -> bool:
-    """Return True if objects of this category may leave much of their box empty."""
+    """Return True if objects of a node's category may leave much of their boxes empty."""
     return outline_of(node) in ("loose", "spoon")
 
 
 def _supports(tree: SceneTree, node: TreeNode) -> set[str]:
-    """Return the names of all objects below an object in the hierarchy."""
+    """Return the names of the object's parent and of all further ancestors."""
     names: set[str] = set()
     while node.parent is not None:
         names.add(node.parent)
@@ -265,7 +270,7 @@ def _supports(tree: SceneTree, node: TreeNode) -> set[str]:
 
 
 def _edge(tree: SceneTree) -> float:
-    """Return the reading error of the side of a box [px]."""
+    """Return the reading error of a side of a 2D box [px]."""
     return EDGE * max(tree.camera.width, tree.camera.height_px)
 
 

@@ -1,7 +1,7 @@
 """Camera pose and field of view from the vanishing points of two perpendicular ground directions.
 
-Pixels are homogeneous coordinates relative to the principal point, the centre of the picture. The
-line through two points, and the intersection of two lines, are cross products, also at infinity. A
+Pixels are homogeneous coordinates relative to the principal point, the center of the picture. The
+line through two points and the intersection of two lines are cross products, also at infinity. A
 direction with vanishing point (x, y, w) is (x, y, w f) in the camera frame.
 """
 
@@ -27,7 +27,7 @@ class CameraOfLines(NamedTuple):
 
     camera: Camera
     has_fovy: bool
-    """True if the lines also determine its field of view."""
+    """True if the lines also determine the camera's field of view."""
 
 
 def camera_of_lines(camera: Camera, along: ArrayLike, across: ArrayLike) -> CameraOfLines:
@@ -35,8 +35,8 @@ def camera_of_lines(camera: Camera, along: ArrayLike, across: ArrayLike) -> Came
 
     Args:
         camera: the initial camera, which gives picture size, height and field of view.
-        along: ends of two parallel horizontal lines, [2, 2, 2] pixels.
-        across: ends of two horizontal lines perpendicular to those, [2, 2, 2] pixels.
+        along: ends of two parallel horizontal lines [px], shape [2, 2, 2].
+        across: ends of two horizontal lines perpendicular to `along` [px], shape [2, 2, 2].
 
     Returns:
         The camera with new pitch and roll. It also has a new field of view if both pairs of lines

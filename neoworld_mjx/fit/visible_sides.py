@@ -1,4 +1,4 @@
-"""Sides of 2D boxes that are an object's own outline, not cut by occluders or the border."""
+"""Sides of 2D boxes that show an object's outline, uncut by occluders and the picture's border."""
 
 from functools import lru_cache
 
@@ -11,13 +11,15 @@ from .projection import outline_points, to_world
 
 SIDES = ("left", "top", "right", "bottom")
 EDGE = 0.01
-"""Distance from the border within which it may cut a box, over the picture's longer side."""
+"""Distance from the picture's border within which the border may cut a box, relative to the
+picture's longer side."""
 COVERED = 1 / 3
 """Fraction of a side within the box of a named occluder above which the side counts as hidden."""
 COVERED_UNNAMED = 0.6
-"""Fraction for a nearer object that the response does not name as an occluder."""
+"""The same fraction for a nearer object that the response does not name as an occluder."""
 CUT_OFF = 0.02
-"""Distance outside the picture at which an extreme point is cut off, over the longer side."""
+"""Distance outside the picture at which an extreme point counts as cut off, relative to the
+picture's longer side."""
 
 
 def hidden_sides(
@@ -25,17 +27,24 @@ def hidden_sides(
 ) -> Bool[np.ndarray, "4"]:
     """Return a mask of the sides of a 2D box (left, top, right, bottom) that may be hidden.
 
-    A side is hidden if it lies at the picture's border, if the extreme point of the 3D outline on
-    this side lies outside the picture, or if an object in front covers much of it: an occluder that
-    the response names, the container of the object, or a nearer object whose 2D box overlaps. If
-    the object is marked as hidden for none of these reasons, every side counts as hidden.
+    A side counts as hidden in each of these cases:
+
+    - The side lies at the picture's border.
+    - The border cuts the object, and the extreme point of the 3D outline on this side lies outside
+      the picture.
+    - An object in front covers much of the side: an occluder that the response names, the container
+      of the object, or a nearer object whose 2D box overlaps.
+
+    If the response lists the cut sides, the list replaces the last case. If the response marks the
+    object as occluded, but names no occluder and no side lies at the border, every side counts as
+    hidden.
 
     Args:
         tree: the parsed scene, or a fit of it.
         node: the object whose sides are tested.
-        shown: visible sides of the built shapes at the parsed positions. They replace the boxes in
-            the test for occlusion of each side whose extreme point lies in the picture; the other
-            sides are not hidden for that reason alone.
+        shown: visible sides of the built shapes at the parsed positions. For each side whose
+            extreme point lies in the picture, they replace the boxes in the test for occlusion.
+            Sides whose extreme points lie outside the picture are not hidden for that reason alone.
     """
     camera = tree.camera
     edge = EDGE * max(camera.width, camera.height_px)
@@ -84,7 +93,7 @@ def _covered_sides(
 def _cut_points(
     tree: SceneTree, node: TreeNode, at_border: Bool[np.ndarray, "4"]
 ) -> Bool[np.ndarray, "4"]:
-    """Return a mask of the sides of a cut object whose extreme point is out of the picture."""
+    """Return a mask of the sides of a cut object whose extreme points are outside the picture."""
     if not at_border.any():
         return np.zeros(4, bool)
     camera = tree.camera
@@ -100,7 +109,7 @@ def _cut_points(
 
 
 def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
-    """Return True if `other` is nearer than `node`, and neither its parent nor its child."""
+    """Return True if `other` is nearer than `node`, and neither is the parent of the other."""
     if other.environment or node.environment:
         return False
     if other.parent == node.name or node.parent == other.name:

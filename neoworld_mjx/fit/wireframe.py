@@ -1,7 +1,7 @@
-"""Extents of the part of a surface within the picture, from edges clipped at the picture's border.
+"""Extents of the visible part of a surface, from edges clipped at the picture's border.
 
-The visible box of an object that the border cuts ends where its edges leave the picture, which
-locates the object as accurately as a fully visible outline.
+If the border cuts an object, the object's visible box ends where its edges leave the picture. This
+determines the object's position as accurately as a fully visible outline does.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,8 @@ from ..spec import Camera
 from .projection import NEAR_M
 
 MARGIN = 0.15
-"""Maximum motion in the picture that `near_border` allows, over the longer side."""
+"""Maximum motion in the picture that `near_border` allows for, relative to the picture's longer
+side."""
 
 
 class Wireframe(NamedTuple):
@@ -29,7 +30,7 @@ class Wireframe(NamedTuple):
 
 
 def hull_wireframe(points: Float[np.ndarray, "_ 3"]) -> Wireframe:
-    """Return the convex hull of points; if they are coplanar, all pairs of them."""
+    """Return the edges of the convex hull of points; if the points are coplanar, all pairs."""
     try:
         hull = ConvexHull(points)
     except QhullError:
@@ -38,7 +39,7 @@ def hull_wireframe(points: Float[np.ndarray, "_ 3"]) -> Wireframe:
 
 
 def edges_of(triangles: Int[np.ndarray, "t 3"]) -> Int[np.ndarray, "e 2"]:
-    """Return the edges of triangles, each once."""
+    """Return the edges of triangles; each edge occurs once."""
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
@@ -47,16 +48,16 @@ class CutSurfaces(NamedTuple):
     """Surfaces of the objects that the picture's border may cut."""
 
     rows: Int[np.ndarray, " s"]
-    """Index of the object of each surface."""
+    """Index of each surface's object."""
     points: Float[np.ndarray, "s p 3"]
     edges: Int[np.ndarray, "e 2"]
     """Indices of the points of each edge among the points of all surfaces."""
     owners: Int[np.ndarray, " e"]
-    """The surface of each edge, ascending."""
+    """Index of each edge's surface, ascending."""
 
 
 def stack_surfaces(frames: Mapping[int, Wireframe]) -> CutSurfaces:
-    """Stack wireframes by the index of their object."""
+    """Stack wireframes, given by index of their object."""
     points = stacked([frame.points for frame in frames.values()])
     edges = [k * points.shape[1] + frame.edges for k, frame in enumerate(frames.values())]
     return CutSurfaces(
@@ -68,7 +69,7 @@ def stack_surfaces(frames: Mapping[int, Wireframe]) -> CutSurfaces:
 
 
 def repeated_surfaces(surfaces: CutSurfaces, count: int, objects: int) -> CutSurfaces:
-    """Return surfaces `count` times over, those of a copy with the next `objects` objects."""
+    """Return `count` copies of surfaces; copy k belongs to objects shifted by k * `objects`."""
     copies = np.arange(count)
     number, corners = surfaces.points.shape[:2]
     return CutSurfaces(
@@ -91,16 +92,16 @@ def extents_in_picture(
     edges: Int[np.ndarray, "e 2"],
     owners: Int[np.ndarray, " e"],
 ) -> Float[np.ndarray, "s 4"]:
-    """Return the box [px] (x0, y0, x1, y1) of the part of each surface within the picture.
+    """Return the box (x0, y0, x1, y1) of the part of each surface within the picture [px].
 
     Args:
         camera: the camera.
         view: the surfaces' points in the camera frame (right, down, forward) [m].
         edges: indices of the two points of each edge among the points of all surfaces.
-        owners: the surface of each edge.
+        owners: index of each edge's surface, ascending.
 
     Returns:
-        NaN for a surface that is out of the picture.
+        The boxes; NaN for a surface outside the picture.
     """
     count = len(view)
     ends = view.reshape(-1, 3)[edges]
@@ -147,7 +148,7 @@ def _covered_corners(
     count: int,
     size: Float[np.ndarray, "2"],
 ) -> Iterator[tuple[int, Float[np.ndarray, "2"]]]:
-    """Return the corners of the picture [px] that surfaces cover, each with its surface."""
+    """Yield the corners of the picture [px] that surfaces cover, each with its surface's index."""
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, owners, pixels.min(axis=1))
     np.maximum.at(high, owners, pixels.max(axis=1))
@@ -164,8 +165,8 @@ def near_border(
 ) -> Int[np.ndarray, "k 2"]:
     """Return the edges that can determine a surface's box in the picture after small motions.
 
-    These are the edges that may intersect the border, and those at the extreme points within it. A
-    tube has thousands of others.
+    These are the edges that may intersect the border, and the edges at the extreme points within
+    the picture. A tube has thousands of other edges.
 
     Args:
         camera: the camera.
@@ -191,7 +192,7 @@ def near_border(
 
 
 def _surrounds(points: Float[np.ndarray, "n 2"], spot: Float[np.ndarray, "2"]) -> bool:
-    """Return True if a point lies in the convex hull of others."""
+    """Return True if the point `spot` lies in the convex hull of other points."""
     if len(points) == 0:
         return False
     angles = np.sort(np.arctan2(points[:, 1] - spot[1], points[:, 0] - spot[0]))

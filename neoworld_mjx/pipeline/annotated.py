@@ -33,7 +33,7 @@ def read_annotation(folder: Path) -> Annotation:
     """Return the annotation of a run: annotation.json, or one derived from tree.json.
 
     Raises:
-        RunError: the folder contains neither.
+        RunError: the folder contains neither file.
         SpecError: the file is damaged.
     """
     if (folder / ANNOTATION).is_file():
@@ -48,16 +48,17 @@ def write_annotated(
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
-    In a folder with a run of this photograph, objects of the kind `KEPT` keep their programs;
-    everything else is repeated.
+    If the folder contains a run of this photograph, objects of the kind `KEPT` keep their programs.
+    Everything else is repeated.
 
     Args:
         photo: the image file.
-        out: the run folder; new, empty, or a run of this photograph.
+        out: the run folder: new, empty, or with a run of this photograph.
         annotation: the annotation.
         config: all options.
-        simulate: True to also verify, compose, refine and export. If a model has to write a
-            program, the run stops, and `neoworld reconstruct --resume` continues it.
+        simulate: if True, also verify, compose, refine and export. If a model has to write a
+            program, the run stops before these steps, and `neoworld reconstruct --resume` continues
+            it.
 
     Raises:
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
@@ -123,7 +124,7 @@ def _write_programs(
 
 
 def _build_files(node: TreeNode, text: str, stage: str, config: Config) -> Files:
-    """Build a program and return the files of the object."""
+    """Build a program, and return the contents of the object's files by name."""
     built = build(text, config.program)
     if built.spec is None:
         reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
@@ -141,8 +142,8 @@ def _read_files(object_folder: Path) -> Files:
     missing = [name for name in _PROGRAM_FILES if not (object_folder / name).is_file()]
     if missing:
         raise RunError(
-            f"{object_folder} contains no {missing[0]}: choose a kind for the object, or leave it "
-            "to a model"
+            f"{object_folder} contains no {missing[0]}: choose another kind for the object, or "
+            "leave it to a model"
         )
     names = [name for name in (*_PROGRAM_FILES, *_STAGE_FILES) if (object_folder / name).is_file()]
     return {name: (object_folder / name).read_text(encoding="utf-8") for name in names}

@@ -1,4 +1,4 @@
-"""Bundled examples: photographs with recorded responses of the models."""
+"""Bundled examples: photographs with recorded responses of models."""
 
 from importlib import resources
 from pathlib import Path
@@ -10,34 +10,35 @@ from ..errors import PhotoError, choices
 
 _DATA = Path(str(resources.files("neoworld_mjx") / "data"))
 _FOLDERS = (_DATA / "photos", Path(str(resources.files("neoworld_mjx"))).parent / "examples")
-"""Folders of the photographs in an installed package and in a clone."""
+"""Folders of the photographs, in an installed package and in a clone of the repository."""
 
 
 class Responses(BaseModel):
-    """Origin of the responses on an example's tape."""
+    """Origin of the recorded responses (tape) of an example."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     by: str
-    """Who or what gave them."""
+    """Who or what gave the responses."""
     date: str
-    """Date of the last response whose content is new; later ones only bind them to prompts."""
+    """Date of the last response with new content; later ones only bind old content to new
+    prompts."""
     prompts: str
-    """Version of the prompts that they answer, as `Tape.prompts`."""
+    """Version of the prompts that the responses answer, as in `Tape.prompts`."""
 
 
 class BundledExample(BaseModel):
-    """One example."""
+    """A bundled example."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     photo: Path
-    """The photograph's file."""
+    """File of the photograph."""
     shows: str
     objects: int
     """Number of objects, without supports of the environment."""
     joints: int
-    """Number of joints that move."""
+    """Number of movable joints."""
     responses: Responses
     licence: str
     credit: str
@@ -57,7 +58,7 @@ def bundled_examples() -> dict[str, BundledExample]:
 
 
 def photo_of(photo: Path) -> Path:
-    """Return the path itself, or the photograph of the example with this name.
+    """Return `photo` itself, or the photograph of the example with this name.
 
     Raises:
         PhotoError: neither a file nor an example has this name.

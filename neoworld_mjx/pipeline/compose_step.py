@@ -38,9 +38,10 @@ def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
 
     The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
-    compose/scales.json, pictures/outlines.png and pictures/evidence.png; and, with
-    `compose.align.dimensions`, the changed programs, objects/NAME/resized.py, with their objects.
-    Rendering of the scene's picture starts in the background.
+    compose/scales.json, pictures/outlines.png and pictures/evidence.png. If
+    `compose.align.dimensions` is set, it also writes each changed program as
+    objects/NAME/resized.py, with the object that it builds. The scene's picture is rendered in the
+    background.
     """
     from ..compose.compose import compose
     from ..compose.layout_patch import apply_layout, read_layout_patch
@@ -82,7 +83,7 @@ def compose_scene(context: StepContext) -> None:
 
 
 def _spec_file(run: RunFolder, name: str) -> Path:
-    """Return the file of an object after Step 3."""
+    """Return the file that contains an object after Step 3."""
     folder = run.path / "objects" / name
     repaired = folder / VERIFIED
     return repaired if repaired.is_file() else folder / "spec.json"
@@ -96,7 +97,7 @@ def _inputs(
     *,
     refits: bool,
 ) -> dict[str, object]:
-    """Return what the step depends on; where it changes, the step runs again."""
+    """Return the inputs of the step. If one of them changes, the step runs again."""
     from .resized_programs import program_files
 
     run, config = context.run, context.config
@@ -145,11 +146,11 @@ def _aligned(
     composed: "Composed",
     out: Path,
 ) -> tuple["Composed", SceneSpec, tuple[str, ...]]:
-    """Align a composed scene with the photograph, and bring its objects back into contact.
+    """Align a composed scene with the photograph, and move its objects back into contact.
 
     Returns:
-        The composition, of changed objects if their dimensions changed; the aligned scene; and
-        notes on objects that contact moved.
+        The composition, composed again from the changed objects if dimensions changed; the aligned
+        scene; and notes on objects that were moved into contact.
     """
     from ..align.align import align
     from ..compose.compose import compose
@@ -190,8 +191,8 @@ def write_alignment(
 
     Args:
         run: the run.
-        scene: the scene before.
-        alignment: its alignment with the photograph.
+        scene: the scene before the alignment.
+        alignment: the alignment of the scene with the photograph.
         photo: the photograph (sRGB).
         out: folder of the step's files.
     """
@@ -238,7 +239,8 @@ def _record_patch(run: RunFolder, patch: "LayoutPatch", stale: tuple[str, ...]) 
 def _check_composed(context: StepContext) -> None:
     """Write compose/check.json with the objects of the composed scene that do not stay in place.
 
-    Objects that no layout can stabilize become fallbacks of the run; the search may fix the others.
+    Objects that no layout can stabilize are recorded as fallbacks of the run. The search may
+    stabilize the other objects.
     """
     from ..measure import measured, unstable_objects
     from ..measure.unstable import phrases

@@ -24,7 +24,7 @@ def search_again(folder: Path, patch: LayoutPatch) -> Result:
         patch: all placements by a person.
 
     Raises:
-        NeoWorldError: the folder is not such a run, or a step fails.
+        NeoWorldError: the folder is not a run with a finished verify step, or a step fails.
     """
     config = _options(folder)
     with bounded_by(config.files):
@@ -44,11 +44,12 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | N
         text: the program.
 
     Returns:
-        The build, and the result of the run; None if the program fails or its object fails a
-        check, in which case no file changes.
+        The build, and the result of the run. If the program fails or its object fails a check, the
+        result is None, and no file changes.
 
     Raises:
-        NeoWorldError: the folder is not such a run, or a later step fails.
+        NeoWorldError: the folder is not a run with a finished program step for the object, or a
+            later step fails.
     """
     config = _options(folder, verifies=True)
     step, object_folder = f"program/{name}", folder / "objects" / name

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def parse_photo(context: StepContext) -> None:
-    """Step 1: write answered.json, tree.json, parse.json and the pictures of the parse."""
+    """Step 1: write answered.json, tree.json, parse.json, photo.png and pictures/parse.png."""
     from ..parse.parse import parse
     from ..render import to_png
 
@@ -44,7 +44,8 @@ def parse_photo(context: StepContext) -> None:
 def program_objects(context: StepContext) -> None:
     """Step 2: write program.py, spec.json and program.json of all objects, in parallel.
 
-    With three stages, geometry.py, articulation.py and export.py are the parts of program.py.
+    If programs are written in three stages, the parts of program.py are also written, as
+    geometry.py, articulation.py and export.py.
     """
     from ..parse.crops import crops
     from ..parse.support_colours import support_colours
@@ -57,7 +58,7 @@ def program_objects(context: StepContext) -> None:
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, crop_by_name, colours, options)
 
-    # An object's time counts from when the previous one finished, so the times add up.
+    # The time of an object starts when the previous object finishes, so that times add up.
     last_finished = run.now()
 
     async def program_one(node: TreeNode) -> None:
@@ -91,7 +92,7 @@ def program_objects(context: StepContext) -> None:
             if colour is not None and colour.source in ("answer", "material"):
                 source = "response" if colour.source == "answer" else colour.source
                 reason = f"only {colour.share:.1%} of the picture shows it"
-                run.note(name, f"{node.name} has the colour of its {source}", reason)
+                run.note(name, f"{node.name} has the color of its {source}", reason)
             if result.size is not None:
                 sizes = (" x ".join(f"{v:.3f}" for v in s) for s in (node.box3d.size, result.size))
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
@@ -102,16 +103,16 @@ def program_objects(context: StepContext) -> None:
 
 
 def verify_objects(context: StepContext) -> None:
-    """Step 3: write each object's verify.json, and its repaired object if it was changed.
+    """Step 3: write each object's verify.json, and the repaired object if it was changed.
 
-    Objects are simulated one after another; their requests to models wait at the same time.
+    Objects are simulated one after another, but their requests to models run concurrently.
     """
     from ..parse.crops import crops
     from .object_verification import ObjectVerification
 
     tree = with_corrected_sizes(context.run, read_tree(context.run))
     crop_by_name = {} if context.photo is None else crops(context.photo, tree)
-    # An object's time counts from when the previous one finished, so the times add up.
+    # The time of an object starts when the previous object finishes, so that times add up.
     last_finished = context.run.now()
 
     async def verify_all() -> None:

@@ -1,4 +1,4 @@
-"""Step 3 of a run for one object: tests, models, files, and the record of the outcome."""
+"""Step 3 of a run for one object: run tests, ask models, write files and record the outcome."""
 
 from collections.abc import Sequence
 
@@ -38,7 +38,7 @@ class ObjectVerification:
         self._tilt, self._fixed_base = pose_without_scene(node, self._object, level=level)
 
     async def result(self, compute: Compute) -> VerificationResult:
-        """Test the object, and let models judge and change it."""
+        """Test the object, and let models judge and edit it."""
         context, options = self._context, self._context.config.verify
         return await verify_object(
             self._object,
@@ -63,7 +63,7 @@ class ObjectVerification:
         )
 
     def write(self, result: VerificationResult, started: Moment) -> None:
-        """Write the files of the step, and record what it did less than requested."""
+        """Write the files of the step, and record its outcome."""
         run, options, node = self._context.run, self._context.config.verify, self._node
         with run.step(self.name, self.inputs, started=started) as out:
             assert out is not None
@@ -107,12 +107,14 @@ class ObjectVerification:
             run.note(self.name, f"{name} was edited", "; ".join(result.changes))
         if result.waived:
             phrases = "; ".join(check.phrase() for check in result.waived)
-            run.note(self.name, f"{name} is valid by the critic", phrases)
+            run.note(self.name, f"{name} is valid according to the critic", phrases)
         for critic, reason in result.lost_critics:
-            run.fallback(self.name, f"{name} without the answer to {critic}", reason)
+            run.fallback(self.name, f"{name} without the response to {critic}", reason)
         for reason in result.unmet:
             run.fallback(
-                self.name, f"{name} keeps its program, although the critic asks for another", reason
+                self.name,
+                f"{name} keeps its program, although the critic asks for another one",
+                reason,
             )
         failed = [check for check in result.verdict.checks if check.failed]
         if failed:

@@ -1,4 +1,4 @@
-"""Reconstruction of a folder of photographs: one run folder each, one ledger, one cost cap."""
+"""Reconstruction of a folder of photographs, with a common ledger and a common cost cap."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ ABOUT, FORMAT = "photos.json", "neoworld-photos/1"
 
 @dataclass(frozen=True)
 class PhotoTask:
-    """A photograph to reconstruct."""
+    """A photograph to reconstruct, and the options of its run."""
 
     photo: Path
     out: Path
@@ -40,14 +40,14 @@ class PhotoOutcome:
 
     photo: Path
     summary: dict[str, Any] | None
-    """`Result.summary`; None after an error."""
+    """`Result.summary` of the run; None after an error."""
     error: str = ""
     stopped: bool = False
     """True if the cost cap stopped the run."""
 
 
 def reconstruct_photo(task: PhotoTask) -> Iterator[PhotoOutcome]:
-    """Reconstruct a photograph; continue if a lost worker has begun with it."""
+    """Reconstruct a photograph; if a lost worker has started it, continue its run."""
     try:
         result = reconstruct(
             task.photo,
@@ -59,7 +59,7 @@ def reconstruct_photo(task: PhotoTask) -> Iterator[PhotoOutcome]:
             tapes=task.tapes,
         )
         yield PhotoOutcome(task.photo, result.summary())
-    except NeoWorldError as error:  # An error of one photograph must not end the others.
+    except NeoWorldError as error:  # An error of one photograph must not stop the others.
         yield PhotoOutcome(task.photo, None, str(error), isinstance(error, BudgetError))
 
 
@@ -76,17 +76,17 @@ def reconstruct_folder(
 ) -> dict[str, Any]:
     """Reconstruct every photograph of a folder, each into a run folder of its own.
 
-    `mllm.max_cost_usd` is the cap of all runs together. What is left of it is divided evenly among
-    the photographs that are not finished; those that their part stops are repeated with what the
-    others leave.
+    `mllm.max_cost_usd` limits the cost of all runs together. The remaining amount is divided evenly
+    among the unfinished photographs. Photographs that reach their share are repeated with the
+    amount that the others have not used.
 
     Args:
         photos: folder of the photographs.
-        out: folder of the run folders, which are named after the photographs, and of photos.json.
+        out: folder of photos.json and of the run folders, which are named after the photographs.
         config: all options.
         until: last step; see `reconstruct`.
-        resume: keep what earlier runs in `out` finished.
-        overwrite: replace them.
+        resume: if True, keep the steps that earlier runs in `out` have finished.
+        overwrite: if True, replace earlier runs in `out`.
         tapes: see `reconstruct`.
         place: where the photographs are reconstructed.
 
@@ -94,9 +94,9 @@ def reconstruct_folder(
         The content of photos.json: "photos", "passed", "mllm".
 
     Raises:
-        PhotoError: the folder has no photographs, or two with one name.
-        RunError: `out` is in use, or holds other files or runs that must not be replaced.
-        NeoWorldError: no photograph can be reconstructed, all for one reason.
+        PhotoError: the folder has no photographs, or two photographs have the same name.
+        RunError: `out` is in use, or contains other files or runs that must not be replaced.
+        NeoWorldError: no photograph can be reconstructed, all for the same reason.
     """
     files = photographs(photos)
     check_place(place)
@@ -130,7 +130,7 @@ def reconstruct_folder(
                 )
             overwrite = False
             stopped = [photo for photo in pending if outcomes[photo].stopped]
-            # Only photographs that did not need their part leave something to the others.
+            # Only photographs that did not reach their share leave an amount to the others.
             pending = stopped if len(stopped) < len(pending) else []
     errors = {outcome.error for outcome in outcomes.values()}
     if len(errors) == 1 and "" not in errors and len(files) > 1:
@@ -139,10 +139,10 @@ def reconstruct_folder(
 
 
 def photographs(folder: Path) -> list[Path]:
-    """Return the photographs of a folder by name; files that are no pictures are left out.
+    """Return the photographs of a folder, sorted by name; other files are ignored.
 
     Raises:
-        PhotoError: there are none, or two have one name.
+        PhotoError: the folder has no photographs, or two photographs have the same name.
     """
     known = Image.registered_extensions()
     found = sorted(
@@ -162,18 +162,18 @@ def _refuse_earlier(out: Path, *, resume: bool, overwrite: bool) -> None:
         raise RunError("--overwrite starts over and --resume continues runs: give one of them")
     if (out / ABOUT).exists():
         if read_object(out / ABOUT, RunError).get("format") != FORMAT:
-            raise RunError(f"{out / ABOUT} is of another program; name a new folder")
+            raise RunError(f"{out / ABOUT} belongs to another program; name a new folder")
         if not resume and not overwrite:
             raise RunError(
-                f"{out} holds runs of photographs: continue them with --resume, replace them with "
-                "--overwrite, or name a new folder"
+                f"{out} contains runs of photographs: continue them with --resume, replace them "
+                "with --overwrite, or name a new folder"
             )
     elif any(not entry.name.startswith(".") for entry in out.iterdir()):
-        raise RunError(f"{out} is not empty and holds no runs of photographs; name a new folder")
+        raise RunError(f"{out} is not empty and contains no runs of photographs; name a new folder")
 
 
 def _earlier(out: Path, photo: Path) -> dict[str, Any]:
-    """Return the run.json of a photograph's run; nothing before it has one."""
+    """Return the contents of a photograph's run.json; an empty dict if there is no run yet."""
     folder = out / photo.stem
     return read_run(folder) if (folder / "run.json").is_file() else {}
 
@@ -190,7 +190,7 @@ def _ledger(out: Path, files: Sequence[Path], config: Config) -> Ledger:
 def _shares(
     out: Path, files: Sequence[Path], pending: Sequence[Path], config: Config, *, fresh: bool
 ) -> dict[Path, Config]:
-    """Return the options of each pending photograph, with its part of the cost cap."""
+    """Return the options of each pending photograph, with its share of the cost cap."""
     cap = config.mllm.max_cost_usd
     if cap is None:
         return dict.fromkeys(pending, config)

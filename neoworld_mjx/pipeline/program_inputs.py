@@ -1,4 +1,4 @@
-"""Inputs of the program step, and the box sizes that the step corrects."""
+"""Inputs of the step `program`, and the box sizes that this step corrects."""
 
 from collections.abc import Mapping
 
@@ -17,7 +17,7 @@ def program_inputs(
     colours: Mapping[str, SupportColour],
     options: ProgramOptions,
 ) -> dict[str, dict[str, object]]:
-    """Return everything that determines the program of each object, by name."""
+    """Return everything that determines the program of each object, by the object's name."""
     from ..program.synthesise import all_instructions
 
     return {

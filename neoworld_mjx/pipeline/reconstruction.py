@@ -40,20 +40,21 @@ def reconstruct(
 
     Args:
         photo: the picture file.
-        out: the run folder: new, empty, or a run to continue.
+        out: the run folder: new, empty, or with a run to continue.
         config: all options.
         until: stop after this step: parse, program, verify, compose, refine or export.
-        resume: keep finished steps whose inputs have not changed.
+        resume: if True, keep finished steps whose inputs have not changed.
         start: repeat this step and all later ones.
-        overwrite: replace the run in `out`.
-        record: tape file for the models' responses; by default `answers.tape.json` in the run
-            folder.
-        mailbox: folder for the provider `mailbox`; by default `mailbox` in the run folder.
+        overwrite: if True, replace the run in `out`.
+        record: file for the recorded responses (tape) of the models; by default `answers.tape.json`
+            in the run folder.
+        mailbox: folder in which the provider `mailbox` exchanges requests and responses; by default
+            `mailbox` in the run folder.
         tapes: additional tapes, or folders of tapes, for the provider `replay`.
 
     Raises:
-        NeoWorldError: the subclass names the cause: the photograph, the configuration, the folder,
-            the models, or a program that does not build an object.
+        NeoWorldError: the run fails. The subclass tells the cause: the photograph, the
+            configuration, the folder, the models, or a program that does not build an object.
     """
     photo, out = _path(photo, "photo"), _path(out, "out")
     config = _checked_config(config)
@@ -106,7 +107,7 @@ def run_steps(
         models: required by `parse` and `program`, and by later steps if the options say so.
         photo: the photograph; required by `parse` and `program`.
         first: first step.
-        until: last step.
+        until: last step; if None, run all later steps.
     """
     with recorded_costs(run, models), Pictures(run, config.render) as pictures:
         context = StepContext(run, config, photo, models, pictures)
@@ -119,7 +120,7 @@ def run_steps(
 
 @contextmanager
 def recorded_costs(run: RunFolder, models: Panel | None) -> Iterator[None]:
-    """Continue the run's cost ledger, so that the cap covers the whole run; record it at the end.
+    """Continue the run's cost ledger, so that the cap covers the whole run, and record it.
 
     Raises:
         RunError: the run's ledger is damaged.
@@ -151,7 +152,7 @@ def refine_again(
     Args:
         folder: the run folder; its compose step must have finished.
         config: all options; by default those of the run.
-        over: a nested mapping of options that overrides the run's own, if `config` is None.
+        over: a nested mapping of options that override the options of the run, if `config` is None.
 
     Raises:
         RunError: the folder is not a run, or its scene has not been composed yet.
@@ -177,8 +178,8 @@ def earlier_options(
 
     Args:
         folder: the run folder.
-        data: options in its run.json.
-        over: options that override those.
+        data: options in the folder's run.json.
+        over: options that override `data`.
         verifies: True if objects will be verified, which may call the critic.
 
     Raises:
@@ -223,10 +224,11 @@ def models_of_run(
 
     Args:
         folder: the run folder.
-        config: its options.
-        earlier: its run.json.
-        critic: True if verify is one of these steps. It calls the critic only if the option
-            `verify.critic` is "always": otherwise the judgment of the person who edited counts.
+        config: options of the run.
+        earlier: contents of run.json.
+        critic: True if `verify` is one of these steps. It calls the critic only if the option
+            `verify.critic` is "always". Otherwise, the judgment of the person who edited the
+            program replaces that of the critic.
     """
     if config.refine.semantic.scorer == "mllm" or (critic and config.verify.critic == "always"):
         return open_panel(
@@ -243,7 +245,7 @@ def models_of_run(
 def _object_names(run: RunFolder) -> list[str]:
     if (run.path / TREE).is_file():
         return [node.name for node in read_tree(run).nodes]
-    return [item.name for item in read_scene(run.path / COMPOSED).objects]  # A rescue.
+    return [item.name for item in read_scene(run.path / COMPOSED).objects]  # A rescue has no tree.
 
 
 def _path(value: object, name: str) -> Path:
@@ -278,7 +280,7 @@ def _mode(until: str | None, *, resume: bool, start: str | None, overwrite: bool
 
 
 def _other_photo(out: Path, photo: Photo) -> str:
-    """Return the name of the photograph of the run in `out` if it is another one, otherwise ""."""
+    """Return the name of the run's photograph if `out` is a run of another one, otherwise ""."""
     try:
         if not (out / "run.json").is_file():
             return ""
@@ -291,7 +293,7 @@ def _other_photo(out: Path, photo: Photo) -> str:
 
 
 def finish(run: RunFolder, until: str | None) -> Result:
-    """Mark the run as finished, or as stopped after `until`; write its report."""
+    """Mark the run as finished, or as stopped after `until`; write its metrics and its report."""
     from ..view.report.run_report import write_report
 
     run.finish(until)

@@ -1,7 +1,7 @@
-"""Rescue: make the posed meshes of another method stand, free of penetration, and export them.
+"""Rescue: make posed meshes of another method stand without penetration, and export them.
 
-A rescue is a run that begins with Step 4: its folder has the same files, search and report as that
-of a photograph, without objects' programs and their tests.
+A rescue is a run that begins with Step 4. It has the same search, files and report as the run of a
+photograph, but no programs of objects and no tests of these programs.
 """
 
 import json
@@ -47,7 +47,8 @@ GIVEN_PICTURE = "pictures/given.png"
 OUTLINE_PICTURE = "pictures/rescued.png"
 PHOTO = "photo.png"
 RESTS_M, RESTS_DEG = 2e-3, 1.0
-"""Largest motion in the final check of an object that rests as it is given."""
+"""Largest motion [m] and tilt [deg] in the final check at which an object rests at its given
+pose."""
 
 
 @dataclass(frozen=True)
@@ -55,33 +56,33 @@ class Photographed:
     """The photograph of a given scene."""
 
     rgb: UInt8[np.ndarray, "row column 3"] = field(repr=False)
-    """sRGB, cropped to the image of the camera."""
+    """Colors (sRGB), cropped to the image of the camera."""
     view: Viewpoint
 
 
 @dataclass(frozen=True)
 class Rescued:
-    """A scene of another method that was made to stand."""
+    """A rescued scene, and its differences from the given scene."""
 
     scene: SceneSpec
     passed: bool
-    """True if it passes the final check."""
+    """True if the scene passes the final check."""
     before: SceneMeasure
-    """Final check of the objects as they were given, on the supports that were found."""
+    """Final check of the objects at their given poses, with the supports that were found."""
     moves_m: dict[str, float]
-    """Distance of each free object from where it was given."""
+    """Distance of each free object from its given position [m]."""
     turns_deg: dict[str, float]
-    """Angle of each free object from how it was given."""
+    """Angle between the rotation of each free object and its given rotation [deg]."""
     sizes: dict[str, float]
-    """Size of each free object over that given."""
+    """Ratio of the size of each free object to its given size."""
     outlines_px: dict[str, dict[str, float | None]]
-    """Median distance of each object's outline from the photograph's, as given and rescued, in
-    pixels of an image 640 px wide (`outline_errors`); empty without a photograph."""
+    """Median distance between each object's outline and the photograph's, as given and as rescued,
+    in pixels of an image 640 px wide (`outline_errors`). It is empty without a photograph."""
     notes: tuple[str, ...]
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the report as JSON."""
+        """Return the report as JSON data."""
         return {
             "passed": self.passed,
             "seconds": self.seconds,
@@ -97,18 +98,20 @@ class Rescued:
 
 @dataclass(frozen=True)
 class GivenScene:
-    """A given scene and the composed one, before the search."""
+    """A given scene, and the composed scene before the search."""
 
     given: SceneSpec
-    """The objects at their given poses, supports fixed, before the camera if there is one."""
+    """The objects at their given poses, with fixed supports. With a photograph, the whole scene is
+    moved so that its camera is above the origin and looks along +x."""
     before: SceneMeasure
-    """Its final check."""
+    """Final check of `given`."""
     supported: SceneSpec
     """The objects on their supports."""
     alignment: Alignment | None
-    """Alignment of those with the photograph, if there is one."""
+    """Alignment of `supported` with the photograph; None if there is no photograph or if the
+    alignment is not applied."""
     composed: SceneSpec
-    """The scene that the search starts from."""
+    """The scene from which the search starts."""
     notes: tuple[str, ...]
 
 
@@ -121,23 +124,24 @@ def rescue(
     photo: Photographed | None = None,
     compose: ComposeOptions | None = None,
 ) -> Rescued:
-    """Put the objects of a scene upright on their supports, settle them, and search if need be.
+    """Put the objects of a scene upright on their supports, and refine the layout if necessary.
 
-    Shapes are not corrected. With a photograph, places, headings and sizes are aligned with its
-    contours, if that brings the outlines nearer to it; otherwise places and headings stay but for
-    what the search needs, and sizes follow from the given heights (`fitted_sizes`). What rests as
-    it is given stays as it is.
+    Shapes are not corrected. Objects that rest at their given poses are put on their supports
+    without a change of pose. With a photograph, positions, headings and sizes are aligned with the
+    contours of the photograph, if this does not increase the median outline error. Otherwise, only
+    the search changes positions and headings, and sizes are corrected by the given heights
+    (`fitted_sizes`), if `compose.mesh_sizes` is set.
 
     Args:
-        given: objects at their poses without parents, as `import_file` reads them.
-        options: of the search and the final check.
-        seed: of the search.
-        engine: physics engine or its name; default: the engine that the options name.
+        given: objects at their poses without parents, as read by `import_file`.
+        options: options of the search and the final check.
+        seed: seed of the search.
+        engine: physics engine, or its name; by default, the engine that the options name.
         photo: the photograph and its camera, from `photographed`.
         compose: options of contact and alignment.
 
     Raises:
-        SpecError: nothing is free to move, or the scene has parents already.
+        SpecError: no object is free to move, or the scene already states parents.
     """
     began, o, c = time.perf_counter(), options or RefineOptions(), compose or ComposeOptions()
     read = given if isinstance(given, ImportedScene) else ImportedScene(given, ())
@@ -155,12 +159,13 @@ def photographed(
 
     Args:
         file: the picture.
-        stated: camera of the scene's file, if any.
-        camera: camera that the user gives; it counts before that of the file.
-        max_side_px: longest side of the picture.
+        stated: camera in the scene's file, if any.
+        camera: camera that the user gives; its values take precedence over those of `stated`.
+        max_side_px: longest side to which the picture is reduced [px].
 
     Raises:
-        PhotoError: the file is no picture, or the camera is incomplete or not of this photograph.
+        PhotoError: the file is not a picture, or the camera is incomplete or does not match the
+            photograph.
     """
     if stated is None and camera is None:
         raise PhotoError(f"{file}: the scene's file states no camera: {WHERE}")
@@ -187,13 +192,13 @@ def rescue_file(
 
     Args:
         file: the scene; see `export.importing_scene`.
-        out: folder, new or empty.
+        out: run folder, new or empty.
         config: options.
-        photo: the photograph of the scene: for the alignment and as evidence in the report.
-        camera: camera.json of the photograph; by default the camera of the scene's file.
+        photo: the photograph of the scene, for the alignment and as evidence in the report.
+        camera: camera.json of the photograph; by default, the camera in the scene's file.
 
     Raises:
-        SpecError: a file cannot be read, or nothing in it is free to move.
+        SpecError: a file cannot be read, or no object is free to move.
         PhotoError: as for `photographed`.
         RunError: the folder is not empty, or cannot be written.
     """
@@ -205,7 +210,7 @@ def rescue_file(
     with bounded_by(c.files):
         read = import_file(file)
         if not isinstance(read, ImportedScene):
-            raise RunError(f"{file} holds one object; rescue needs a scene")
+            raise RunError(f"{file} contains one object; rescue needs a scene")
         picture = None
         if photo is not None:
             stated = None if camera is None else read_camera(camera)
@@ -213,7 +218,7 @@ def rescue_file(
         began = time.perf_counter()
         start = _composed(read, picture, c.refine, c.compose)
         if picture is not None and camera is None:
-            said = f"the camera of the photograph is that of {file.name}"
+            said = f"the camera of the photograph is taken from {file.name}"
             start = replace(start, notes=(*start.notes, said))
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
@@ -244,7 +249,7 @@ def _composed(
         given = moved_whole(given, photo.view.placed)
     found = find_supports(given)
     if photo is not None:
-        # The main support's top is at z = 0, as in scenes of photographs.
+        # The top of the main support is at z = 0, as in scenes of photographs.
         down = pose((0.0, 0.0, -_main_top(found)))
         height = photo.view.camera.height + float(down.pos[2])
         camera = photo.view.camera.model_copy(update={"height": height})
@@ -269,7 +274,7 @@ def _composed(
     composed, notes, alignment = supported.scene, (*read.notes, *supported.notes), None
     if photo is not None and c.align.enabled:
         unsized = with_supports(found, resting=resting)
-        # The camera is given.
+        # The given camera does not change.
         keeps_camera = c.align.model_copy(update={"camera": False})
         alignment = align(unsized.scene, photo.rgb, keeps_camera)
         aligned, sideways = in_contact(alignment.scene, c)
@@ -303,7 +308,7 @@ def _main_top(found: FoundSupports) -> float:
 def _write_composed(
     context: StepContext, file: Path, start: GivenScene, photo: Photographed | None
 ) -> None:
-    """Write the given and the composed scene of a rescue, as the step `compose`."""
+    """Write the given and the composed scene of a rescue as the step `compose`."""
     run = context.run
     with run.step("compose", {"file": file, "options": context.config.compose}) as out:
         assert out is not None  # The folder is new.
@@ -329,7 +334,7 @@ def _rescued(
     notes: tuple[str, ...],
     seconds: float,
 ) -> Rescued:
-    """Compare a rescued scene with the given one."""
+    """Return the rescued scene and its differences from the given scene."""
     free = [item.name for item in scene.objects if not item.static]
     moves = object_moves(start.given, scene)
     outlines: dict[str, dict[str, float | None]] = {}

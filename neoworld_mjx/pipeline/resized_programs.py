@@ -1,7 +1,7 @@
 """Programs whose dimensions Step 4 changes: how a run builds and checks them, and their files.
 
-The changed program stands next to the one that it replaces, as a program of Step 3 does: `RESIZED`
-with the object that it builds, and the patch of Step 3 that is applied to it.
+The changed program is written as `RESIZED`, next to the program that it replaces. The object that
+it builds and the patch of Step 3 that is applied to this object are written next to it.
 """
 
 from collections.abc import Callable, Mapping, Set
@@ -37,17 +37,17 @@ def with_freed_dimensions(
     alignment: Alignment,
     compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
 ) -> FreedScene:
-    """Change dimensions of a run's programs where the photograph contradicts them.
+    """Change dimensions of a run's programs that contradict the photograph.
 
     Args:
         folder: the run folder.
-        tree: the scene tree that the scene is composed of.
-        objects: its objects.
+        tree: the scene tree from which the scene is composed.
+        objects: the built objects, by name.
         config: options of the run.
         photo: the photograph (sRGB).
         composed: the composed scene.
-        alignment: its alignment.
-        compose: composes the scene of these and other objects, by name.
+        alignment: the alignment of the composed scene.
+        compose: function that composes the scene from given objects, by name.
     """
     sources = {node.name: _source(folder, node, tree, config) for node in tree.nodes}
     texts, unchangeable = {}, {}
@@ -70,7 +70,7 @@ def with_freed_dimensions(
 
 
 def program_files(folder: Path, tree: SceneTree) -> dict[str, Path]:
-    """Return the files of a run that its changed programs depend on, by a name of an input."""
+    """Return the files on which the changed programs of a run depend, by the name of the input."""
     files = {}
     for node in tree.nodes:
         if not node.environment:
@@ -108,10 +108,10 @@ def _program(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class _Source:
-    """The program of one object of a run, and the tests that a changed one must pass."""
+    """The program of one object of a run, and the tests that a changed program must pass."""
 
     text: str
-    """Empty if there is none."""
+    """Text of the program; empty if there is no program."""
     patch: Patch
     node: TreeNode
     level: bool
@@ -122,7 +122,7 @@ class _Source:
     """Checks that the object failed before."""
 
     def unchangeable(self, spec: ObjectSpec) -> str:
-        """Return why the program may not be changed; empty if it may."""
+        """Return why the program must not be changed; empty if it may be changed."""
         if self.node.environment:
             return "it belongs to the environment"
         if not self.text:
@@ -130,15 +130,15 @@ class _Source:
         own = self.object_of(self.text)
         if isinstance(own, str):
             return f"its program does not build: {own}"
-        return "" if own == spec else "its program builds another object than the composed one"
+        return "" if own == spec else "its program does not build the composed object"
 
     def object_of(self, text: str) -> ObjectSpec | str:
-        """Return the object of a text with the patch of Step 3, or why there is none."""
+        """Return the patched object that a program builds, or the reason why it builds none."""
         result = run(text, self.options)
         return _errors(result) if result.spec is None else self._patched(result.spec)
 
     def fault(self, text: str) -> str:
-        """Return why the object of a text is not valid; empty if it is as valid as it was."""
+        """Return why a changed program is not valid; empty if its object fails no new check."""
         result = build(text, self.options)
         if result.spec is None or not result.ok:
             return _errors(result)

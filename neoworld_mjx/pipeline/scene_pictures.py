@@ -1,4 +1,4 @@
-"""Pictures of the scene, drawn in a thread while the next steps of the run proceed."""
+"""Pictures of the scene, rendered in a thread while the next steps of the run proceed."""
 
 import contextlib
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,10 +21,10 @@ class _Pending(NamedTuple):
 
 @dataclass
 class Pictures:
-    """Pictures of a run. Use it in a `with` statement, which waits for unfinished ones.
+    """Pictures of a run. Use it in a `with` statement, which waits for unfinished pictures.
 
     Each picture is a part of a step, such as "compose/picture". Only the caller's thread writes to
-    the run folder: `store` saves the pictures that have been drawn meanwhile.
+    the run folder: `store` saves the pictures that have been rendered in the meantime.
     """
 
     run: RunFolder
@@ -33,7 +33,7 @@ class Pictures:
     _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "pictures"))
 
     def begin(self, part: str, scene: Path, file: str) -> None:
-        """Start to draw a scene from its camera, unless the run already has this picture.
+        """Start to render a scene from its camera, unless the run already has this picture.
 
         Args:
             part: name of the picture as a part of a step.
@@ -46,7 +46,7 @@ class Pictures:
             self._pending.append(_Pending(part, inputs, file, drawn))
 
     def store(self, *, wait: bool = False) -> None:
-        """Save the finished pictures, or with `wait` all of them, in the run folder.
+        """Save the finished pictures in the run folder; if `wait` is True, save all pictures.
 
         The recorded duration of a part is the time that the run waited for it.
         """
@@ -67,7 +67,7 @@ class Pictures:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Store pending pictures, even after an error, as they may show its cause."""
+        """Store pending pictures, even after an error, because they may show its cause."""
         try:
             if error is None:
                 self.store(wait=True)

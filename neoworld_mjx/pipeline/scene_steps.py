@@ -67,7 +67,7 @@ def refine_layout(context: StepContext) -> None:
             "after": refined.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
-        if (run.path / TREE).is_file():  # A rescue has none.
+        if (run.path / TREE).is_file():  # A rescue has no tree.
             summary["box_iou"] = box_iou(read_tree(run), composed, refined.scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=refined.seconds)
@@ -102,7 +102,7 @@ def export_files(context: StepContext) -> None:
 
 
 def write_metrics(run: RunFolder) -> None:
-    """Record the metrics of the refined scene in run.json, if it is refined."""
+    """Record the metrics of the refined scene in run.json, if there is a refined scene."""
     path = run.path / RESULT
     if not path.exists():
         return

@@ -16,7 +16,7 @@ from .scene_pictures import Pictures
 RESPONSE_TREE = "answered.json"
 """Scene tree of the model's response, before its fit to the 2D boxes."""
 ANNOTATION = "annotation.json"
-"""Annotation of the photograph by a person, if any."""
+"""Annotation of the photograph by a person; missing if there is none."""
 TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
 CHECK = "compose/check.json"
 REFIT = "compose/fit.json"
@@ -25,13 +25,14 @@ OUTLINES, EVIDENCE = "pictures/outlines.png", "pictures/evidence.png"
 RESULT = "refine/result.json"
 TAPE = "answers.tape.json"
 VERIFIED = "verified.json"
-"""Object after repairs by Step 3; missing if Step 3 changed nothing."""
+"""Object after repairs by Step 3; missing if Step 3 did not change the object."""
 REPROGRAMMED = "reprogrammed.py"
-"""Program that Step 3 requested in place of program.py; its rounds are in reprogrammed.json."""
+"""New program that Step 3 requested. It replaces program.py, and its synthesis is recorded in
+reprogrammed.json."""
 
 RESIZED = "resized.py"
-"""Program whose dimensions Step 4 changed, in place of the earlier ones; resized.json is its
-object."""
+"""Program whose dimensions Step 4 changed. It replaces the earlier programs, and resized.json
+contains the object that it builds."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class StepContext:
     run: RunFolder
     config: Config
     photo: Photo | None
-    """None if the run starts after `program`."""
+    """The photograph; None if the run starts after `program`."""
     models: Panel | None
-    """None if no step needs a model."""
+    """The models; None if no step needs a model."""
     pictures: Pictures
 
     def photo_and_models(self) -> tuple[Photo, Panel]:

@@ -1,6 +1,6 @@
-"""Steps of a run. Each one reads files of the run folder, calls its package and writes its files.
+"""Steps of a run. Each step reads files of the run folder, calls a package and writes files.
 
-A step declares everything that it reads as its inputs; the run folder repeats a step whose inputs
+A step declares everything that it reads as its inputs. The run folder repeats a step if its inputs
 have changed.
 """
 
@@ -19,4 +19,4 @@ STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
     "refine": refine_layout,
     "export": export_files,
 }
-"""Function of each of `run_folder.STEPS`."""
+"""Function of each step in `run_folder.STEPS`."""

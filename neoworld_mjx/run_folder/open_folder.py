@@ -41,7 +41,7 @@ Mode = Literal["new", "resume", "edited", "redo", "overwrite"]
 
 
 WAITED_S = 0.5
-"""Time of waiting from which it is mentioned."""
+"""Least time of waiting for models that a progress message mentions [s]."""
 
 
 class Moment(NamedTuple):
@@ -71,21 +71,22 @@ class RunFolder:
         """Create the folder, or continue the run in it.
 
         Args:
-            path: the folder; it may exist if it is empty or a run.
+            path: the folder; it may exist if it is empty or contains a run.
             config: options of the run.
             mode: treatment of an earlier run in the folder:
 
-                - "new": refuse it, unless it finished no step;
+                - "new": refuse the run, unless it has finished no step;
                 - "resume": keep finished steps whose inputs and files have not changed;
-                - "edited": resume, but keep `step` and all earlier steps with any edits by hand;
+                - "edited": as "resume", but keep `step` and all earlier steps even if their files
+                  were edited by hand;
                 - "redo": delete the files of `step` and of all later steps, and keep the earlier
-                  steps with any edits by hand;
+                  steps even if their files were edited by hand;
                 - "overwrite": delete the files of all steps.
             step: name of a step; required by "edited" and "redo".
 
         Raises:
-            RunError: the path is a file, is not writable, holds other files or a run that must not
-                be modified, or is in use.
+            RunError: the path is a file, is not writable, contains other files or a run that must
+                not be modified, or is in use.
         """
         self.path = Path(path)
         self.waited = lambda: 0.0
@@ -131,7 +132,7 @@ class RunFolder:
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
-        """Return True if `step` would reuse this step's stored result. Runs nothing."""
+        """Return True if `step` would reuse the stored result of this step; run nothing."""
         self._visited.add(name)
         return self._keeps(name, self._hashes(name, inputs))
 
@@ -142,14 +143,15 @@ class RunFolder:
         """Run a step unless it is finished: `with run.step(...) as out: if out: ...`.
 
         Args:
-            name: one of `STEPS`, or a step and a part of it, as in "program/cup".
-            inputs: everything that determines the files the step writes: paths (the contents of
-                the file or folder are hashed), pydantic models and JSON values.
-            started: start of the step's work, from `now`, if it precedes this call.
+            name: one of `STEPS`, or a part of a step, such as "program/cup".
+            inputs: everything that determines the files that the step writes: paths of files or
+                folders, whose contents are hashed, pydantic models and JSON values.
+            started: start of the step's work, from `now`; by default, the time of this call.
 
         Yields:
             An empty staging folder for the step's files, which are moved to the same relative paths
-            in the run folder; None if the step is finished. An error in the block discards them.
+            in the run folder; None if the step is finished. An error in the block discards these
+            files.
 
         Raises:
             RunError: an input is missing, or the disk is full or not writable.
@@ -307,7 +309,7 @@ class RunFolder:
         ]
 
     def _forget(self, name: str) -> list[str]:
-        """Delete the record of a step and return its files; move edited ones to `replaced/`."""
+        """Delete the record of a step and return its files; move edited files to `replaced/`."""
         for kind in ("fallbacks", "notes"):
             self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
@@ -347,5 +349,5 @@ def _step_of(name: str) -> str:
 
 
 def _status(name: str, shown: str) -> dict[str, str]:
-    """Return the step for the status line; empty for pictures, which a thread draws meanwhile."""
+    """Return the step for the status line; empty for pictures, which a thread renders."""
     return {} if name.endswith("/picture") else {"step": shown}

@@ -19,7 +19,7 @@ from ..io.validation_message import validation_message
 
 FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000
-"""Largest number of steps and their parts; a part is an object."""
+"""Largest number of recorded steps and parts of steps; most parts are objects."""
 
 _PACKAGES = (
     *("neoworld-mjx", "jax", "mujoco", "mujoco-mjx", "mujoco-warp", "warp-lang", "numpy", "scipy"),
@@ -88,7 +88,7 @@ def read_run(path: Path) -> dict[str, Any]:
     """Read run.json of a run folder.
 
     Raises:
-        RunError: the folder is missing or not a run folder of this version.
+        RunError: the folder is missing or is not a run folder of this version.
     """
     file = Path(path) / "run.json"
     if not file.exists():

@@ -16,8 +16,9 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK 
 class RunLog(logging.Handler):
     """Log handler that appends the package's log to run.log until it is closed.
 
-    The level of the package's logger applies: progress and warnings on the command line, only
-    warnings in a program that sets no level. A log that cannot be written does not stop the run.
+    The level of the package's logger applies. On the command line, the log contains progress and
+    warnings. In a program that sets no level, it contains only warnings. A log that cannot be
+    written does not stop the run.
     """
 
     def __init__(self, folder: Path) -> None:

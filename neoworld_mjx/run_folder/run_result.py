@@ -14,9 +14,9 @@ class Result:
     """Last requested step; None for a complete run."""
     metrics: dict[str, Any]
     seconds: dict[str, float]
-    """Duration by step [s]."""
+    """Duration of each step [s]."""
     waiting: dict[str, float]
-    """Time spent waiting for models by step [s]."""
+    """Time that each step waited for models [s]."""
     fallbacks: list[dict[str, str]]
     notes: list[dict[str, str]]
     """Noteworthy outcomes, such as large moves by the fit or the search."""

@@ -1,4 +1,4 @@
-"""Files of a run folder: its lock, the moves of finished files into place, and disk errors."""
+"""Files of a run folder: the lock, moves of finished files into place, and disk errors."""
 
 import contextlib
 import errno
@@ -59,7 +59,7 @@ def refuse_links(folder: Path) -> None:
     The folder itself may be a link.
 
     Raises:
-        RunError: the folder contains one, or cannot be read.
+        RunError: the folder contains a link, a pipe or a device, or cannot be read.
     """
     try:
         irregular = irregular_entry(folder)
@@ -105,7 +105,7 @@ def lock_folder(folder: Path) -> TextIO:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Delete unfinished files and staging folders of a killed process."""
+    """Delete unfinished files and the staging folders of a killed process."""
     shutil.rmtree(folder / STAGING, ignore_errors=True)
     for entry in folder.iterdir():
         if PART.match(entry.name):
@@ -171,7 +171,7 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
 
     Args:
         folder: the run folder.
-        anywhere: True to also convert errors of files outside the folder.
+        anywhere: if True, also convert errors of files outside the folder.
     """
     try:
         yield

@@ -130,7 +130,10 @@ def test_the_alignment_reports_the_opening(opened):
     assert phrase.startswith("opens ") and " deg more than composed (± " in phrase
     assert "joints" not in data["box"] and "joints" not in data["box"]["uncertainty"]
     notes = dict(opened.notes(with_door(45)))
-    assert notes["cabinet open otherwise than composed"] == f"in the photograph joint open {phrase}"
+    assert (
+        notes["cabinet with a joint opened differently than composed"]
+        == f"in the photograph joint open {phrase}"
+    )
     written = opened.scene.to_json()
     assert type(opened.scene).model_validate_json(written) == opened.scene
 

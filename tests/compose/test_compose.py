@@ -467,7 +467,7 @@ def test_an_attached_object_is_fixed_and_the_scene_is_stable():
 def test_a_detachable_object_is_free_and_named_if_it_falls():
     result = on_a_wall(held_by="a loop over a nail")
     assert not result.scene.object("frame").fixed_base
-    assert result.notes == ("frame: composition left it loose, held by a loop over a nail",)
+    assert result.notes == ("frame: composition left it free to move, held by a loop over a nail",)
     (entry,) = unstable_objects(result.scene, scene_measure(result.scene))
     assert (entry.name, entry.kind, entry.held) == ("frame", "falls", False)
     assert entry.drop_m > 0.4

@@ -81,12 +81,12 @@ def test_runs_that_are_there_are_not_lost(photos, tmp_path, monkeypatch):
     paid(monkeypatch, dict.fromkeys(("coffee", "drawers", "microwave"), 0.1))
     out = tmp_path / "out"
     reconstruct_folder(photos, out, CONFIG)
-    with pytest.raises(RunError, match="holds runs of photographs: continue them with --resume"):
+    with pytest.raises(RunError, match="contains runs of photographs: continue them with --resume"):
         reconstruct_folder(photos, out, CONFIG)
     assert reconstruct_folder(photos, out, CONFIG, resume=True)["passed"]
     with pytest.raises(RunError, match="give one of them"):
         reconstruct_folder(photos, out, CONFIG, resume=True, overwrite=True)
-    with pytest.raises(RunError, match="is not empty and holds no runs of photographs"):
+    with pytest.raises(RunError, match="is not empty and contains no runs of photographs"):
         reconstruct_folder(photos, photos, CONFIG)
 
 

@@ -124,7 +124,7 @@ def test_neighbor_that_leans_in_is_no_support():
 
 
 def test_what_states_its_supports_is_refused():
-    with pytest.raises(SpecError, match="states its supports already"):
+    with pytest.raises(SpecError, match="already states its supports"):
         find_supports(desk())
     fixed = desk().objects[0]
     with pytest.raises(SpecError, match="free to move"):
@@ -292,7 +292,7 @@ def test_report_of_a_rescue_says_what_was_checked(
     assert "Of 5 movable objects, 5 have outlines nearer to the photograph" in report
     assert "Changes from the composed to the aligned scene" in report
     stored = json.loads((tmp_path / "out" / "rescue.json").read_text())
-    assert "the camera of the photograph is that of scene.glb" in stored["notes"]
+    assert "the camera of the photograph is taken from scene.glb" in stored["notes"]
     assert stored["passed"] and all(
         pair["rescued"] < pair["given"] for pair in stored["outlines_px"].values()
     )

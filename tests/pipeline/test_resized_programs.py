@@ -80,7 +80,7 @@ def test_run_json_report_and_viewer_name_the_change(folder):
     aligned = json.loads((folder / "compose" / "align.json").read_text())["dimensions"]
     assert aligned["brick"]["edits"][0]["constant"] == "WIDTH"
     assert aligned["can"]["reason"] == "it has no program"
-    assert aligned["tower"]["reason"] == "its program builds another object than the composed one"
+    assert aligned["tower"]["reason"] == "its program does not build the composed object"
     report = str(photograph_section(folder))
     assert "WIDTH 0.077 -&gt; 0.0" in report and "unchanged: it has no program" in report
     target = open_target(folder / "objects" / "brick", CONFIG)
