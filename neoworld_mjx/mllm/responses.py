@@ -30,7 +30,7 @@ def read_response(text: str, schema: type[T]) -> T:
     within prose are used only if there is neither, from the largest to the smallest.
 
     Raises:
-        InvalidResponse: no object is valid; the message is about the first object.
+        InvalidResponse: no object is valid; the message describes the first problem.
     """
     if len(text) > MAX_CHARS:
         raise InvalidResponse(
