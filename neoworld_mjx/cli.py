@@ -1,6 +1,7 @@
 """The command line `neoworld`.
 
-Exit codes: 0 success, 1 the scene or object fails its checks, 2 invalid input.
+Exit codes: 0 for success, 1 if the scene or object fails its checks, 2 for invalid input, 70 for a
+bug, and 130 after Ctrl-C.
 """
 
 import contextlib
@@ -26,14 +27,14 @@ if TYPE_CHECKING:
 
 REPORT = (
     "This is a bug in neoworld. A run can continue with --resume. To report the bug, repeat the "
-    "command with --debug and send its output with that of neoworld doctor"
+    "command with --debug, and send its output and the output of neoworld doctor"
 )
 BAD_INPUT, FAILED, BUG = 2, 1, 70
 
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
-    # The matrices are small: on a busy machine threads of BLAS spend twice the time on waiting.
+    # The matrices are small, so on a busy machine several BLAS threads cost more time than one.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
     if list(args) == ["--version"]:
@@ -44,17 +45,20 @@ def main(args: Sequence[str] | None = None) -> None:
         sys.exit(0)
     try:
         code = _run_words(args)
-    except KeyboardInterrupt:  # While modules are imported.
+    except KeyboardInterrupt:  # It came while modules were imported.
         print(f"error: {MESSAGE}", file=sys.stderr)
         code = INTERRUPTED
     if code == INTERRUPTED:
         sys.stderr.flush()
-        os._exit(code)  # Threads and exit functions of libraries may take seconds.
+        os._exit(code)  # A normal exit may wait for threads and libraries for seconds.
     sys.exit(code)
 
 
 def _run_words(args: Sequence[str]) -> int:
-    """Run the command of some arguments and return the exit code; invalid ones end the process."""
+    """Run the command that the arguments name, and return the exit code.
+
+    Invalid arguments end the process.
+    """
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -67,7 +71,7 @@ def _run_words(args: Sequence[str]) -> int:
 
 
 def help_text() -> str:
-    """Return the list of commands, wrapped to the terminal, without importing them."""
+    """Return the list of commands, wrapped to the terminal's width, without importing commands."""
     width = min(shutil.get_terminal_size().columns, 100)
     column = max(map(len, COMMANDS)) + 4
     lines = [
@@ -101,7 +105,7 @@ def _no_command(args: Sequence[str]) -> str:
 
 
 def parse(name: str, args: Sequence[str]) -> Any:
-    """Parse the arguments of a command; invalid ones end the process."""
+    """Parse the arguments of a command; invalid arguments end the process."""
     import tyro
     from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
@@ -121,7 +125,7 @@ def run(command: "Runnable") -> int:
     """Run a parsed command, print its result and return the exit code."""
     from .io.names import printable
 
-    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] It was closed by the caller.
+    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
     with _reserved_stdout() as out, _log_on_stderr(command):
@@ -155,16 +159,16 @@ def run(command: "Runnable") -> int:
                 print(printable("\n".join(lines)), file=out)
             out.flush()
         except OSError as error:
-            if not isinstance(error, BrokenPipeError):  # The reader has stopped, as `head` does.
+            if not isinstance(error, BrokenPipeError):  # A reader such as `head` may stop early.
                 print(f"error: cannot write to stdout: {error.strerror}", file=sys.stderr)
                 code = BAD_INPUT
-            # Closing the file must not fail again.
+            # Redirect the rest, so that closing the file does not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     return code
 
 
 def _describe(error: Exception) -> tuple[str, int]:
-    """Return the message of an error, and the exit code."""
+    """Return the message and the exit code of an error."""
     if isinstance(error, NeoWorldError):
         return str(error), BAD_INPUT
     if isinstance(error, MemoryError):
@@ -179,7 +183,7 @@ def _describe(error: Exception) -> tuple[str, int]:
 
 @contextlib.contextmanager
 def _log_on_stderr(command: "Runnable") -> Iterator[None]:
-    """Print the package's log on stderr, and its progress in a status line."""
+    """Print the package's log on stderr, and show the progress in a status line."""
     from .commands.status_line import StatusLine
 
     log = logging.getLogger("neoworld_mjx")
@@ -226,7 +230,7 @@ _TABLES = {
     "examples": ["name", "objects", "joints", "shows", "licence", "photo"],
     "matrix": ["kind", "n", "detected", "named", "repaired"],
 }
-"""Columns of the lists that are shown as tables; columns that no row has are omitted."""
+"""Columns of the lists that are printed as tables; columns that no row has are omitted."""
 
 
 def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
@@ -247,7 +251,7 @@ def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
 
 
 def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
-    """Return the lines of rows in aligned columns."""
+    """Return the lines of a table with aligned columns."""
     from rich.console import Console
     from rich.table import Column, Table
     from rich.text import Text
@@ -264,7 +268,7 @@ def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
 
 
 def _plain(value: Any) -> str:
-    """Format a value; hidden characters are escaped when the lines are printed."""
+    """Format a value; unprintable characters are escaped later, when the lines are printed."""
     if isinstance(value, list | tuple):
         return ", ".join(map(_plain, value)) or "none"
     if isinstance(value, float):

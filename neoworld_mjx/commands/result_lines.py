@@ -184,7 +184,7 @@ def sweep_lines(result: CommandResult) -> list[str]:
 
 
 def measure(value: float | None, name: str) -> str:
-    """Format a value with the unit that its name ends in, such as max_drift_m."""
+    """Format a value with the unit at the end of its name, such as m in max_drift_m."""
     if value is None:
         return "not finite"
     factor, unit = _UNITS.get(name.rpartition("_")[2], (1.0, ""))
@@ -206,7 +206,7 @@ def file_lines(result: CommandResult) -> list[str]:
 
 
 def _at_most(value: float, unit: str) -> str:
-    """Format an upper bound of a measured value, to a tenth of the unit."""
+    """Format an upper bound of a measured value, at least 0.1 and with one decimal place."""
     return f"{max(value, 0.1):.1f} {unit}"
 
 
@@ -229,7 +229,7 @@ def _subject(check: Mapping[str, Any]) -> str:
 
 
 def _worst(result: CommandResult) -> str:
-    """Return the largest drift and overlap of a scene that fails without a recorded reason."""
+    """Describe the largest drift and overlap of a scene that fails without a recorded reason."""
     drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
     depth = 1000 * result.get("max_depth_m", 0.0)
     return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"
