@@ -69,7 +69,8 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "sweep": CommandEntry(
         ".sweep_commands:SweepCommand",
-        "Refine scenes with every combination of some options' values and several seeds.",
+        "Refine scenes with all combinations of the values of some options, and with several "
+        "seeds.",
     ),
     "ablate": CommandEntry(
         ".sweep_commands:AblateCommand",

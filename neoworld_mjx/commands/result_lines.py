@@ -66,11 +66,11 @@ def rescue_lines(result: CommandResult) -> list[str]:
     photo = []
     if known:
         given, ended = (median(o[key] for o in known) for key in ("given", "rescued"))
-        photo = [f"photo:  outlines {given:.1f} px off as given, {ended:.1f} px now (median)"]
+        photo = [f"photo:  outlines {given:.1f} px off before, {ended:.1f} px after (median)"]
     return [
         f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
-        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); as given, the deepest "
-        f"overlap was {1000 * result['depth_before_m']:.2g} mm",
+        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); the deepest overlap before "
+        f"was {1000 * result['depth_before_m']:.2g} mm",
         f"scene:  {result['rescued']}",
         f"report: {result['report']}",
         *photo,
@@ -178,7 +178,8 @@ def sweep_lines(result: CommandResult) -> list[str]:
         rows.append(f"figure: {result['figure']}")
     cost = f"; {_cost(result['mllm'])}" if "mllm" in result else ""
     rows.append(
-        f"{result['seconds']:.1f} s, {result['compile_s']:.1f} s of it compiling{cost}; {DETAILS}"
+        f"{result['seconds']:.1f} s, of which {result['compile_s']:.1f} s for compilation{cost}; "
+        f"{DETAILS}"
     )
     return rows
 

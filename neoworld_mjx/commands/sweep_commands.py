@@ -116,7 +116,7 @@ class MergeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepCommand(PlanCommand):
-    """Refine scenes with every combination of some options' values and several seeds.
+    """Refine scenes with all combinations of the values of some options, and with several seeds.
 
     `neoworld sweep merge DIR... --out DIR` joins the folders of shards.
     """

@@ -126,7 +126,7 @@ class Calls:
                 self.ledger.add(request.role, role.model, tokens, failed=True)
                 raise self.error(
                     f"{request.name}: {self.provider.name} took longer than "
-                    f"{self.options.call_timeout_s:g} s, with all retries; resume the run later, "
+                    f"{self.options.call_timeout_s:g} s including retries; resume the run later, "
                     "or raise mllm.call_timeout_s"
                 ) from None
             except Transient as error:

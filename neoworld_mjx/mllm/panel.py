@@ -282,7 +282,7 @@ def _open_record(path: Path | None, photo: str | None, made: str) -> Tape:
         return Tape(format=1, photo=photo, made=made)
     tape = Tape.load(path)
     if photo is not None and tape.photo not in (None, photo):
-        raise ModelError(f"tape {path} was recorded for another photo; give another file to record")
+        raise ModelError(f"tape {path} was recorded for another photo; record to another file")
     tape.photo = tape.photo or photo
     tape.made = made or tape.made
     return tape

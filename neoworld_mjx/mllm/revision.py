@@ -76,7 +76,7 @@ async def ask_or_record(
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingResponseError: a tape lacks the response.
+        MissingResponseError: the recorded responses (a tape) do not contain the response.
     """
     try:
         return (await models.ask(request)).value

@@ -66,7 +66,7 @@ def _check_name(where: str, name: str, taken: Mapping[str, Any]) -> None:
     if name in METHODS or name in taken:
         raise ConfigError(f"{where}: the name {name} is taken")
     if not NAME.fullmatch(name):
-        raise ConfigError(f"{where}: a name has letters, digits and _ . + - alone, got {name!r}")
+        raise ConfigError(f"{where}: a name has letters, digits and _ . + - only, got {name!r}")
 
 
 def _options(file: Path, config: Config) -> RefineOptions:

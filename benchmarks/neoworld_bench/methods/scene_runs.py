@@ -114,7 +114,7 @@ def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
     if len(names) == 1 and names[0].isdecimal():
         count = int(names[0])
         if not 1 <= count <= len(every):
-            raise SpecError(f"scenes: there are 1 to {len(every)} to take, not {count}")
+            raise SpecError(f"scenes: got {count}, valid is from 1 to {len(every)}")
         return tuple(every[int(k * len(every) / count)] for k in range(count))
     for name in names:
         if name not in every:

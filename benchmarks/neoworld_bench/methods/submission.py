@@ -113,8 +113,8 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
     movable = [item.name for item in truth.objects if not item.static]
     if len(unmatched(scene, truth)[0]) == len(movable):
         raise SpecError(
-            f"submission: {file} has no object of the scene that is free to move; the scene's are "
-            f"{', '.join(movable)}"
+            f"submission: {file} has no object of the scene that is free to move; the movable "
+            f"objects of the scene are {', '.join(movable)}"
         )
     said = SubmittedResult()
     if (place / RESULT).exists():
