@@ -184,7 +184,16 @@ class Ledger:
         failed: bool = False,
         share: float = 1.0,
     ) -> None:
-        """Add a call; `share` is the billed fraction of the list price."""
+        """Add a call.
+
+        Args:
+            role: role of the model.
+            model: name of the model.
+            usage: tokens of the call.
+            billed: if False, the call costs nothing.
+            failed: if True, the call also counts as failed.
+            share: price of the call as a fraction of the list price.
+        """
         row = self._rows.setdefault((role, model), _Row())
         row.calls += 1
         row.failed += failed

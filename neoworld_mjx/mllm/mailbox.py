@@ -122,7 +122,7 @@ class Mailbox:
             raise ModelError(f"mailbox {self._folder}: {name} is {kind}; remove it")
 
     def _find(self, request: Request[Any]) -> Path | None:
-        """Return the folder of a request that an earlier run wrote."""
+        """Return the folder that an earlier run wrote for a request; None if there is none."""
         for ticket in sorted(self._folder.glob("[0-9]*/request.json")):
             try:
                 if read_model(ticket, _Ticket, ModelError, "a request").key == request.key:

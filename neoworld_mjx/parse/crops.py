@@ -116,7 +116,7 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
 
 
 def _covered_part(other: TreeNode, node: TreeNode) -> str:
-    """Describe the part of a node's box that another box covers, on a grid of 3 x 3 cells."""
+    """Describe how much of a node's box another box covers, and which of 3 x 3 cells it is in."""
     box, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
     low, high = np.maximum(box[:2], over[:2]), np.minimum(box[2:], over[2:])
     if (low >= high).any():

@@ -48,7 +48,7 @@ def out_of_bounds(response: BaseModel) -> Iterator[str]:
 
 
 def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
-    """Yield an error for each list of a response that is longer than any scene needs."""
+    """Yield an error for each list of a response that has too many entries."""
     for field in type(response).model_fields:
         value = getattr(response, field)
         parts = [value] if isinstance(value, BaseModel) else value

@@ -12,7 +12,7 @@ from ..spec.surface_pattern import RGB, RoomPatternKind
 
 
 class ResponsePart(BaseModel):
-    """Base of the parts of a response: closed against unknown keys."""
+    """Base class of the parts of a response; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid")
 
