@@ -11,7 +11,7 @@ from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
 from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
-_IN_WORDS = "structured output is not supported by the server or for this schema: put in the prompt"
+_IN_WORDS = "structured output is not supported (server or schema): the prompt has the schema"
 _UNCOUNTED = "the server gave no token counts: the ledger has their upper bound"
 
 
