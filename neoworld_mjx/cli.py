@@ -122,7 +122,7 @@ def run(command: "Runnable") -> int:
     """Run a parsed command, print its result and return the exit code."""
     from .io.names import printable
 
-    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] It was closed by the caller.
+    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
     with _reserved_stdout() as out, _log_on_stderr(command):
@@ -159,7 +159,7 @@ def run(command: "Runnable") -> int:
             if not isinstance(error, BrokenPipeError):  # The reader has stopped reading.
                 print(f"error: cannot write to stdout: {error.strerror}", file=sys.stderr)
                 code = BAD_INPUT
-            # Closing the file must not fail again.
+            # Redirect the rest, so that closing the file does not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     return code
 
@@ -180,7 +180,7 @@ def _describe(error: Exception) -> tuple[str, int]:
 
 @contextlib.contextmanager
 def _log_on_stderr(command: "Runnable") -> Iterator[None]:
-    """Print the package's log on stderr, and its progress in a status line."""
+    """Print the package's log on stderr, and show the progress in a status line."""
     from .commands.status_line import StatusLine
 
     log = logging.getLogger("neoworld_mjx")

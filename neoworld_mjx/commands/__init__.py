@@ -1,7 +1,7 @@
 """Commands of `neoworld`: dataclasses whose fields are the flags and whose `run` does the work.
 
-To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside
-`run`, and a command's module only when the command is used, so that `--help` is fast.
+To add a command, write its class and add a row to `COMMANDS`. A command's module is imported only
+if the command is used, and large packages are imported inside `run`, so that `--help` is fast.
 """
 
 from importlib import import_module
@@ -12,7 +12,8 @@ class CommandEntry(NamedTuple):
     """Location and summary of a command."""
 
     location: str
-    """Location of the class: "module:Class", the module relative to this package."""
+    """Location of the class as "module:Class"; a module that starts with "." is relative to this
+    package."""
     summary: str
     """First paragraph of the class's docstring."""
 
@@ -53,7 +54,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "render": CommandEntry(
         ".render_command:RenderCommand",
-        "Render a scene or an object from its own or any other camera, or as a turntable.",
+        "Render a scene or an object from the scene's or another camera, or as a turntable.",
     ),
     "report": CommandEntry(
         ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
@@ -68,7 +69,8 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "sweep": CommandEntry(
         ".sweep_commands:SweepCommand",
-        "Refine scenes with every combination of some options' values and several seeds.",
+        "Refine scenes with all combinations of the values of some options, and with several "
+        "seeds.",
     ),
     "ablate": CommandEntry(
         ".sweep_commands:AblateCommand",
@@ -76,13 +78,13 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "doctor": CommandEntry(
         ".doctor_command:DoctorCommand",
-        "List installed components, available engines, and the cost of missing components.",
+        "List installed components, available engines, and what missing components prevent.",
     ),
     "bench": CommandEntry(
         "neoworld_bench.bench_commands:BenchCommand",
         "Run benchmarks of methods, engines and models, and write their data set and tables.",
     ),
 }
-"""Commands by name, in the order of the help."""
+"""Commands by name, in the order in which `--help` lists them."""
 
 __all__ = ["COMMANDS", "CommandEntry"]

@@ -17,10 +17,10 @@ CommandResult = dict[str, Any]
 
 @runtime_checkable
 class Runnable(Protocol):
-    """A command, or a group of nested commands."""
+    """Protocol of a command, or of a group of nested commands."""
 
     ends_by_interrupt: ClassVar[bool]
-    """True if Ctrl-C is how the command ends, with a result."""
+    """If True, the command runs until Ctrl-C and then returns a result."""
 
     @property
     def json(self) -> bool:
@@ -47,11 +47,11 @@ class Runnable(Protocol):
         ...
 
     def lines(self, result: CommandResult) -> list[str] | None:
-        """Return a short summary of a result; None prints all details."""
+        """Return the lines of a short summary of a result. If None, all details are printed."""
         ...
 
     def listings(self, result: CommandResult) -> list[str]:
-        """Return the lines that precede all details."""
+        """Return the lines that are printed before all details."""
         ...
 
 
@@ -79,11 +79,11 @@ class Command:
         raise NotImplementedError
 
     def lines(self, result: CommandResult) -> list[str] | None:
-        """Return a short summary of a result; None, the default, prints all details."""
+        """Return the lines of a short summary of a result. If None, all details are printed."""
         return None
 
     def listings(self, result: CommandResult) -> list[str]:
-        """Return the lines that precede all details; by default none."""
+        """Return the lines that are printed before all details; by default none."""
         return []
 
 
@@ -94,13 +94,16 @@ class ConfiguredCommand(Command):
     config: Path | None = None
     """YAML file of options that differ from the defaults."""
     set: UseAppendAction[tuple[str, ...]] = ()
-    """One option as KEY=VALUE, such as --set refine.cem.population=64; may be repeated."""
+    """One option as KEY=VALUE, such as --set refine.cem.population=64; repeatable."""
 
     def load_config(self, flags: dict[str, Any] | None = None) -> "Config":
-        """Load the file, overridden by --set, overridden by the command's own flags.
+        """Load the configuration.
+
+        The options of --set override the file, and the command's flags override --set.
 
         Args:
-            flags: values by the path of the option; None is an absent flag.
+            flags: values of the command's flags by the path of the option; None if a flag is not
+                given.
         """
         from ..config import load_config, parse_yaml
         from ..io import set_file_bounds

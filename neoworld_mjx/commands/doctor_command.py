@@ -19,9 +19,9 @@ class Component(NamedTuple):
     name: str
     present: Callable[[], bool]
     consequence: str
-    """Missing or slow functions without the component."""
+    """What is missing or slow without the component."""
     remedy: str
-    """Command that installs it."""
+    """Command that installs the component."""
 
 
 def _installed(package: str) -> Callable[[], bool]:
@@ -76,22 +76,22 @@ COMPONENTS = (
     ),
     Component(
         *("extra baselines", _installed("evosax")),
-        "no refine.optimizer cma_es and evosax:STRATEGY",
+        "no refine.optimizer cma_es or evosax:STRATEGY",
         "uv sync --inexact --extra baselines",
     ),
     Component(
         *("extra optuna", _installed("optuna")),
-        "no sweeps with a study, which chooses its points",
+        "no sweeps in which a study chooses the points",
         "uv sync --inexact --extra optuna",
     ),
     Component(
         *("extra metrics", _installed("onnxruntime")),
-        "bench run pictures gives only SSIM, no LPIPS, CLIP, DINOv2 or Uni3D",
+        "bench run pictures measures only SSIM, not LPIPS, CLIP, DINOv2 or Uni3D",
         "uv sync --inexact --extra metrics",
     ),
     Component(
         *("extra plot", _installed("matplotlib")),
-        "sweeps end without a figure",
+        "sweeps draw no figure",
         "uv sync --inexact --extra plot",
     ),
     Component(
@@ -109,10 +109,10 @@ COMPONENTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorCommand(Command):
-    """List installed components, available engines, and the cost of missing components."""
+    """List installed components, available engines, and what missing components prevent."""
 
     install: Literal["blender"] | None = None
-    """Install a component: blender, in a separate environment in the cache folder."""
+    """Install a component. blender is installed into a separate environment in the cache folder."""
 
     def run(self) -> CommandResult:
         """Inspect this machine."""

@@ -1,4 +1,4 @@
-"""Command `examples`: bundled photographs that need no key."""
+"""Command `examples`: bundled photographs, which need no key of a model server."""
 
 from dataclasses import dataclass
 

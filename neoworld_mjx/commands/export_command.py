@@ -26,13 +26,14 @@ class ExportCommand(ConfiguredCommand):
     format: UseAppendAction[tuple[Format, ...]] = ()
     """Format to write; repeatable. Default: all."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
-    """Simulator to write for, in its formats: for mjx with supported colliders only, for newton and
-    isaac with a layer newton.usda or isaac.usda over USD for their contacts and joints."""
+    """Simulator for which files are written, by default in the formats that suit it best. For mjx,
+    colliders are converted to supported ones. For newton and isaac, a layer newton.usda or
+    isaac.usda is written in addition to the USD file, with this simulator's contacts and joints."""
     floor: bool = False
     """Add an infinite floor plane (MJCF)."""
     photo: bool = False
-    """Project the photograph of a run folder onto the surfaces that faced its camera, in MJCF, USD,
-    glTF and scene.json; projected materials are named ..._photo."""
+    """Project the photograph of a run folder onto the surfaces that the camera saw, in MJCF, USD,
+    glTF and scene.json. The names of materials with a projection end in _photo."""
     overwrite: bool = False
     """Allow an output folder that is not empty."""
 

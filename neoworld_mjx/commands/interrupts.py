@@ -1,4 +1,4 @@
-"""Ctrl-C: repeated where Python drops it, and obeyed within a second while native code runs."""
+"""Ctrl-C: repeat it if Python drops it, and end the process if native code delays it too long."""
 
 import _thread
 import contextlib
@@ -14,19 +14,20 @@ INTERRUPTED = 130
 """Exit code of a command that Ctrl-C ended."""
 MESSAGE = "interrupted; continue with --resume"
 GRACE_S = 1.0
-"""Time in which a command may end by itself. After it, the process ends as by a kill, which a run
-folder survives."""
+"""Time after Ctrl-C in which a command may end by itself [s]. After this time, the process ends at
+once, as if it were killed; a run folder survives this."""
 
 
 @contextlib.contextmanager
 def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
     """End the process, with exit code 130, if a Ctrl-C does not end the block within `GRACE_S`.
 
-    Python handles a signal between its own operations: not while XLA compiles, nor while an
-    executor waits for its threads. It drops the exception in destructors and JAX's gc callback.
+    Python handles a signal only between Python instructions, and therefore not while XLA compiles
+    or while an executor waits for its threads. Python also drops the exception if it occurs in a
+    destructor or in JAX's callback of the garbage collector.
 
     Args:
-        report: called before the process ends; None lets the block take its time.
+        report: called before the process ends. If None, the block may take any time.
     """
     with _repeated_interrupts():
         if report is None or threading.current_thread() is not threading.main_thread():
@@ -50,7 +51,7 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
         try:
             yield
         except Exception as error:
-            # An extension module that is being imported replaces the exception, as USD's do.
+            # An extension module (such as USD's) may replace the exception during its import.
             if signalled.wait(0.05):
                 raise KeyboardInterrupt from error
             raise
@@ -64,15 +65,17 @@ def prompt_interrupts(report: Callable[[], object] | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _repeated_interrupts() -> Iterator[None]:
-    """Repeat a Ctrl-C that Python ignores, as it does in destructors and JAX's gc callback, or that
-    native code prints and forgets.
+    """Repeat a Ctrl-C that Python or native code drops.
+
+    Python drops it in destructors and in JAX's callback of the garbage collector. Native code may
+    print the exception and continue.
     """
     hooks, timers = (sys.unraisablehook, sys.excepthook), list[threading.Timer]()
 
     def repeated(kind: type[BaseException]) -> bool:
         if not issubclass(kind, KeyboardInterrupt):
             return False
-        # Not at once: the callback is still running.
+        # Repeat it later, because the callback is still running.
         timers.append(threading.Timer(0.02, _thread.interrupt_main))
         timers[-1].start()
         return True

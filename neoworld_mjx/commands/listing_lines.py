@@ -13,7 +13,7 @@ MAX_FACTS = 8
 
 
 def doctor_lines(result: CommandResult) -> list[str]:
-    """Summarize the installation, and each missing component with its cost and remedy."""
+    """Summarize the installation, and list each missing component with its effect and remedy."""
     if "installed" in result:
         return [f"installed: {result['installed']} in {result['folder']}"]
     versions = result["versions"]
@@ -38,7 +38,7 @@ def doctor_lines(result: CommandResult) -> list[str]:
 
 
 def template_lines(result: CommandResult) -> list[str]:
-    """Summarize all templates, or one with its parameters."""
+    """List all templates, or the parameters of one template."""
     if "templates" in result:
         names = result["templates"]
         return [
@@ -56,7 +56,7 @@ def template_lines(result: CommandResult) -> list[str]:
 
 
 def example_lines(result: CommandResult) -> list[str]:
-    """Summarize each photograph in one line."""
+    """Summarize the bundled photographs, each in one line."""
     rows = [
         f"{each['name']}: {count(each['objects'], 'object')}, {count(each['joints'], 'joint')}; "
         f"{each['shows']} ({each['licence']})"
@@ -106,7 +106,7 @@ def _parameter(name: str, described: Mapping[str, Any]) -> str:
 
 
 def _wrapped(entries: Iterable[str]) -> list[str]:
-    """Join entries by commas into lines of the terminal's width, without breaking entries."""
+    """Join entries by commas and wrap them to the terminal's width, without breaking entries."""
     columns = shutil.get_terminal_size((_MAX_COLUMNS, 24)).columns
     width = min(max(columns, _MIN_COLUMNS), _MAX_COLUMNS) - 2
     joined = ", ".join(entry.replace(" ", "\0") for entry in entries)

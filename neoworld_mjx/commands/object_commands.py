@@ -1,4 +1,4 @@
-"""Commands of single objects and scenes: check, build."""
+"""Commands `check` and `build`, for single objects and scenes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,8 @@ class CheckCommand(ConfiguredCommand):
     fixed_base: bool = False
     """Fix the object's base, and check only its joints."""
     repair: bool = False
-    """Repair failed checks from their measurements; a program's patch is written next to it."""
+    """Repair failed checks by their measured values. The patch of a program is written next to the
+    program."""
     out: Path | None = None
     """With --repair: output folder for the repaired object, in every format."""
 
@@ -89,7 +90,7 @@ class BuildCommand(ConfiguredCommand):
     overwrite: bool = False
     """Allow an output folder that is not empty."""
     watch: bool = False
-    """Rebuild whenever the program is saved, until Ctrl-C; each build prints a line."""
+    """Build again whenever the program is saved, until Ctrl-C; each build prints a line."""
 
     def run(self) -> CommandResult:
         """Build the program and write the object in every format."""

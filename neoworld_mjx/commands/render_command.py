@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
-"""Default camera direction, slightly to the side of the photograph's."""
+"""Default direction of the camera, slightly to the side of the photograph's camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCommand(ConfiguredCommand):
-    """Render a scene or an object from its own or any other camera, or as a turntable."""
+    """Render a scene or an object from the scene's or another camera, or as a turntable."""
 
     target: Positional[Path]
     """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
@@ -31,11 +31,11 @@ class RenderCommand(ConfiguredCommand):
     width: int | None = None
     """Width of the image [px]."""
     azimuth: float | None = None
-    """Azimuth of the camera [deg]; 180 is the side of the photograph's camera."""
+    """Azimuth of the camera [deg]; 180 is the direction of the photograph's camera."""
     elevation: float | None = None
     """Elevation of the camera [deg]."""
     object: UseAppendAction[tuple[str, ...]] = ()
-    """Object to frame; repeatable. Default: all objects except the environment."""
+    """Object that the camera frames; repeatable. Default: all objects except the environment."""
     eye: Point | None = None
     """Position of the camera [m], instead of --azimuth and --elevation."""
     look_at: Point | None = None
@@ -43,7 +43,7 @@ class RenderCommand(ConfiguredCommand):
     fovy: float | None = None
     """Vertical field of view [deg]."""
     open: float | None = None
-    """Position of every limited joint, as a fraction of its range from 0 to 1."""
+    """Position of every joint with limits, as a fraction of the joint's range, from 0 to 1."""
     turntable: bool = False
     """Render an animation of --frames frames around the objects."""
     frames: int = 36
@@ -115,7 +115,7 @@ class RenderCommand(ConfiguredCommand):
         return encode_animation(frames, pause_ms, suffix), size
 
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
-        """Return the camera that the flags define; None for the scene's own."""
+        """Return the camera that the flags define; None for the scene's camera."""
         from ..render import View
         from ..render.viewpoints import subject_points
 

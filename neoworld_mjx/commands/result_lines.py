@@ -66,11 +66,11 @@ def rescue_lines(result: CommandResult) -> list[str]:
     photo = []
     if known:
         given, ended = (median(o[key] for o in known) for key in ("given", "rescued"))
-        photo = [f"photo:  outlines {given:.1f} px off as given, {ended:.1f} px now (median)"]
+        photo = [f"photo:  outlines {given:.1f} px off before, {ended:.1f} px after (median)"]
     return [
         f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
-        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); as given, the deepest "
-        f"overlap was {1000 * result['depth_before_m']:.2g} mm",
+        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); the deepest overlap before "
+        f"was {1000 * result['depth_before_m']:.2g} mm",
         f"scene:  {result['rescued']}",
         f"report: {result['report']}",
         *photo,
@@ -178,13 +178,14 @@ def sweep_lines(result: CommandResult) -> list[str]:
         rows.append(f"figure: {result['figure']}")
     cost = f"; {_cost(result['mllm'])}" if "mllm" in result else ""
     rows.append(
-        f"{result['seconds']:.1f} s, {result['compile_s']:.1f} s of it compiling{cost}; {DETAILS}"
+        f"{result['seconds']:.1f} s, of which {result['compile_s']:.1f} s for compilation{cost}; "
+        f"{DETAILS}"
     )
     return rows
 
 
 def measure(value: float | None, name: str) -> str:
-    """Format a value with the unit that its name ends in, such as max_drift_m."""
+    """Format a value with the unit at the end of its name, such as m in max_drift_m."""
     if value is None:
         return "not finite"
     factor, unit = _UNITS.get(name.rpartition("_")[2], (1.0, ""))
@@ -206,7 +207,7 @@ def file_lines(result: CommandResult) -> list[str]:
 
 
 def _at_most(value: float, unit: str) -> str:
-    """Format an upper bound of a measured value, to a tenth of the unit."""
+    """Format an upper bound of a measured value, at least 0.1 and with one decimal place."""
     return f"{max(value, 0.1):.1f} {unit}"
 
 
@@ -229,7 +230,7 @@ def _subject(check: Mapping[str, Any]) -> str:
 
 
 def _worst(result: CommandResult) -> str:
-    """Return the largest drift and overlap of a scene that fails without a recorded reason."""
+    """Describe the largest drift and overlap of a scene that fails without a recorded reason."""
     drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
     depth = 1000 * result.get("max_depth_m", 0.0)
     return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"

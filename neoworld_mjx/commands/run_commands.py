@@ -1,4 +1,4 @@
-"""Commands of a run: reconstruct, refine, report."""
+"""Commands `reconstruct`, `refine` and `report`, which work on run folders."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 class ReconstructCommand(ConfiguredCommand, Place):
     """Reconstruct a simulation-ready scene from a photograph.
 
-    A folder of photographs gives one run folder each in --out, with one ledger and one cost cap.
+    If a folder of photographs is given, --out contains one run folder for each photograph. All runs
+    share one ledger and one cost cap.
     """
 
     photo: Positional[Path]
-    """The photograph, the name of one that `neoworld examples` lists, or a folder of them."""
+    """The photograph, a name that `neoworld examples` lists, or a folder of photographs."""
     out: Path
     """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
@@ -43,11 +44,14 @@ class ReconstructCommand(ConfiguredCommand, Place):
     overwrite: bool = False
     """Replace the run in --out."""
     record: Path | None = None
-    """Record the models' responses on this tape, and reuse those that it holds."""
+    """Write the models' responses to this file of recorded responses (a tape), and reuse responses
+    that it already contains."""
     tape: UseAppendAction[tuple[Path, ...]] = ()
-    """Tape of responses, or folder of tapes, read before the bundled ones; repeatable."""
+    """File of recorded responses (a tape), or a folder of tapes, searched before the bundled tapes;
+    repeatable."""
     mailbox: Path | None = None
-    """Folder of requests and responses, for the provider mailbox."""
+    """Folder into which requests are written and from which responses are read, for the provider
+    mailbox."""
 
     def run(self) -> CommandResult:
         """Run the five steps."""
@@ -106,9 +110,9 @@ class ReconstructCommand(ConfiguredCommand, Place):
 class RefineCommand(ConfiguredCommand):
     """Refine the composed scene of a run again, and export it; earlier steps are reused.
 
-    Without --config and --set the options are those of the run. With --from, FOLDER is new: meshes
-    of another method are put on what carries them, aligned with the photograph if --photo gives it,
-    settled, and exported with colliders.
+    Without --config and --set, the options of the run are used. With --from, FOLDER is a new folder
+    for the scene of another method. The meshes of this scene are put on their supports, aligned
+    with the photograph (if --photo is given), settled, and exported with colliders.
     """
 
     folder: Positional[Path]
@@ -118,7 +122,8 @@ class RefineCommand(ConfiguredCommand):
     photo: Path | None = None
     """With --from: the photograph of the scene."""
     camera: Path | None = None
-    """With --photo: camera.json of the photograph; by default the camera of the scene's file."""
+    """With --photo: camera.json with the camera of the photograph. Default: the camera in the
+    scene's file."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None

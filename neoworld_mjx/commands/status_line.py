@@ -1,6 +1,6 @@
 """Log on stderr, with a status line below it while a command runs in a terminal.
 
-Without a terminal, the status line is printed twice a minute instead.
+Without a terminal, the status line is printed after 30 seconds without output.
 """
 
 import logging
@@ -19,7 +19,7 @@ from .result_lines import count
 
 REFRESHES_PER_SECOND = 2.0
 SILENT_S = 30.0
-"""Time without a printed line after which the status line is printed, without a terminal."""
+"""Time without output after which the status line is printed if there is no terminal [s]."""
 
 
 class TolerantConsole(Console):
@@ -30,16 +30,17 @@ class TolerantConsole(Console):
 
 
 class StatusLine(logging.Handler):
-    """Logging handler that prints records, and on a terminal the current progress below them.
+    """Logging handler that prints records and, in a terminal, shows the progress below them.
 
     Records of the progress logger update the status line; they are printed only if `verbose`.
 
     Args:
-        stream: usually stderr.
-        verbose: also print progress records.
-        quiet: print errors only, without a status line.
-        live: show the status line; by default if the stream is a terminal.
-        silent_s: without a terminal, time after the last line until the status line is printed.
+        stream: stream to which lines are printed, usually stderr.
+        verbose: if True, also print progress records.
+        quiet: if True, print only errors, and show no status line.
+        live: if True, show the status line. If None, show it if the stream is a terminal.
+        silent_s: time without output after which the status line is printed if there is no terminal
+            [s].
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class StatusLine(logging.Handler):
                 self._stream.flush()
 
     def _report(self) -> None:
-        """Print the status line whenever no line was printed for some time."""
+        """Print the status line whenever no line was printed for `silent_s`."""
         while not self._ended.wait(max(self._last_line + self._silent_s - time.monotonic(), 0.01)):
             if time.monotonic() - self._last_line >= self._silent_s:
                 text = printable(self.text())

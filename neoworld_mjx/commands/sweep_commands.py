@@ -1,4 +1,4 @@
-"""Commands of sweeps and ablations."""
+"""Commands `sweep` and `ablate`."""
 
 import contextlib
 from collections.abc import Callable
@@ -30,12 +30,12 @@ class PlanCommand(Command, Place):
     overwrite: bool = False
     """Replace the sweep in --out."""
     shard: str | None = None
-    """K/N computes the K-th of N shares of the runs, into a folder of its own; `neoworld sweep
-    merge` joins the folders."""
+    """K/N computes only the K-th of N shares of the runs. Each share needs a different --out;
+    `neoworld sweep merge` joins the folders."""
 
     check: bool = False
-    """Compute nothing; check that the rows in --out can be compared: each must come from the
-    scenes, options and versions that the plan gives it here."""
+    """Compute nothing, and check that the rows in --out can be compared: each row must come from
+    the scenes, options and versions that the plan has on this machine."""
     track: UseAppendAction[tuple[str, ...]] = ()
     """Log every iteration with a tracker: tensorboard:DIR, wandb:PROJECT or mlflow:URI;
     repeatable."""
@@ -78,10 +78,10 @@ class PlanCommand(Command, Place):
 
 
 def shard_of(text: str) -> tuple[int, int]:
-    """Return the numbers of a shard K/N.
+    """Return the numbers K and N of a shard K/N.
 
     Raises:
-        ConfigError: the text is something else.
+        ConfigError: the text does not have this form.
     """
     number, slash, of = text.partition("/")
     if not (slash and number.isdecimal() and of.isdecimal()):
@@ -91,7 +91,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class MergeCommand(Command):
-    """Join the folders of a sweep's or an ablation's shards into one, with its table and figure."""
+    """Join the folders of the shards of a sweep or ablation, and write its table and figure."""
 
     folders: Positional[tuple[Path, ...]]
     """Folders of the shards."""
@@ -116,7 +116,7 @@ class MergeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepCommand(PlanCommand):
-    """Refine scenes with every combination of some options' values and several seeds.
+    """Refine scenes with all combinations of the values of some options, and with several seeds.
 
     `neoworld sweep merge DIR... --out DIR` joins the folders of shards.
     """

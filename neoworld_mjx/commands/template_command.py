@@ -1,4 +1,4 @@
-"""Command `template`: object programs from templates, by name, seed or measured box."""
+"""Command `template`: write an object's program from a template, by name, seed or measured box."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +15,15 @@ class TemplateCommand(Command):
     """List the object templates, or write the program of one."""
 
     name: Positional[str | None] = None
-    """Name of the template; without it, all are listed."""
+    """Name of the template. Without a name, all templates are listed."""
     out: Path | None = None
     """Output file (.py) for the program; `neoworld build` builds the object."""
     seed: int | None = None
-    """Seed for sampling all parameters from their ranges; without it they keep their defaults."""
+    """Seed for sampling all parameters from their ranges. Without it, parameters keep their
+    defaults."""
     size: tuple[float, float, float] | None = None
-    """Depth, width and height [m], such as a measured box; clipped to their ranges."""
+    """Depth, width and height of the object [m], for example of a measured box. Each is clipped to
+    the range of its parameter."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """Parameter as NAME=VALUE, such as --set drawers=4; repeatable."""
 

@@ -21,9 +21,10 @@ class PageCommand(ConfiguredCommand):
     ends_by_interrupt: ClassVar[bool] = True
 
     host: str = "127.0.0.1"
-    """Address to listen on, by default this machine only; users of the page can change files."""
+    """Address to listen on. By default, only this machine can open the page. Users of the page can
+    change files."""
     port: int | None = None
-    """Port to listen on; by default 8080, or any free port if that is in use."""
+    """Port to listen on. Default: 8080, or any free port if 8080 is in use."""
 
     def serve_until_interrupted(self, address: str) -> CommandResult:
         """Log the page's address, and wait for Ctrl-C."""
@@ -50,7 +51,7 @@ class ViewCommand(PageCommand):
         from ..view.pages.view_target import open_target
 
         config = self.load_config()
-        target = open_target(self.target, config)  # Report a wrong path before opening a port.
+        target = open_target(self.target, config)  # Report a wrong path before a port is opened.
         server = open_server(f"neoworld: {target.title}", host=self.host, port=self.port)
         try:
             SceneViewer(

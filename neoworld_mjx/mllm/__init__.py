@@ -4,8 +4,9 @@
     response = panel.ask_sync(Request("reasoner", "parse", system, prompt, MySchema, pictures))
     response.value      # a MySchema
 
-Steps of the pipeline send a `Request` with its `Picture`s to a `Model` and receive a `Response`;
-`revise` runs their rounds of criticism. The pipeline opens the `Panel`.
+Steps of the pipeline send a `Request` with its `Picture`s to a `Model` and receive a `Response`.
+`revise` criticizes and revises a response for several rounds. The pipeline opens a `Panel`, which
+implements `Model`.
 """
 
 from .ledger import Ledger, Price, load_prices

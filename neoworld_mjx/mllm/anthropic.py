@@ -1,6 +1,6 @@
-"""Provider for servers with the Messages API: Anthropic's own, and local ones such as vLLM.
+"""Provider for servers with the Messages API: Anthropic's server, and local servers such as vLLM.
 
-Requests mark the system text and the first picture, which many of them share, for the prompt cache.
+Many requests share the system text and the first picture, so both are marked for the prompt cache.
 """
 
 import asyncio
@@ -57,10 +57,10 @@ class Anthropic(ServerProvider):
                 received.usage = _usage(event.usage, received.usage or Usage())
 
     async def batch(self, calls: Sequence[tuple[Request[Any], RoleOptions]]) -> list[Reply | None]:
-        """Send requests as one message batch and wait for its end.
+        """Send requests as one message batch and wait until the batch has ended.
 
         Returns:
-            A reply for each request; None if the batch gave none.
+            The reply to each request; None for a request to which the batch gave no reply.
 
         Raises:
             ModelError: the batch could not be sent or fetched.
@@ -135,7 +135,7 @@ def _text(text: str) -> dict[str, Any]:
 
 
 def _usage(counts: Any, before: Usage) -> Usage:
-    """Read token counts; in a stream, they are running totals, and a delta may omit some."""
+    """Read token counts; in a stream they are totals so far, and omitted ones stay as before."""
 
     def count(name: str, old: int) -> int:
         value = getattr(counts, name, None)

@@ -1,6 +1,6 @@
 """Calls to a provider, with limits, retries and accounting.
 
-This module removes keys from all errors of a provider.
+All errors of a provider pass through this module, which removes keys from their messages.
 """
 
 import asyncio
@@ -20,11 +20,11 @@ from .secrets import scrub
 
 _LONGEST_BACKOFF_S = 30.0
 _BATCH_SHARE = 0.5
-"""Fraction of the list price that a batch is billed at."""
+"""Price of a request in a batch, as a fraction of the list price."""
 
 
 class Calls:
-    """Caller of a provider that enforces the limits of the options.
+    """Calls a provider within the limits of the options.
 
     Args:
         provider: the source of responses.
@@ -46,7 +46,7 @@ class Calls:
 
     @property
     def waited_s(self) -> float:
-        """Time so far during which at least one call was in progress [s]."""
+        """Total time during which at least one call was in progress [s]."""
         return self._waited_s + (time.perf_counter() - self._since if self._in_flight else 0.0)
 
     @contextmanager
@@ -71,7 +71,7 @@ class Calls:
     async def make(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Return one reply, not yet validated.
+        """Return one reply, which is not validated yet.
 
         Raises:
             BudgetError: the call could exceed the cost cap; nothing was sent.
@@ -122,11 +122,11 @@ class Calls:
                 async with asyncio.timeout(left_s):
                     reply = await self._call_provider(request, role, rejected)
             except TimeoutError:
-                # The server may bill what it has sent until now.
+                # The server may bill the tokens that it has sent so far.
                 self.ledger.add(request.role, role.model, tokens, failed=True)
                 raise self.error(
                     f"{request.name}: {self.provider.name} took longer than "
-                    f"{self.options.call_timeout_s:g} s, with all retries; resume the run later, "
+                    f"{self.options.call_timeout_s:g} s including retries; resume the run later, "
                     "or raise mllm.call_timeout_s"
                 ) from None
             except Transient as error:
@@ -145,7 +145,7 @@ class Calls:
     async def _call_provider(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Call the provider; remove keys from every error."""
+        """Call the provider, and remove keys from the message of any error."""
         try:
             return await self.provider.reply(request, role, rejected)
         except Transient as error:
@@ -167,7 +167,7 @@ class Calls:
         ledger = self.ledger
         async with self._released:
             while not ledger.fits(bound_usd):
-                # Most calls cost less than they reserve: wait for others before giving up.
+                # Most calls cost less than their reservation: wait for other calls to end.
                 if not ledger.reserved_usd or not ledger.fits(bound_usd, others=False):
                     raise ledger.cap_error(request, bound_usd)
                 await self._released.wait()
@@ -192,13 +192,17 @@ class Calls:
         return failure.retry_after
 
     def error(self, message: str) -> ModelError:
-        """Return an error without keys in its message."""
+        """Return an error with this message, from which keys are removed."""
         return ModelError(scrub(message, self.provider.secrets))
 
     async def batch(
         self, requests: Sequence[Request[Any]], roles: Sequence[RoleOptions]
     ) -> list[Reply | None]:
-        """Send requests as one batch; return None for those without a reply or without a batch.
+        """Send requests as one batch.
+
+        Returns:
+            The reply to each request. None if the batch gave no reply, or if the provider has no
+            batches.
 
         Raises:
             BudgetError: the batch could exceed the cost cap; nothing was sent.

@@ -1,4 +1,4 @@
-"""Connections to model servers: address, key and headers, encoded pictures, classified errors."""
+"""Connections to model servers: address, key and headers, encoding of pictures, and errors."""
 
 import base64
 import email.utils
@@ -18,7 +18,7 @@ from .requests import Picture, Transient, Usage
 from .secrets import environment_key, expand
 
 _MAX_PICTURE_BYTES = 3_500_000
-"""Maximum size of a sent picture; servers reject more than 5 MB in base64."""
+"""Maximum size of a picture that is sent; servers reject pictures over 5 MB in base64."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Connection:
     """Address, key and headers of a server, from the options and the environment."""
 
     url: str | None
-    """Address of the server; None for the service's own."""
+    """Address of the server. If None, the SDK's default address is used."""
     key: str = field(repr=False)
     key_name: str
     headers: dict[str, str] = field(repr=False)
@@ -35,11 +35,11 @@ class Connection:
 
     @property
     def local(self) -> bool:
-        """True if the server is not the service's own."""
+        """True if an address is given, so the server is not the service's default server."""
         return self.url is not None
 
     def merged_headers(self, defaults: Mapping[str, str]) -> dict[str, str]:
-        """Return default headers overridden by the user's; names are case-insensitive."""
+        """Return the default headers, overridden by the user's headers; names ignore case."""
         user_names = {name.lower() for name in self.headers}
         return {n: v for n, v in defaults.items() if n.lower() not in user_names} | self.headers
 
@@ -65,9 +65,10 @@ def configured_connection(options: MLLMOptions, key_name: str, url_name: str) ->
 
 @lru_cache(maxsize=4)
 def encoded(picture: Picture) -> tuple[str, str]:
-    """Return a picture's media type and base64 text; re-encode a file that is too large as JPEG.
+    """Return a picture's media type and base64 text.
 
-    The last results are cached, because many requests contain the photograph.
+    A file that is too large is encoded again as JPEG. The last results are cached, because many
+    requests contain the photograph.
     """
     data, media_type = picture.data, picture.media_type
     if len(data) > _MAX_PICTURE_BYTES:
@@ -91,7 +92,7 @@ def classified(
     The errors of both SDKs have the attributes `status_code`, `response` and `message`.
     """
     for refused in (error, error.__cause__):
-        if isinstance(refused, ModelError):  # A limit of `http_limits`.
+        if isinstance(refused, ModelError):  # Raised by `http_limits`.
             return refused
     status = getattr(error, "status_code", None)
     if isinstance(status, int):
@@ -137,14 +138,14 @@ def _classified_status(
             f"{server} does not know the model {options.model!r} or the address "
             f"({status}: {message}); check mllm.{role}.model and mllm.base_url"
         )
-    # 200: an error event in a stream that started successfully.
+    # Status 200 is an error event within a stream that started successfully.
     if status in (200, 408, 409, 425, 429) or status >= 500:
         return Transient(f"HTTP {status}: {message}", _retry_after(error), usage)
     return ModelError(f"{server} rejected the request for {options.model!r} ({status}: {message})")
 
 
 def server_message(error: Exception) -> str:
-    """Return a server's message about an error, in one line of at most 300 characters."""
+    """Return a server's message about an error as one line of at most 300 characters."""
     body = getattr(error, "body", None)
     inner = body.get("error", body) if isinstance(body, dict) else None
     message = inner.get("message") if isinstance(inner, dict) else None

@@ -1,4 +1,4 @@
-"""Run a coroutine from synchronous code, even inside a running event loop, as in a notebook."""
+"""Run a coroutine from synchronous code, even inside a running event loop such as a notebook's."""
 
 import asyncio
 import contextvars
@@ -10,9 +10,10 @@ T = TypeVar("T")
 
 
 def run_coroutine(work: Coroutine[Any, Any, T]) -> T:
-    """Return a coroutine's result; inside a running event loop, use a separate thread and loop.
+    """Run a coroutine and return its result; the call blocks.
 
-    The call blocks, and the coroutine sees the caller's context variables.
+    Inside a running event loop, the coroutine runs on a separate loop in another thread. It sees
+    the caller's context variables in both cases.
     """
     try:
         asyncio.get_running_loop()

@@ -1,8 +1,8 @@
 """Limits of the HTTP exchange with a model server: one origin, bounded bodies.
 
 The SDKs follow redirects, send headers with keys to every address that a server names, and read
-bodies of any size. `http_limits` returns hooks for their HTTP clients that prevent this, with or
-without a proxy.
+bodies of any size. `http_limits` returns hooks that prevent this. The hooks belong to the HTTP
+clients of the SDKs and work with and without a proxy.
 """
 
 import asyncio
@@ -17,22 +17,22 @@ from ..io.files import MIB
 from ..io.names import plain_text
 
 MAX_BODY_BYTES = 64 * MIB
-"""Maximum size of a response, unpacked; a stream has about 300 bytes a token."""
+"""Maximum size of a decompressed response; a stream has about 300 bytes per token."""
 MAX_PACKED_BYTES = 16 * MIB
-"""Maximum size of a compressed response, as sent."""
+"""Maximum size of a compressed response, before decompression."""
 MAX_LINES = 1_000_000
-"""Maximum number of lines of a response; a stream has about three a token."""
+"""Maximum number of lines of a response; a stream has about three lines per token."""
 MAX_LINE_BYTES = 4 * MIB
 """Maximum length of a line; an event of a stream is one line."""
 MAX_ERROR_BYTES = MIB
-"""Size at which the body of a redirect or an error is cut off, as sent and unpacked."""
+"""Size at which the body of a redirect or an error is cut off, before and after decompression."""
 
 
 def http_limits() -> dict[str, Any]:
-    """Return the arguments of an HTTP client that has these limits.
+    """Return the arguments of an HTTP client that enforces these limits.
 
-    Requests raise a ModelError if a redirect or a server's response leads to another origin than
-    the first request; reading a response raises one if its body is too large.
+    A request raises a ModelError if a redirect or a server's response leads to an origin other than
+    that of the first request. Reading a response raises a ModelError if its body is too large.
     """
     home: list[str] = []
 
@@ -47,7 +47,7 @@ def http_limits() -> dict[str, Any]:
 
     async def bound_body(response: httpx2.Response) -> None:
         response.stream = _BoundedBody(response)
-        # The bounded body is unpacked already.
+        # The bounded body is already decompressed.
         response.headers.pop("content-encoding", None)
 
     return {"event_hooks": {"request": [check_origin], "response": [bound_body]}}
@@ -59,7 +59,7 @@ def _origin(url: httpx2.URL) -> str:
 
 
 class _BoundedBody(httpx2.AsyncByteStream):
-    """The unpacked body of a response; that of an error is cut off at its limit."""
+    """The decompressed body of a response; the body of an error is cut off at its limit."""
 
     def __init__(self, response: httpx2.Response) -> None:
         self._error = not response.is_success
@@ -88,7 +88,8 @@ class _BoundedBody(httpx2.AsyncByteStream):
                 if line > MAX_LINE_BYTES:
                     raise _too_large(f"{MAX_LINE_BYTES // MIB} MiB in one line")
                 yield chunk
-                await asyncio.sleep(0)  # Otherwise no deadline ends a body that has arrived.
+                # Without this, no timeout can interrupt the reading of a body that has arrived.
+                await asyncio.sleep(0)
         if self._raw.exceeded and not self._error:
             raise _too_large(f"{self._raw.limit // MIB} MiB as sent")
 
@@ -97,7 +98,7 @@ class _BoundedBody(httpx2.AsyncByteStream):
 
 
 class _Counted(httpx2.AsyncByteStream):
-    """A body as sent, which ends at a limit."""
+    """A body before decompression, which ends at a limit."""
 
     def __init__(self, stream: Any, limit: int) -> None:
         self._stream, self.limit, self.exceeded = stream, limit, False

@@ -1,8 +1,8 @@
 """Ledger of calls, tokens and dollars per role and model, and the cost cap that stops a run.
 
-Prices are in USD per million tokens and come from YAML: `input`, `output`, and `cache_read` and
-`cache_write` for servers that cache prompts. A model without a price has an unknown cost, which is
-reported as unknown and never counted as zero.
+Prices are in USD per million tokens and are read from a YAML file. Each model has `input` and
+`output`, and for servers that cache prompts `cache_read` and `cache_write`. The cost of a model
+without a price is reported as unknown, not as zero.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
 _CHARS_PER_TOKEN = 2.5
 _PIXELS_PER_TOKEN = 750
 _SERVER_TOKENS = 600
-"""Tokens that a server adds, such as the instructions for structured output."""
+"""Number of tokens that a server adds, such as the instructions for structured output."""
 
 
 class Price(BaseModel):
@@ -31,9 +31,9 @@ class Price(BaseModel):
     input: float = Field(ge=0)
     output: float = Field(ge=0)
     cache_read: float | None = Field(default=None, ge=0)
-    """Default: as `input`."""
+    """If None, the price of `input`."""
     cache_write: float | None = Field(default=None, ge=0)
-    """Default: as `input`."""
+    """If None, the price of `input`."""
 
     def cost(self, usage: Usage) -> float:
         """Return the cost of a call [USD]."""
@@ -49,7 +49,7 @@ class Price(BaseModel):
 
 
 def load_prices(path: Path | None = None) -> dict[str, Price]:
-    """Read a table of prices; a user's entries replace those of the package.
+    """Read the package's table of prices, with entries replaced or added from a user's file.
 
     Raises:
         ConfigError: the file is missing or not YAML, or an entry is invalid.
@@ -59,7 +59,7 @@ def load_prices(path: Path | None = None) -> dict[str, Price]:
 
 
 def price_of(model: str, prices: dict[str, Price]) -> Price | None:
-    """Return a model's price, by its full name or its name without a trailing date."""
+    """Return a model's price by its full name, or by its name without the date at its end."""
     if model in prices:
         return prices[model]
     stem, _, tail = model.rpartition("-")
@@ -76,7 +76,7 @@ def price_of(model: str, prices: dict[str, Price]) -> Price | None:
 def token_bound(
     request: Request[Any], max_tokens: int, rejected: Sequence[Rejection] = ()
 ) -> Usage:
-    """Return an upper bound of the tokens of a call, to reserve its cost beforehand."""
+    """Return an upper bound of the tokens of a call, with which its cost is reserved."""
     chars = len(request.system) + len(request.prompt) + 2 * len(str(request.json_schema))
     chars += sum(len(r.text) + len(r.message(request)) for r in rejected)
     pixels = sum(width * height for width, height in (p.size for p in request.pictures))
@@ -114,7 +114,7 @@ class Ledger:
 
     @property
     def spent_usd(self) -> float:
-        """Cost so far of the calls with a known price [USD]."""
+        """Total cost so far of the calls to models with a price [USD]."""
         return sum((row.cost_usd or 0.0 for row in self._rows.values()), 0.0)
 
     @property
@@ -124,7 +124,7 @@ class Ledger:
 
     @property
     def unpriced(self) -> list[str]:
-        """Called models without a price."""
+        """Names of the called models that have no price."""
         return sorted({m for (_, m), row in self._rows.items() if row.cost_usd is None})
 
     def cost_bound(self, model: str, tokens: Usage) -> float:
@@ -139,15 +139,20 @@ class Ledger:
         if price is None:
             raise BudgetError(
                 f"mllm.max_cost_usd is set but {model!r} has no price, so the cap cannot be "
-                f"enforced: add its price to a YAML file and name that in mllm.prices "
+                f"enforced: add its price to a YAML file and name the file in mllm.prices "
                 f"(a local model: {{input: 0, output: 0}})"
             )
-        # A server without a cache price bills the same tokens as input.
+        # A server that does not cache prompts bills the same tokens as input.
         plain = Usage(input=tokens.cache_write, output=tokens.output)
         return max(price.cost(tokens), price.cost(plain))
 
     def fits(self, bound_usd: float, *, others: bool = True) -> bool:
-        """Return True if a call stays within the cap, with or without other calls in progress."""
+        """Return True if a call stays within the cap.
+
+        Args:
+            bound_usd: maximum cost of the call.
+            others: if True, include the reservations of other calls in progress.
+        """
         if self.max_cost_usd is None:
             return True
         reserved = self.reserved_usd if others else 0.0
@@ -179,7 +184,16 @@ class Ledger:
         failed: bool = False,
         share: float = 1.0,
     ) -> None:
-        """Add a call; `share` is the billed fraction of the list price."""
+        """Add a call.
+
+        Args:
+            role: role of the model.
+            model: name of the model.
+            usage: tokens of the call.
+            billed: if False, the call costs nothing.
+            failed: if True, the call also counts as failed.
+            share: price of the call as a fraction of the list price.
+        """
         row = self._rows.setdefault((role, model), _Row())
         row.calls += 1
         row.failed += failed
@@ -191,7 +205,7 @@ class Ledger:
             row.cost_usd = None
 
     def add_fallback(self, note: str) -> None:
-        """Count a feature that the server does not support."""
+        """Count a note about a feature that the server does not support."""
         self.fallbacks[note] = self.fallbacks.get(note, 0) + 1
 
     def to_json(self) -> dict[str, Any]:
@@ -220,7 +234,7 @@ class Ledger:
         }
 
     def add_earlier(self, earlier: dict[str, Any]) -> None:
-        """Add the ledger of an interrupted run, in the form of `to_json`, to this one."""
+        """Add the ledger of an interrupted run, as returned by `to_json`."""
         for entry in earlier["by_role_and_model"]:
             row = self._rows.setdefault((entry["role"], entry["model"]), _Row())
             row.calls += entry["calls"]

@@ -1,17 +1,17 @@
-"""Mailbox: every request becomes a folder, into which a person or a program writes the response.
+"""Mailbox: each request becomes a folder, into which a person or a program writes the response.
 
     0003-program-cup/
         prompt.md       the request and instructions for the response
         1-photo.png     the pictures, in the order of the request
         schema.json     the JSON schema of the response
         request.json    key, role and name of the request
-        response.json   the response, to be written
+        response.json   the response, which the person or program writes
         error.md        the reason why the last response was rejected
-        response.rejected-1.json
+        response.rejected-1.json    a rejected response
 
-Requests wait concurrently. A resumed run finds the folder of a request, and its response if there
-is one, by the request's key. A program may write response.json in place: incomplete JSON that still
-changes counts as unfinished.
+Several requests can wait at the same time. A resumed run finds the folder of a request by the
+request's key, and uses a response that is already there. A program may write response.json in
+place: incomplete JSON is not read while the file still changes.
 """
 
 import asyncio
@@ -36,10 +36,10 @@ from .responses import InvalidResponse, is_json, read_response
 
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
-"""Logger of the package."""
+"""Name of the package and of its logger."""
 _POLL_S = 0.2
 _UNCHANGED_S = 3.0
-"""Time without a change after which incomplete JSON counts as finished [s]."""
+"""Time after the last change of a file until incomplete JSON in it is rejected [s]."""
 
 
 class _Ticket(BaseModel):
@@ -52,12 +52,13 @@ class Mailbox:
     """Provider of responses that a person or another program writes into folders.
 
     Args:
-        folder: parent of the requests' folders; created if missing.
-        timeout_s: maximum wait for a response [s]; None for no limit.
+        folder: folder in which each request gets a folder; created if missing.
+        timeout_s: maximum time to wait for a response [s]. If None, there is no limit.
         poll_s: interval at which the folders are polled [s].
-        unchanged_s: time without a change after which invalid JSON is rejected [s].
-        report: function that shows a line for each request; by default the package's log, or
-            standard error if it has no handler.
+        unchanged_s: time after the last change of a file until incomplete JSON in it is rejected
+            [s].
+        report: function that shows a line for each request. If None, the line goes to the package's
+            log, or to standard error if the log has no handler.
     """
 
     name = "mailbox"
@@ -90,7 +91,7 @@ class Mailbox:
         """
         del role, rejected
         try:
-            # One at a time, so that folders are numbered in the order of the requests.
+            # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 self._check_entries()
                 await asyncio.to_thread(request.draw_pictures)
@@ -112,7 +113,7 @@ class Mailbox:
         return Reply(text, Usage(), "mailbox")
 
     async def close(self) -> None:
-        """Do nothing, as a mailbox has no connections."""
+        """Do nothing, because a mailbox has no connections."""
 
     def _check_entries(self) -> None:
         """Raise ModelError if the mailbox contains a link, a pipe or a device."""
@@ -121,7 +122,7 @@ class Mailbox:
             raise ModelError(f"mailbox {self._folder}: {name} is {kind}; remove it")
 
     def _find(self, request: Request[Any]) -> Path | None:
-        """Return the folder of a request that an earlier run wrote."""
+        """Return the folder that an earlier run wrote for a request; None if there is none."""
         for ticket in sorted(self._folder.glob("[0-9]*/request.json")):
             try:
                 if read_model(ticket, _Ticket, ModelError, "a request").key == request.key:
@@ -131,7 +132,7 @@ class Mailbox:
         return None
 
     def _put(self, request: Request[Any]) -> Path:
-        """Write a request's folder under a hidden name, then rename the complete folder."""
+        """Write a request's folder under a hidden name, and rename it when it is complete."""
         self._folder.mkdir(parents=True, exist_ok=True)
         slug = file_name(request.name) or request.role
         partial = self._folder / f".partial-{request.key[:16]}"

@@ -1,4 +1,4 @@
-"""Provider for servers with the chat completions API: OpenAI's own, and compatible ones."""
+"""Provider for servers with the chat completions API: OpenAI's server, and compatible servers."""
 
 import importlib
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ class OpenAI(ServerProvider):
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; repeat it without a feature that the server rejects.
+        """Make one call; if the server rejects a feature, repeat the call without the feature.
 
         Raises:
             Transient: a retry may help.
@@ -95,7 +95,7 @@ class OpenAI(ServerProvider):
         messages.append({"role": "user", "content": [*_pictures(request), prompt]})
         for speaker, text in corrections(request, rejected):
             messages.append({"role": speaker, "content": text})
-        # Most compatible servers know only the older name and ignore the newer one.
+        # Most compatible servers know only the older name of the limit and ignore the newer name.
         names = _TOKEN_LIMITS if self._connection.local else _TOKEN_LIMITS[::-1]
         limit = names[0] if self._supports(names[0], request, role) else names[1]
         params: dict[str, Any] = {
@@ -128,7 +128,7 @@ class OpenAI(ServerProvider):
 
 
 def _strict(schema: Any) -> Any:
-    """Return a schema for strict mode, in which every property is required."""
+    """Return a schema in which every property is required, as strict mode demands."""
     if isinstance(schema, list):
         return [_strict(item) for item in schema]
     if not isinstance(schema, dict):
@@ -150,7 +150,7 @@ def _pictures(request: Request[Any]) -> list[dict[str, Any]]:
 
 
 def _usage(counts: Any) -> Usage:
-    """Read token counts; the server's prompt tokens include those of its cache."""
+    """Read token counts; the server's prompt tokens include cached tokens, which `input` omits."""
     details = getattr(counts, "prompt_tokens_details", None)
     read = int(getattr(details, "cached_tokens", None) or 0)
     write = int(getattr(details, "cache_write_tokens", None) or 0)

@@ -1,11 +1,15 @@
 """Panel of models: a provider with routing, limits, retries, validation and recording.
 
-The panel routes a request to the model of its role, enforces the concurrency limit and the cost
-cap, retries failed calls, returns an invalid response to the model with its error a limited number
-of times, enters every call in the ledger, and records every response.
+For each request, the panel
+
+- chooses the model of the request's role,
+- enforces the concurrency limit and the cost cap,
+- retries failed calls,
+- sends an invalid response back to the model with the error, a limited number of times,
+- adds every call to the ledger, and records every response.
 
 A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
-`ask_many`, `run`) and in any event loop, even in several one after another (`ask`).
+`ask_many`, `run`) and in any event loop (`ask`), even in several loops one after another.
 """
 
 import asyncio
@@ -36,11 +40,12 @@ class Panel:
     Args:
         provider: the source of responses.
         options: models, limits and cap.
-        ledger: ledger of the calls; by default a new one, with the options' cap and prices.
-        record: tape file. The panel writes every response to it immediately and does not send
-            requests whose response it contains, so an interrupted run loses no response.
-        photo: sha256 of the photo's file, for the tape's header.
-        made: origin of the responses, for the tape's header.
+        ledger: ledger of the calls. If None, a new ledger with the cap and the prices of `options`.
+        record: file of recorded responses (a tape). The panel writes every response to the tape
+            immediately, and sends no request whose response the tape contains. An interrupted run
+            therefore loses no response.
+        photo: sha256 of the photo's file, written to the tape.
+        made: origin of the responses, written to the tape.
         backoff_s: delay before the first retry of a call [s]; it doubles with every further retry.
 
     Raises:
@@ -72,7 +77,7 @@ class Panel:
 
     @property
     def waited_s(self) -> float:
-        """Time so far during which at least one request waited for the provider [s]."""
+        """Total time during which at least one request waited for the provider [s]."""
         return self._calls.waited_s
 
     @property
@@ -81,17 +86,19 @@ class Panel:
         return self.provider.name
 
     async def ask(self, request: Request[T]) -> Response[T]:
-        """Return the response to a request; requests may be concurrent, equal ones are sent once.
+        """Return the response to a request.
+
+        Requests may be concurrent; equal requests are sent once.
 
         Raises:
-            MissingResponseError: a tape does not contain the response.
+            MissingResponseError: the provider replays a tape that does not contain the response.
             BudgetError: the call could exceed the cost cap; nothing was sent.
             ModelError: there is no valid response for any other reason.
         """
         return await asyncio.wrap_future(self._submit(self._shared(request)))
 
     def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Response[T]]":
-        """Return a future of the response, from any thread; cancelling it cancels no request."""
+        """Return a future of the response, from any thread; canceling it cancels no request."""
         return self._submit(self._shared(request))
 
     def ask_sync(self, request: Request[T]) -> Response[T]:
@@ -101,7 +108,7 @@ class Panel:
     def ask_many(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
         """Send requests concurrently; return the responses in the order of the requests.
 
-        If one fails, the call still waits for the others, so that no paid response is lost.
+        If a request fails, the call still waits for the others, so that no paid response is lost.
 
         Raises:
             ModelError: the first failure in the order of the requests; see `ask`.
@@ -109,9 +116,10 @@ class Panel:
         return self.run(self._gather(requests))
 
     def batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        """Send requests at batch prices if the provider has batches, which may take up to a day.
+        """Send requests as one batch if the provider has batches, and return all responses.
 
-        Requests for which the batch gives no valid response are sent individually.
+        A batch costs less than single calls but may take up to a day. A request for which the batch
+        gives no valid response is sent individually.
 
         Raises:
             ModelError: the first failure in the order of the requests; see `ask`.
@@ -121,7 +129,7 @@ class Panel:
     def run(self, work: Coroutine[Any, Any, R]) -> R:
         """Run a coroutine on the panel's event loop and wait for its result.
 
-        The caller's thread may have its own event loop. The panel's loop must not be the caller.
+        The caller's thread may run an event loop, but not the panel's event loop.
         """
         future = self._submit(work)
         try:
@@ -182,7 +190,7 @@ class Panel:
             task = asyncio.ensure_future(self._respond(request))
             self._tasks[identity] = task
             task.add_done_callback(lambda done: self._forget_failure(identity, done))
-        # A cancelled caller must not cancel the request of the others.
+        # If one caller is canceled, the other callers still need the response.
         return await asyncio.shield(task)
 
     def _forget_failure(self, identity: tuple[str, type], done: "asyncio.Task[Any]") -> None:
@@ -200,7 +208,7 @@ class Panel:
         return await self._request_until_valid(request)
 
     async def _request_until_valid(self, request: Request[T]) -> Response[T]:
-        """Send a request; send invalid responses back with their errors for a few rounds."""
+        """Send a request; send invalid responses back with the errors for a few rounds."""
         role = self._role(request)
         rejected: tuple[Rejection, ...] = ()
         rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
@@ -274,7 +282,7 @@ def _open_record(path: Path | None, photo: str | None, made: str) -> Tape:
         return Tape(format=1, photo=photo, made=made)
     tape = Tape.load(path)
     if photo is not None and tape.photo not in (None, photo):
-        raise ModelError(f"tape {path} was recorded for another photo; give another file to record")
+        raise ModelError(f"tape {path} was recorded for another photo; record to another file")
     tape.photo = tape.photo or photo
     tape.made = made or tape.made
     return tape

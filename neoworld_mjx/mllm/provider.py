@@ -1,6 +1,6 @@
-"""Table of all providers of responses, and the choice of one.
+"""Table of all providers of responses, and the function that opens one of them.
 
-A new provider needs a module and an entry in `PROVIDERS`.
+To add a provider, write a module for it and add an entry to `PROVIDERS`.
 """
 
 import importlib.util
@@ -20,13 +20,13 @@ from .secrets import environment_key
 
 
 class ProviderInputs(NamedTuple):
-    """Inputs that a provider may need to open."""
+    """Inputs of the functions in `PROVIDERS`."""
 
     options: MLLMOptions
     photo: str | None = None
     """sha256 of the photo's file."""
     tapes: Sequence[Path] = ()
-    """Tapes and folders of tapes, in search order."""
+    """Files of recorded responses (tapes), and folders of tapes, in search order."""
     mailbox: Path | None = None
     mailbox_timeout_s: float | None = None
 
@@ -45,24 +45,26 @@ def open_panel(
 ) -> Panel:
     """Open the panel of models for a run.
 
-    `auto` uses a key from the environment or, without one, a tape of this photo. OPENAI_API_KEY
-    counts only if the extra `openai` is installed and no role uses a model of Anthropic.
+    `auto` uses a key from the environment. If there is no key, it replays the recorded responses (a
+    tape) of this photo. OPENAI_API_KEY is used only if the extra `openai` is installed and no role
+    uses a model of Anthropic.
 
     Args:
         options: models, limits and cap.
-        provider: a name of `PROVIDERS`.
-        photo: sha256 of the photo's file, which identifies its tape.
-        tapes: tapes and folders of tapes, searched before those of the package.
-        mailbox: folder of the mailbox; required for `mailbox`.
-        mailbox_timeout_s: maximum time that a request waits in the mailbox [s]; None for no limit.
-        record: tape file that receives responses and provides earlier ones.
-        made: origin of the responses, for the recorded tape.
-        ledger: ledger of the calls, such as that of a resumed run; by default a new one.
+        provider: a name from `PROVIDERS`.
+        photo: sha256 of the photo's file, by which its tape is found.
+        tapes: tapes and folders of tapes, searched before the tapes of the package.
+        mailbox: folder of the mailbox; required for the provider `mailbox`.
+        mailbox_timeout_s: maximum time that a request waits in the mailbox [s]. If None, there is
+            no limit.
+        record: tape file. New responses are written to it, and recorded responses are reused.
+        made: origin of the responses, written to the recorded tape.
+        ledger: ledger of the calls, such as the ledger of a resumed run. If None, a new ledger.
 
     Raises:
         ConfigError: the provider is unknown, or lacks a required argument.
-        MissingResponseError: `replay` finds no tape for this photo.
-        ModelError: there is no key and no tape, or the chosen provider cannot be used.
+        MissingResponseError: the provider is `replay`, and there is no tape for this photo.
+        ModelError: there is neither a key nor a tape, or the chosen provider cannot be used.
     """
     if provider not in PROVIDERS:
         raise ConfigError(f"provider: {choices(provider, PROVIDERS)}")
@@ -73,7 +75,7 @@ def open_panel(
 
 
 def bundled_tapes() -> Path:
-    """Return the folder of the package's tapes."""
+    """Return the folder of the tapes that belong to the package."""
     return Path(str(resources.files("neoworld_mjx") / "data" / "tapes"))
 
 
@@ -90,7 +92,7 @@ def _auto(inputs: ProviderInputs) -> Provider:
 
 
 def _anthropic(inputs: ProviderInputs) -> Provider:
-    # Imported on demand: the SDKs take a second to load, and tapes do not need them.
+    # Imported on demand: an SDK takes a second to load, and other providers do not need it.
     from .anthropic import Anthropic
 
     return Anthropic(inputs.options)
@@ -127,7 +129,7 @@ PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
     "replay": _replay,
     "mailbox": _mailbox,
 }
-"""Function that opens each provider, by name."""
+"""Functions that open a provider, by the provider's name."""
 
 
 def _remedies(openai_key: bool, options: MLLMOptions) -> str:

@@ -1,12 +1,12 @@
 """Tapes: recorded responses in one JSON file, keyed by the content of their requests.
 
     {"format": 1, "photo": sha256 of the photo's file, "made": origin of the responses,
-     "date": when they were given,
+     "date": date of the responses,
      "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
 
-Keys cover the decoded pixels of the pictures: a tape remains valid with another PNG encoder, but
-not with a renderer that changes a pixel. The order of the requests does not matter. Entries are
-sorted, so recording the same responses gives the same bytes.
+Keys depend on the decoded pixels of the pictures. A tape therefore remains valid with another PNG
+encoder, but not with a renderer that changes a pixel. The order of the requests does not matter.
+Entries are sorted, so recording the same responses gives the same bytes.
 """
 
 import difflib
@@ -37,9 +37,9 @@ class Entry(BaseModel):
     model: str = ""
     """Model that gave the response."""
     parts: dict[str, str] = {}
-    """Digests of the request's parts, from which an error names those that differ."""
+    """Digests of the request's parts, so that an error message can name the parts that differ."""
     answer: dict[str, Any] | str
-    """The JSON object, or the raw text if it is not a JSON object."""
+    """The response as a JSON object, or its raw text if it is not a JSON object."""
 
     @property
     def text(self) -> str:
@@ -48,7 +48,7 @@ class Entry(BaseModel):
 
 
 class Tape(BaseModel):
-    """Recorded model responses (a tape), loaded in memory."""
+    """Recorded responses (a tape) in memory."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -56,14 +56,14 @@ class Tape(BaseModel):
     photo: str | None = None
     """sha256 of the photo's file."""
     made: str = ""
-    """Origin of the responses, for people."""
+    """Origin of the responses, in words."""
     date: str = ""
-    """Date on which they were given; empty if unknown."""
+    """Date of the responses; empty if unknown."""
     answers: dict[str, Entry] = {}
 
     @property
     def prompts(self) -> str:
-        """Version of the prompts: digest of the system texts and schemas that were answered."""
+        """Version of the prompts: digest of the system texts and schemas of all entries."""
         entries = self.answers.values()
         parts = {entry.parts.get(part, "") for entry in entries for part in ("system", "schema")}
         return hashlib.sha256(" ".join(sorted(parts)).encode()).hexdigest()[:8]
@@ -107,11 +107,11 @@ class Tape(BaseModel):
         )
 
     def get(self, request: Request[Any]) -> Entry | None:
-        """Return the response to a request, or None."""
+        """Return the entry of a request; None if the tape has none."""
         return self.answers.get(request.key)
 
     def nearest(self, request: Request[Any]) -> str:
-        """Describe the entry nearest to a request, and the parts that differ."""
+        """Describe the entry with the name closest to a request's, and the parts that differ."""
         names = sorted({entry.name for entry in self.answers.values()})
         close = difflib.get_close_matches(request.name, names, n=1)
         if not close:
@@ -125,7 +125,7 @@ class Tape(BaseModel):
 
 
 class Replay:
-    """Provider of the recorded responses of a tape."""
+    """Provider of the responses on a tape."""
 
     name = "replay"
     online = False
@@ -141,7 +141,7 @@ class Replay:
         """Return the recorded response.
 
         Raises:
-            MissingResponseError: the tape does not contain it.
+            MissingResponseError: the tape does not contain the response.
         """
         del role, rejected
         entry = self._tape.get(request)
@@ -154,19 +154,20 @@ class Replay:
         return Reply(entry.text, Usage(), entry.model or "tape")
 
     async def close(self) -> None:
-        """Do nothing, as a tape has no connections."""
+        """Do nothing, because a tape has no connections."""
 
 
 def find_tape(photo_sha256: str | None, paths: Iterable[Path]) -> tuple[Tape, Path] | None:
-    """Find the tape of a photo.
+    """Find the tape of a photo, and return the tape and its path; None if there is none.
 
     Args:
         photo_sha256: sha256 of the photo's file.
-        paths: tapes, and folders in which files that end in .tape.json are tapes. A tape given by
-            its own path is returned for any photo, because the keys of its entries decide.
+        paths: tapes, and folders in which each file that ends in .tape.json is a tape. A tape given
+            by its path is returned for any photo, because its keys decide which requests it
+            answers.
 
     Raises:
-        ModelError: a tape given by its own path cannot be read.
+        ModelError: a tape given by its path cannot be read.
     """
     for given_path in map(Path, paths):
         if not given_path.is_dir():

@@ -1,11 +1,12 @@
 """Requests to multimodal models, their responses, and the protocols of models and providers.
 
-A step of the pipeline passes a `Request` to a `Model` and receives a `Response`, whose value is an
-instance of the request's pydantic schema, no matter if a server, a tape or a person gave it.
+A step of the pipeline passes a `Request` to a `Model` and receives a `Response`. The value of the
+response is an instance of the request's pydantic schema, whether the response comes from a server,
+from recorded responses (a tape) or from a person.
 
 `Request.key` identifies the content of a request: role, system text, prompt, labels and decoded
-pixels of the pictures, and JSON schema. It excludes the name, the model and the compression of the
-pictures, so equal requests have the same key on every machine.
+pixels of the pictures, and JSON schema. It does not depend on the name, the model and the
+compression of the pictures, so equal requests have the same key on every machine.
 """
 
 import hashlib
@@ -30,20 +31,20 @@ _MEDIA = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
 
 def digest(text: str | bytes) -> str:
-    """Return the sha256 of a text or bytes as 64 hex digits."""
+    """Return the sha256 of a string (as UTF-8) or of bytes, as 64 hex digits."""
     data = text.encode() if isinstance(text, str) else text
     return hashlib.sha256(data).hexdigest()
 
 
 @cache
 def package_text(package: str, name: str) -> str:
-    """Read the instructions NAME.md of a package, such as ("neoworld_mjx.parse", "critic")."""
+    """Read the file NAME.md of a package, such as "critic" of "neoworld_mjx.parse"."""
     return resources.files(package).joinpath(f"{name}.md").read_text("utf-8")
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture of a request, PNG or JPEG, with the label by which the prompt refers to it.
+    """A PNG or JPEG picture of a request, with the label by which the prompt refers to it.
 
     Raises:
         ModelError: the data is neither PNG nor JPEG.
@@ -58,7 +59,7 @@ class Picture:
 
     @staticmethod
     def of(label: str, rgb: np.ndarray) -> "Picture":
-        """Return a picture of an array of RGB bytes, uint8 of shape [height, width, 3].
+        """Return a picture with these pixels (sRGB), uint8 of shape [height, width, 3].
 
         Raises:
             ModelError: the array has another type or shape.
@@ -67,12 +68,12 @@ class Picture:
 
     @property
     def media_type(self) -> str:
-        """MIME type, image/png or image/jpeg."""
+        """MIME type: image/png or image/jpeg."""
         return next(kind for magic, kind in _MEDIA.items() if self.data.startswith(magic))
 
     @property
     def suffix(self) -> str:
-        """File suffix of the data."""
+        """File suffix: .png or .jpg."""
         return ".png" if self.media_type == "image/png" else ".jpg"
 
     @cached_property
@@ -86,7 +87,7 @@ class Picture:
 
     @property
     def rgb(self) -> np.ndarray:
-        """Its pixels (sRGB), uint8 of shape [height, width, 3]."""
+        """Pixels (sRGB), uint8 of shape [height, width, 3]."""
         with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
             return np.asarray(image.convert("RGB"))
 
@@ -97,12 +98,12 @@ class Picture:
 
     @property
     def pixels(self) -> str:
-        """sha256 of size and decoded RGB bytes, which does not depend on the encoder."""
+        """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""
         return self._decoded[1]
 
 
 class PixelPicture(Picture):
-    """A picture stored as pixels, and encoded as PNG on first use.
+    """A picture that is stored as pixels and encoded as PNG on first use.
 
     Raises:
         ModelError: the array is not uint8 of shape [height, width, 3].
@@ -141,13 +142,13 @@ def _pixel_digest(width: int, height: int, rgb: bytes) -> str:
 class Request(Generic[T]):
     """One request to a model.
 
-    Content that requests share comes first: the system text, and the photo as the first picture. A
-    server with a prompt cache then processes it only once.
+    The content that several requests share comes first: the system text, and the photo as the first
+    picture. A server with a prompt cache then processes this content only once.
     """
 
     role: Role
     name: str
-    """Short name for people, such as "parse" or "program:cup"; not part of the key."""
+    """Short name for messages, such as "parse" or "program:cup"; not part of the key."""
     system: str
     prompt: str
     schema: type[T]
@@ -159,9 +160,9 @@ class Request(Generic[T]):
 
     @cached_property
     def json_schema(self) -> dict[str, Any]:
-        """JSON schema of the response, whose definitions are named by the titles of their models.
+        """JSON schema of the response, with each definition named by the title of its model.
 
-        A renamed class does not change the requests if its title is its former name.
+        Renaming a class does not change its requests if the title keeps the former name.
         """
         schema = self.schema.model_json_schema()
         definitions = schema.get("$defs", {})
@@ -176,13 +177,13 @@ class Request(Generic[T]):
         return json.loads(text)
 
     def draw_pictures(self) -> None:
-        """Encode the pictures that are not encoded yet; it may block an event loop for seconds."""
+        """Encode the pictures that are not encoded yet, which may take seconds."""
         for picture in self.pictures:
             _ = picture.data
 
     @cached_property
     def parts(self) -> dict[str, str]:
-        """Digest of each part of the content, to report the parts in which requests differ."""
+        """Digest of each part of the content, by which a message names the parts that differ."""
         pictures = [[picture.label, picture.pixels] for picture in self.pictures]
         return {
             "role": self.role,
@@ -194,13 +195,13 @@ class Request(Generic[T]):
 
     @cached_property
     def key(self) -> str:
-        """sha256 of role, system, prompt, pictures with labels, and JSON schema."""
+        """sha256 of role, system text, prompt, labels and pixels of the pictures, and schema."""
         return digest(json.dumps(self.parts, sort_keys=True))
 
 
 @dataclass(frozen=True)
 class Usage:
-    """Tokens of one call, as counted by the server; `input` excludes tokens read from the cache."""
+    """Tokens of one call as counted by the server; `input` excludes cached tokens."""
 
     input: int = 0
     output: int = 0
@@ -222,15 +223,15 @@ class Response(Generic[T]):
 
     value: T
     text: str
-    """Complete text of the model, which contains the JSON of the value."""
+    """Complete text from the model, which contains the JSON of the value."""
     usage: Usage
-    """Sum over all calls for this response, including rejected responses."""
+    """Total tokens of all calls for this response, including calls with rejected responses."""
     model: str
 
 
 @runtime_checkable
 class Model(Protocol):
-    """Protocol of a model that responds to requests; `Panel` implements it."""
+    """Protocol of a model that responds to requests. `Panel` implements it."""
 
     async def ask(self, request: Request[T]) -> Response[T]:
         """Return the response to a request.
@@ -243,13 +244,13 @@ class Model(Protocol):
 
 @dataclass(frozen=True)
 class Rejection:
-    """An invalid response, and the reason, which are returned to the model."""
+    """An invalid response and the reason of its rejection; both are sent back to the model."""
 
     text: str
     reason: str
 
     def message(self, request: Request[Any]) -> str:
-        """Return the message to the model; it repeats the schema that the response violates."""
+        """Return the message to the model, which repeats the schema."""
         return (
             f"That response cannot be used: {self.reason}\n\n"
             f"Respond again, complete and corrected. {response_rule(request)}"
@@ -258,7 +259,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Reply:
-    """One reply of a provider, not yet validated."""
+    """One reply of a provider, which is not validated yet."""
 
     text: str
     usage: Usage
@@ -267,22 +268,22 @@ class Reply:
     detail: str = ""
     """Message of the server about a refusal."""
     fallback: str | None = None
-    """Features that the server does not support, such as structured output."""
+    """Note about features that the server does not support, such as structured output."""
     counted: bool = True
     """True if the server counted tokens."""
 
     def __post_init__(self) -> None:
-        # Unpaired surrogates can neither be sent nor written to a file.
+        # Unpaired surrogates cannot be encoded, so replace them.
         valid_text = self.text.encode("utf-8", "replace").decode()
         object.__setattr__(self, "text", valid_text)
 
 
 class Transient(Exception):
-    """Failure of a call that a retry may resolve; `Calls` catches it.
+    """Raised if a call failed and a retry may help. `Calls` catches this exception.
 
     Args:
         message: the reason of the failure.
-        retry_after: delay that the server requests [s]; None if it requests none.
+        retry_after: delay that the server requests before a retry [s]; None if it requests none.
         usage: tokens that the server counted before the call failed.
     """
 
@@ -296,13 +297,14 @@ class Transient(Exception):
 
 @runtime_checkable
 class Provider(Protocol):
-    """One source of responses: a tape, a mailbox, a server's API."""
+    """Protocol of a source of responses: a tape, a mailbox or a server's API."""
 
     name: str
     online: bool
-    """True if calls cost money and may fail; the panel limits, retries and corrects them."""
+    """If True, calls cost money and may fail; the panel limits and retries them, and sends invalid
+    responses back."""
     secrets: tuple[str, ...]
-    """Texts that must never appear in output."""
+    """Strings that must never appear in output."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -316,6 +318,6 @@ class Provider(Protocol):
 
 
 def response_rule(request: Request[Any]) -> str:
-    """Describe a valid response in words, for models whose server does not enforce a schema."""
+    """Return instructions with the JSON schema, for servers that do not enforce a schema."""
     schema = json.dumps(request.json_schema, sort_keys=True)
     return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"

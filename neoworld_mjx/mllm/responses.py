@@ -15,21 +15,22 @@ _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
 _OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
 MAX_CHARS, MAX_OBJECTS = 1_000_000, 20
-"""Maximum length of a text, and maximum number of JSON objects in it that are validated."""
+"""Maximum number of characters of a text, and maximum number of JSON objects in the text."""
 
 
 class InvalidResponse(Exception):
-    """Error of a text without a JSON object that fits the schema; the message states the reason."""
+    """Raised if a text contains no JSON object that fits the schema; the message says why."""
 
 
 def read_response(text: str, schema: type[T]) -> T:
     """Validate the JSON object in a model's text.
 
-    The text may be bare JSON, JSON in a fenced block, or JSON within prose. Of several objects, the
-    first valid one counts: the bare text, then fenced blocks, then others by decreasing size.
+    The text may be bare JSON, JSON in a fenced block, or JSON within prose. If there are several
+    objects, the first valid one is returned: first the whole text, then the fenced blocks. Objects
+    within prose are used only if there is neither, from the largest to the smallest.
 
     Raises:
-        InvalidResponse: no object is valid; the message is about the most likely one.
+        InvalidResponse: no object is valid; the message describes the first problem.
     """
     if len(text) > MAX_CHARS:
         raise InvalidResponse(
@@ -48,7 +49,7 @@ def read_response(text: str, schema: type[T]) -> T:
 
 
 def is_json(text: str) -> bool:
-    """Return True if a text is exactly one JSON value, and therefore complete."""
+    """Return True if a text is exactly one JSON value, and is therefore complete."""
     try:
         _loads(text)
     except (ValueError, RecursionError):
@@ -57,7 +58,7 @@ def is_json(text: str) -> bool:
 
 
 def _whole_objects(text: str) -> list[dict[str, Any]]:
-    """Return the objects that make up the whole text or a whole fenced block."""
+    """Return the JSON objects that are the whole text or the whole content of a fenced block."""
     objects = []
     fenced = (match[1] for match in islice(_FENCE.finditer(text), MAX_OBJECTS))
     for part in (text, *fenced):
@@ -71,9 +72,10 @@ def _whole_objects(text: str) -> list[dict[str, Any]]:
 
 
 def _embedded_objects(text: str) -> tuple[list[dict[str, Any]], str]:
-    """Return the objects within a text, largest first, and the error that ended the search.
+    """Return the JSON objects within a text, largest first, and the error that ended the search.
 
-    A malformed object ends the search, as an object within it could be mistaken for the response.
+    A malformed object ends the search, because an object nested in it could be mistaken for the
+    response.
     """
     decoder = json.JSONDecoder(parse_constant=_reject_constant)
     objects: list[tuple[int, dict[str, Any]]] = []

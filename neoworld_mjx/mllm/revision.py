@@ -1,10 +1,14 @@
-"""Loop of Steps 1 to 3: request a response, check it, criticise it, request a revision.
+"""Loop of Steps 1 to 3: request a response, check it, criticize it, and request a revision.
 
-The caller supplies the steps as functions of its own attempt type, which contains a response, the
-results of its checks and its critique: `criticise` adds a critic's verdict, `accept` decides if the
-attempt needs no revision, `next_attempt` requests a revision and checks it. The caller also makes
-the first attempt, without which there is no result. The failure of a later request ends the rounds
-and is recorded.
+The caller chooses the type of an attempt, which contains a response, the results of its checks and
+its critique. The caller also supplies functions of an attempt:
+
+- `criticise` adds a critic's verdict.
+- `accept` decides whether the attempt needs no revision.
+- `next_attempt` requests a revision and checks it.
+
+The caller makes the first attempt; if this fails, there is no result. If a later request fails, the
+rounds end, and the failure is recorded.
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -30,20 +34,20 @@ async def revise(
     criticise: Callable[[A], Awaitable[A]] | None = None,
     criticise_last: bool = True,
 ) -> list[A]:
-    """Revise an attempt until it is accepted or the rounds are used up.
+    """Revise an attempt until an attempt is accepted or the rounds are used up.
 
     Args:
         first: the first attempt, with the results of its checks.
-        rounds: maximum number of revisions; with 0, the first attempt is returned uncriticised.
+        rounds: maximum number of revisions. If 0, the first attempt is returned without a critique.
         accept: returns True if an attempt needs no revision.
-        next_attempt: receives all attempts so far and returns a revision of the last one, with the
-            results of its checks; None ends the rounds.
-        criticise: returns an attempt with its critique; None for loops whose checks suffice.
-        criticise_last: True to also criticise an attempt after which no round remains, for example
-            to compare it with the others.
+        next_attempt: receives all attempts so far, and returns a revision of the last attempt with
+            the results of its checks. If it returns None, the rounds end.
+        criticise: returns an attempt with its critique. If None, attempts have no critique.
+        criticise_last: if True, also criticize an attempt after which no round remains, for example
+            to compare it with the other attempts.
 
     Returns:
-        The attempts in order, with their critiques. The caller chooses the best of them.
+        The attempts in order, with their critiques. The caller chooses the best attempt.
     """
     attempts: list[A] = []
     attempt: A | None = first
@@ -66,13 +70,13 @@ async def ask_or_record(
 
     Args:
         models: the models.
-        request: an optional request.
-        stage: name of the stage that a failure skips.
-        fallbacks: list to which a failure adds the stage and the reason.
+        request: a request that the run can do without.
+        stage: name of the stage that is skipped if the request fails.
+        fallbacks: list to which the stage and the reason of a failure are appended.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingResponseError: a tape lacks the response.
+        MissingResponseError: the recorded responses (a tape) do not contain the response.
     """
     try:
         return (await models.ask(request)).value

@@ -1,4 +1,4 @@
-"""Keys of model servers: read only from the environment, and removed from all output."""
+"""Keys of model servers, which are read only from the environment and removed from all output."""
 
 import os
 import re
@@ -14,12 +14,12 @@ _PLACEHOLDER = "[key]"
 
 
 def environment_key(name: str) -> str | None:
-    """Return the key in an environment variable; None if it is unset or blank."""
+    """Return the key in an environment variable; None if the variable is unset or blank."""
     return os.environ.get(name, "").strip() or None
 
 
 def hide(text: str, secrets: Iterable[str]) -> str:
-    """Replace the given secrets by a placeholder."""
+    """Replace the given secrets in a text by a placeholder."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= 4:
             text = text.replace(secret, _PLACEHOLDER)
@@ -27,7 +27,7 @@ def hide(text: str, secrets: Iterable[str]) -> str:
 
 
 def scrub(text: str, secrets: Iterable[str]) -> str:
-    """Replace the given secrets, and all text that looks like a key, by a placeholder."""
+    """Replace the given secrets, and everything that looks like a key, by a placeholder."""
     return _KEY_PATTERNS.sub(_PLACEHOLDER, hide(text, secrets))
 
 
@@ -35,7 +35,7 @@ def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """Replace ${NAME} in header values by environment variables.
 
     Returns:
-        The headers to send, and the values of the variables, which are secrets.
+        The headers to send, and the values of the variables, which must be kept secret.
 
     Raises:
         ConfigError: a variable is not set.

@@ -1,4 +1,4 @@
-"""Base class of the providers that call a server: features, streams, errors, replies."""
+"""Base class of the providers that call a server: optional features, streams, errors, replies."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,8 @@ from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
 from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
-_IN_WORDS = "structured output is not supported by the server or for this schema: asked in words"
-_UNCOUNTED = "the server gave no token counts: booked at their upper bound"
+_IN_WORDS = "structured output is not supported (server or schema): the prompt has the schema"
+_UNCOUNTED = "the server gave no token counts: the ledger has their upper bound"
 
 
 @dataclass
@@ -22,9 +22,9 @@ class Received:
     model: str
     text: str = ""
     usage: Usage | None = None
-    """None until the server counts tokens."""
+    """Token counts; None until the server sends them."""
     stop: Literal["end", "length", "refusal"] | None = None
-    """None until the response is complete."""
+    """Reason why the response ended; None until the response is complete."""
     refusal: str = ""
     """Message of the server about a refusal."""
 
@@ -32,9 +32,9 @@ class Received:
 class ServerProvider(ABC):
     """A provider that calls a server's API and streams the responses.
 
-    The timeout limits silence; `Calls` limits the length of a whole call. Once a server
-    rejects an optional feature (a JSON schema for the response, token counts in the stream, ...),
-    later calls omit it.
+    The timeout limits the time without data; `Calls` limits the duration of a whole call. Once a
+    server rejects an optional feature (a JSON schema for the response, token counts in the stream,
+    ...), later calls omit the feature.
 
     Args:
         options: models, base_url, headers and time limit.
@@ -50,7 +50,7 @@ class ServerProvider(ABC):
     schema_feature: ClassVar[str]
     """Parameter that contains the JSON schema of the response."""
     features: ClassVar[Mapping[str, Sequence[str]]]
-    """Optional parameters, and the words that refer to each in a server's error."""
+    """Optional parameters, each with the words that refer to it in a server's error message."""
     online = True
 
     def __init__(self, options: MLLMOptions) -> None:
@@ -58,11 +58,11 @@ class ServerProvider(ABC):
         self.secrets = self._connection.secrets
         self._client: Any = None
         self._unsupported: set[tuple[str, str, str]] = set()
-        """Rejected features, as (model, feature, digest of the schema or "")."""
+        """Rejected features as (model, feature, digest of the schema or "")."""
 
     @abstractmethod
     def _new_client(self) -> Any:
-        """Return the SDK's client; it must not retry, so that the ledger counts every call."""
+        """Return a client of the SDK that does not retry, so that the ledger counts every call."""
 
     @abstractmethod
     def _params(
@@ -77,7 +77,7 @@ class ServerProvider(ABC):
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; repeat it without a feature that the server rejects.
+        """Make one call; if the server rejects a feature, repeat the call without the feature.
 
         Raises:
             Transient: a retry may help.
@@ -130,7 +130,7 @@ class ServerProvider(ABC):
         return request.parts["schema"] if feature == self.schema_feature else ""
 
     def _rejected_feature(self, error: Exception, params: dict[str, Any]) -> str | None:
-        """Return the optional feature of a call that a server's rejection refers to."""
+        """Return the optional feature that a server rejects; None if it rejects none."""
         if getattr(error, "status_code", None) not in (400, 422):
             return None
         message = server_message(error).lower()
@@ -140,13 +140,13 @@ class ServerProvider(ABC):
         return None
 
     def _schema(self, request: Request[Any], role: RoleOptions) -> dict[str, Any] | None:
-        """Return the schema for the server to enforce; None if it cannot."""
+        """Return the schema for the server to enforce; None if the server cannot enforce it."""
         if not self._supports(self.schema_feature, request, role):
             return None
         try:
             return anthropic.transform_schema(request.json_schema)
         except ValueError:
-            return None  # Structured output cannot express it, such as a field of any type.
+            return None  # Structured output cannot express the schema, such as a field of any type.
 
     def _prompt(self, request: Request[Any], schema: dict[str, Any] | None) -> str:
         # A local server may accept a schema without enforcing it.
@@ -156,7 +156,7 @@ class ServerProvider(ABC):
 
 
 def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tuple[str, str]]:
-    """Return the messages (role, text) after a prompt whose responses were rejected."""
+    """Return the rejected responses and their errors as messages (role, text) after the prompt."""
     turns = []
     for rejection in rejected:
         turns.append(("assistant", rejection.text.strip() or "(nothing)"))

@@ -1,1 +1,1 @@
-"""Step 1: a photograph becomes a scene tree."""
+"""Step 1: parse a photograph into a scene tree."""

@@ -1,6 +1,7 @@
-"""Objects of a response whose camera is corrected: they keep their pixels.
+"""Move the objects of a response after a correction of its camera, so that they keep their pixels.
 
-A response locates objects by pixels through its camera, so another camera moves them.
+The positions in a response are consistent with the picture only through its camera. If the camera
+changes, each object is moved to the position that has the same pixel in the new camera.
 """
 
 import math
@@ -11,7 +12,7 @@ from .object_schema import ParsedCamera, ParsedObject
 from .response_to_tree import camera_of
 
 FARTHEST = 3.0
-"""Maximum ratio, in both directions, of the distances from the camera after and before."""
+"""Maximum factor by which the distance of an object from the camera may grow or shrink."""
 
 
 def moved_with_camera(
@@ -22,17 +23,17 @@ def moved_with_camera(
     *,
     placed: Collection[str] = (),
 ) -> list[ParsedObject]:
-    """Return objects with the pixels and heights of their footprints that the old camera gave.
+    """Return the objects at positions with the same pixels and heights in the new camera.
 
-    An object keeps its position if that is outside the picture, or if the new position would be
-    more than three times as far away or as near.
+    An object keeps its position if the position is outside the picture, or if the distance from the
+    camera would change by more than a factor of three.
 
     Args:
         objects: the objects of the response.
-        before: the camera by which they were placed.
+        before: the old camera, for which the positions were given.
         after: the new camera.
         size: width and height of the picture that the model saw [px].
-        placed: names of objects whose positions are for the new camera already.
+        placed: names of objects whose positions were given for the new camera.
 
     Raises:
         ValidationError: a camera is invalid.

@@ -1,10 +1,11 @@
-"""Check of a parsed camera against the picture: where the edges of what stands upright meet.
+"""Check of the parsed camera by the vertical edges in the photograph.
 
-Vertical edges meet at one point of the picture, which pitch, roll and field of view determine. The
-straight edges near their expected direction vote for pitch and roll at the parsed field of view: an
-edge is vertical with a probability of one half, or points anywhere within REACH. Edges that are not
-vertical do not agree on another point, so few of them do no harm. An error of the field of view
-shows as one of the pitch, since the point is at f / tan(pitch) below the middle.
+The images of vertical edges meet at one point, which pitch, roll and field of view determine. The
+straight edges near the expected direction vote for pitch and roll, while the field of view keeps
+its parsed value. An edge is assumed to be vertical with a probability of one half; otherwise its
+direction is uniform within REACH of the expected direction. Edges that are not vertical do not
+agree on another point, so a few of them do no harm. An error of the field of view appears as an
+error of the pitch, because the point lies f / tan(pitch) below the middle of the picture.
 """
 
 import math
@@ -22,50 +23,50 @@ from ..spec.pose import matrix
 from .line_segments import Segments, line_segments
 
 CAMERA = "the camera"
-"""Node of an issue of the camera; no object can have this name."""
+"""Name under which issues of the camera are reported; no object can have this name."""
 LONGER_PX = 960
-"""Maximum longer side of the picture in which edges are found: larger ones are reduced."""
+"""Maximum length of the longer side [px]; edges are found in a picture reduced to it."""
 REACH = math.radians(15.0)
-"""Maximum angle of an edge to its expected direction [rad]."""
+"""Maximum angle between an edge and the expected direction [rad]."""
 UPRIGHT = math.radians(0.6)
-"""Standard deviation of the angle of an upright edge in the picture [rad]: products bulge, and
-lenses bend lines."""
+"""Standard deviation of the angle of a vertical edge in the picture [rad], in addition to the error
+of its measurement. Reasons are that sides of objects bulge, and that lenses bend lines."""
 VERTICAL = 0.5
 """Probability that an edge near the expected direction is vertical."""
 PITCH_RANGE, ROLL_RANGE, GRID = math.radians(16.0), math.radians(8.0), math.radians(0.25)
-"""Largest deviations that are considered, and their step [rad]."""
+"""Maximum deviations of pitch and roll from the parsed camera, and step of the grid [rad]."""
 MOST_OF_ONE = 6.0
-"""Number of votes of one object, or of one of STRIPS columns of the background: edges of one
-object are wrong together."""
+"""Maximum total vote of the edges of one object, because these tend to be wrong together. It also
+limits the vote of each of STRIPS vertical strips of the background."""
 STRIPS = 8
 MOST_SEGMENTS = 150
-"""Number of segments, the longest ones."""
+"""Maximum number of segments; the longest ones are used."""
 UPRIGHT_TILT = math.radians(1.0)
 """Maximum tilt of an object whose edges vote [rad]."""
 SIGMA = 3.5
-"""Significance of a deviation that is an issue, of two degrees of freedom, in standard deviations.
-Of 210 right cameras of 70 rendered scenes (exact, or with the noise of a response) none has an
-issue, at 2.5 one."""
+"""Significance above which a deviation is an issue, in standard deviations (the square root of
+twice the gain in log-likelihood, with two degrees of freedom). Of 210 correct cameras of 70
+rendered scenes (exact, or with the noise of a response), none has an issue; with 2.5, one has."""
 LEAST_DEVIATION = math.radians(3.0)
-"""Minimum deviation that is an issue [rad]: fit and alignment correct smaller ones."""
+"""Deviation above which a camera has an issue [rad]; fit and alignment correct smaller ones."""
 CERTAIN = 2.5
-"""Minimum ratio of the deviation to its standard deviation."""
+"""Ratio of a deviation to its standard deviation above which the deviation counts."""
 
 
 @dataclass(frozen=True)
 class UprightEdges:
-    """Camera from vertical edges, at the parsed field of view."""
+    """Pitch and roll estimated from vertical edges, with the parsed field of view."""
 
     pitch: float
-    """Mean of its distribution [rad]."""
+    """Mean of the distribution of the pitch [rad]."""
     pitch_sd: float
-    """Standard deviation of its distribution [rad]."""
+    """Standard deviation of the pitch [rad]."""
     roll: float
-    """[rad]."""
+    """Mean of the distribution of the roll [rad]."""
     roll_sd: float
-    """[rad]."""
+    """Standard deviation of the roll [rad]."""
     count: float
-    """Number of edges that are vertical at the estimate, weighted as they vote."""
+    """Expected number of vertical edges at the estimate, each weighted by its vote."""
     sigma: float
     """Significance with which the edges exclude the parsed camera, in standard deviations."""
     camera: Camera
@@ -73,26 +74,30 @@ class UprightEdges:
 
     @property
     def deviation(self) -> float:
-        """Largest deviation of pitch or roll that the edges exclude [rad]; 0 if there is none."""
+        """Larger of the deviations of pitch and roll from the parsed camera [rad].
+
+        A deviation within CERTAIN standard deviations counts as 0.
+        """
         off = [(self.pitch - self.camera.pitch, self.pitch_sd)]
         off.append((self.roll - self.camera.roll, self.roll_sd))
         return max((abs(value) for value, sd in off if abs(value) > CERTAIN * sd), default=0.0)
 
     @property
     def contradicts(self) -> bool:
-        """True if the parsed camera is excluded."""
+        """True if the edges exclude the parsed camera."""
         return self.sigma > SIGMA and self.deviation > LEAST_DEVIATION
 
 
 def camera_issue(
     rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree, *, asked: bool = False
 ) -> SceneIssue | None:
-    """Return the issue of a camera that contradicts the picture's vertical edges, or None.
+    """Return an issue if the parsed camera contradicts the vertical edges, otherwise None.
 
     Args:
         rgb: the photograph.
-        tree: the parse.
-        asked: True if the model was asked about it, which makes it a warning.
+        tree: the parsed scene.
+        asked: if True, the model was already asked about the camera, so the issue is a warning and
+            not an error.
     """
     found = upright_edges(rgb, tree)
     if found is None or not found.contradicts:
@@ -132,12 +137,12 @@ def camera_issue(
 def upright_edges(rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree) -> UprightEdges | None:
     """Estimate pitch and roll from the vertical edges of a photograph.
 
-    Edges within the boxes of objects without vertical edges do not vote: flat supports, and objects
-    that are tilted, open, tapered or of unknown shape.
+    Edges in the 2D box of a node without vertical edges do not vote. Such nodes are flat supports,
+    and objects that are tilted, have an open hinge, are tapered or have an unknown shape.
 
     Args:
-        rgb: the photograph, of any size of the camera's aspect ratio.
-        tree: the parse.
+        rgb: the photograph, of any size with the camera's aspect ratio.
+        tree: the parsed scene.
 
     Returns:
         The estimate; None if no two edges vote.
@@ -168,7 +173,7 @@ def _estimate(
     segments: Segments,
     weights: Float[np.ndarray, " n"],
 ) -> UprightEdges:
-    """Return the mean of pitch and roll over a grid about the parsed ones."""
+    """Return the mean of the likelihood over a grid around the parsed pitch and roll."""
     steps = [np.arange(-round(r / GRID), round(r / GRID) + 1) for r in (PITCH_RANGE, ROLL_RANGE)]
     off = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1) * GRID
     pitch, roll = camera.pitch + off[..., 0], camera.roll + off[..., 1]
@@ -210,7 +215,7 @@ def _towards_ground(
     pitch: Float[np.ndarray, "*m"],
     roll: Float[np.ndarray, "*m"],
 ) -> Float[np.ndarray, "*k 2"]:
-    """Return the direction in the picture of what points straight down at each pixel."""
+    """Return the image direction of a vertical line, downwards, at each pixel; shape [..., 2]."""
     right, down = np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)
     ahead = np.sin(pitch)
     x, y = np.moveaxis(pixels - np.array([camera.width, camera.height_px]) / 2, -1, 0)
@@ -218,7 +223,7 @@ def _towards_ground(
 
 
 def _weights(tree: SceneTree, middle: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Return the weight of each edge's vote, by the smallest 2D box that contains its middle."""
+    """Return the weight of each edge's vote, from the smallest 2D box that contains its middle."""
     boxes = np.array([node.box2d.as_tuple() for node in tree.nodes])
     area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     pad = 0.006 * max(tree.camera.width, tree.camera.height_px)
@@ -238,7 +243,7 @@ def _has_upright_edges(node: TreeNode) -> bool:
     if node.environment:
         return not is_slab(node)
     outline, axes = outline_of(node), np.abs(matrix(np.array(node.base_tilt)))
-    # A box that lies on one of its faces has vertical edges, too.
+    # A box that lies on any of its faces has vertical edges.
     level = axes.max(axis=0) if outline == "box" else axes[2:, 2]
     tilted = float(level.min()) < math.cos(UPRIGHT_TILT) or node.relation == "leaning"
     turned = any(part.type != "prismatic" and part.opening > 0 for part in node.articulation)

@@ -1,4 +1,4 @@
-"""Crops of objects for the programmer, with outlined neighbours and notes on occlusion."""
+"""Crops of objects for the programmer, with outlines of their neighbors and notes on occlusion."""
 
 from dataclasses import dataclass
 
@@ -11,13 +11,13 @@ from .enlarge import enlarged
 from .photo import Photo
 
 MARGIN = 0.12
-"""Margin on every side, relative to the box's longer side."""
+"""Margin on every side, as a fraction of the longer side of the object's 2D box."""
 LEAST_PX = 8
 """Minimum margin [px]."""
 MARK = (90, 90, 90)
-"""Colour of the outlines of other objects."""
+"""Color of the outlines of other objects."""
 SHOWN_PX = 448
-"""Minimum length of a crop's longer side, to which small crops are enlarged [px]."""
+"""Minimum length of a crop's longer side [px]; smaller crops are enlarged, up to eightfold."""
 
 Window = tuple[int, int, int, int]
 
@@ -29,16 +29,16 @@ class Crop:
     picture: Picture
     """The crop, with the label "crop" by which requests refer to it."""
     note: str
-    """Description of the parts that are cut off or hidden; empty if there are none."""
+    """What hides the object and which edges of the picture cut it off; empty if neither is true."""
     window: tuple[float, float, float, float]
-    """Window of the crop in original pixels (x0, y0, x1, y1)."""
+    """Window of the crop in pixels of the original photo (x0, y0, x1, y1)."""
 
 
 def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
     """Return the crop of every object, by node name.
 
-    Small crops are enlarged in integer arithmetic, so every machine gives the same bytes. Boxes of
-    other objects within a crop have a grey outline.
+    Small crops are enlarged in integer arithmetic, so every machine gives the same bytes. The 2D
+    boxes of other objects, but not of environment supports, are outlined in gray.
     """
     return {node.name: _crop(photo, tree, node) for node in tree.nodes}
 
@@ -55,7 +55,7 @@ def _crop(photo: Photo, tree: SceneTree, node: TreeNode) -> Crop:
 
 
 def _window(photo: Photo, node: TreeNode) -> Window:
-    """Return a node's box with its margin, in integer pixels of the resized picture."""
+    """Return a node's 2D box with a margin, in integer pixels of the resized picture."""
     width, height = photo.size
     x0, y0, x1, y1 = _pixel_box(photo, node)
     margin = max(LEAST_PX, round(MARGIN * max(x1 - x0, y1 - y0)))
@@ -64,7 +64,7 @@ def _window(photo: Photo, node: TreeNode) -> Window:
 
 
 def colour_in_box(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float, float]:
-    """Return the median RGB, 0 to 1, of a node's box outside the boxes of other objects."""
+    """Return the median RGB, 0 to 1, of a node's 2D box outside the boxes of other objects."""
     free = np.zeros(photo.rgb.shape[:2], bool)
     x0, y0, x1, y1 = _pixel_box(photo, node)
     free[y0:y1, x0:x1] = True
@@ -84,7 +84,7 @@ def _outline(canvas: UInt8[np.ndarray, "h w 3"], box: Window) -> None:
 
 
 def _pixel_box(photo: Photo, node: TreeNode) -> Window:
-    """Return a node's box in integer pixels of the resized picture, at least one wide and high."""
+    """Return a node's 2D box in integer pixels of the resized picture; each side is at least 1."""
     width, height = photo.size
     x0, y0, x1, y1 = (v * photo.scale for v in node.box2d.as_tuple())
     left, top = min(int(x0), width - 1), min(int(y0), height - 1)
@@ -116,7 +116,7 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
 
 
 def _covered_part(other: TreeNode, node: TreeNode) -> str:
-    """Describe the part of a node's box that another box covers, on a grid of 3 x 3 cells."""
+    """Describe how much of a node's box another box covers, and which of 3 x 3 cells it is in."""
     box, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
     low, high = np.maximum(box[:2], over[:2]), np.minimum(box[2:], over[2:])
     if (low >= high).any():

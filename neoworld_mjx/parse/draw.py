@@ -1,8 +1,8 @@
-"""Drawing of a parse on its photograph: boxes with name tags, the same pixels on every machine.
+"""Drawing of a parsed scene on the photograph: 2D boxes with name tags.
 
-The picture is part of the request to the critic, and its pixels are part of the key on a tape.
-Boxes are therefore drawn directly into the array, with Pillow's bitmap font, rather than by a
-rasteriser whose rounding may change between versions.
+The picture is part of the request to the critic, and its pixels are part of the request's key.
+Every machine must therefore draw the same pixels. Boxes are drawn directly into the array, and tags
+with Pillow's bitmap font, because the rounding of a rasterizer may change between versions.
 """
 
 from collections.abc import Iterable
@@ -28,21 +28,21 @@ COLOURS = (
     (255, 140, 60),
     (190, 255, 110),
 )
-"""Colour of each support's objects, in the order in which the nodes name supports."""
+"""Colors of objects by their support; supports are numbered in the order of the nodes."""
 
 Region = tuple[int, int, int, int]
 
 
 def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
-    """Draw a parse on the resized picture.
+    """Draw a parsed scene on the resized picture.
 
-    Objects on the same support share a colour. Boxes of partly hidden objects are dashed, those of
-    environment supports thin and grey.
+    Objects on the same support share a color. Boxes of partly hidden objects are dashed. Boxes of
+    environment supports are thin and gray.
 
     Args:
         photo: the photograph.
-        tree: the parse, in original pixels.
-        solid: True to also draw the projected edges of the 3D boxes. Their pixels depend on the
+        tree: the parsed scene, in pixels of the original photo.
+        solid: if True, also draw the projected edges of the 3D boxes. Their pixels depend on the
             rounding of the machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
@@ -53,7 +53,7 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
     if solid:
         canvas = _edges(canvas, photo, tree, colours)
     boxes = {node.name: _pixels(node, photo) for node in tree.nodes}
-    # Supports first, and large boxes before small ones, which end on top.
+    # Draw environment supports first and then objects; small boxes last, so that they are on top.
     order = sorted(tree.nodes, key=lambda node: (not node.environment, -_area(boxes[node.name])))
     for node in order:
         thickness = 1 if node.environment else line
@@ -76,7 +76,7 @@ def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
 
 
 def _pixels(node: TreeNode, photo: Photo) -> Region:
-    """Return a node's box in integer pixels of the resized picture, at least 2 per side."""
+    """Return a node's 2D box in integer pixels of the resized picture; each side is at least 2."""
     width, height = photo.size
     sx, sy = width / photo.original_size[0], height / photo.original_size[1]
     box = node.box2d
@@ -117,13 +117,13 @@ def _dashes(length: int, thickness: int, dashed: bool) -> Bool[np.ndarray, " len
         return np.ones(length, bool)
     period = 8 * thickness
     index = np.arange(length)
-    # Mirrored, so that every corner is drawn.
+    # The pattern is symmetric, so that every corner is drawn.
     return np.minimum(index, length - 1 - index) % period < period // 2
 
 
 @cache
 def _tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
-    """Return the mask of a name in the bitmap font, with a margin and magnified by `glyph`."""
+    """Return the mask of a name in the bitmap font, with a margin, magnified by `glyph`."""
     font = ImageFont.load_default_imagefont()
     left, top, right, bottom = font.getbbox(name)
     image = Image.new("1", (int(right - left) + 4, int(bottom - top) + 2), 0)
@@ -139,7 +139,7 @@ def _place(
     tags: list[Region],
     boxes: Iterable[Region],
 ) -> tuple[int, int]:
-    """Choose the position of a tag that hides least of other tags, then the fewest frames."""
+    """Choose the position that covers the least of other tags and, among equals, fewest frames."""
     height, width = shape[0], shape[1]
     x0, y0, x1, y1 = box
     candidates = [

@@ -1,11 +1,11 @@
-"""Enlargement of small pictures by an integer factor, with the same pixels on every machine."""
+"""Enlargement of small pictures by an integer factor; every machine gives the same pixels."""
 
 import numpy as np
 from jaxtyping import UInt8
 
 
 def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.ndarray:
-    """Enlarge a picture until its longer side has at least `least` pixels.
+    """Enlarge a picture by an integer factor until its longer side has at least `least` pixels.
 
     Interpolation is linear, so edges become smooth ramps without overshoot.
 
@@ -15,7 +15,8 @@ def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.n
         most: maximum factor.
 
     Returns:
-        The picture, uint8 [k h, k w, 3] for an integer factor k; unchanged if it is large enough.
+        The picture, uint8 of shape [k h, k w, 3] with an integer factor k. If the picture is large
+        enough, k is 1.
     """
     factor = min(-(-least // max(rgb.shape[:2])), most)
     if factor <= 1:
@@ -24,9 +25,9 @@ def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.n
 
 
 def _stretch(rgb: np.ndarray, factor: int, axis: int) -> np.ndarray:
-    """Stretch one axis by linear interpolation between pixel centres, in integer arithmetic."""
+    """Stretch one axis by linear interpolation between pixel centers, in integer arithmetic."""
     count = rgb.shape[axis]
-    # In units of 1 / (2 factor) pixels, from the centre of the first pixel.
+    # Unit: 1 / (2 factor) pixels; origin: the center of the first pixel.
     position = 2 * np.arange(count * factor) + 1 - factor
     lower = position // (2 * factor)
     weight = position - 2 * factor * lower

@@ -1,7 +1,7 @@
-"""Straight line segments of a picture that point roughly in expected directions.
+"""Straight line segments of a picture whose direction is close to an expected direction.
 
-Pixels at which the gradient is largest across an edge are linked, split where they bend, fitted by
-lines, and pieces of one line are joined across gaps.
+Pixels at which the gradient has a maximum across an edge are linked to chains. Chains are split
+where they bend, and the pieces are fitted by lines. Pieces of one line are joined across gaps.
 """
 
 from typing import NamedTuple
@@ -11,18 +11,20 @@ from jaxtyping import Float, Int, UInt8
 from scipy import ndimage
 
 BLUR_PX = 1.3
-"""Standard deviation of the smoothing before derivatives are taken [px]."""
+"""Standard deviation of the Gaussian filter that smooths the picture for derivatives [px]."""
 LEAST_GRADIENT, TIMES_MEDIAN = 3.0, 2.0
-"""Minimum gradient of an edge [grey levels/px], and over the picture's median, which is noise."""
+"""Minimum gradient at an edge: in levels (of 255) per pixel, and as a multiple of the picture's
+median gradient, which is mostly noise."""
 LEAST_LENGTH = 0.035
-"""Minimum length of a segment, over the picture's longer side."""
+"""Minimum length of a segment, as a fraction of the picture's longer side."""
 LEAST_FILLED = 0.5
 """Minimum number of edge pixels per pixel of a segment's length."""
 STRAIGHT_PX, BEND_PX = 0.6, 0.5
-"""Maximum root mean square distance from the line, and height of the arc [px]."""
+"""Maximum root mean square distance of a segment's pixels from its line, and maximum height of its
+arc [px]."""
 JOIN_PX, JOIN_GAP = 0.5, 0.6
-"""Two pieces are of one line if each is on average at most JOIN_PX from their common line, and if
-the gap is at most JOIN_GAP of their total length."""
+"""Two pieces belong to one line if the mean offset of each piece from their common line is at most
+JOIN_PX [px], and if the gap is at most JOIN_GAP times their total length."""
 NOISE_PX = 0.2
 """Minimum standard deviation of the position of an edge pixel across its edge [px]."""
 
@@ -33,13 +35,13 @@ class Segments(NamedTuple):
     """Line segments, from the longest to the shortest."""
 
     middle: Float[np.ndarray, "n 2"]
-    """Their middles, right and down [px]."""
+    """Midpoints of the segments; x points right and y down [px]."""
     direction: Float[np.ndarray, "n 2"]
-    """Unit vectors along them, downwards."""
+    """Unit vectors along the segments, pointing downwards."""
     length: Float[np.ndarray, " n"]
-    """[px]."""
+    """Lengths of the segments [px]."""
     sd: Float[np.ndarray, " n"]
-    """Standard deviations of their angles [rad]."""
+    """Standard deviations of the segments' angles [rad]."""
 
 
 def line_segments(
@@ -51,7 +53,7 @@ def line_segments(
 
     Args:
         rgb: the picture.
-        expected: vectors along the expected edges at each pixel, of any length.
+        expected: vector, of any length, along the expected edge at each pixel.
         reach: maximum angle between an edge and the expected direction [rad].
     """
     across, strength = _gradient(rgb)
@@ -79,7 +81,7 @@ def line_segments(
 def _gradient(
     rgb: UInt8[np.ndarray, "h w 3"],
 ) -> tuple[Float[np.ndarray, "h w 2"], Float[np.ndarray, "h w"]]:
-    """Return the unit gradient of the channel that changes most, and its magnitude."""
+    """Return unit gradient and magnitude at each pixel, of the color channel that changes most."""
     values = rgb.astype(float)
     gradient = np.stack(
         [
@@ -102,7 +104,7 @@ def _ridge(
     strength: Float[np.ndarray, "h w"],
     wanted: np.ndarray,
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Points]:
-    """Return rows and columns of the wanted pixels on an edge, and where the edge passes them."""
+    """Return rows, columns and subpixel positions of the wanted pixels with maximum gradient."""
     rows, columns = np.nonzero(wanted)
     right, down = across[rows, columns].T
     here = strength[rows, columns]
@@ -113,7 +115,7 @@ def _ridge(
     top = (here >= after) & (here > before)
     curvature = np.maximum(2 * here - after - before, 1e-9)
     shift = np.clip((after - before) / 2 / curvature, -0.5, 0.5)
-    # The middle of a pixel is at half a pixel.
+    # The center of the first pixel is at 0.5.
     points = np.column_stack([columns + 0.5 + shift * right, rows + 0.5 + shift * down])
     return rows[top], columns[top], points[top]
 
@@ -124,7 +126,7 @@ def _grouped(points: Points, labels: Int[np.ndarray, " n"]) -> list[Points]:
 
 
 def _split(points: Points, least: float, pieces: list[Points]) -> None:
-    """Add the straight pieces of a chain of edge pixels that are at least `least` long."""
+    """Add to `pieces` the straight pieces of a chain that are at least `least` pixels long."""
     if len(points) < LEAST_FILLED * least:
         return
     along, off, _ = _coordinates(points)
@@ -144,7 +146,7 @@ def _split(points: Points, least: float, pieces: list[Points]) -> None:
 
 
 def _joined(pieces: list[Points]) -> list[Points]:
-    """Join the pieces of one line, longest first."""
+    """Join pieces that belong to one line, starting with the longest piece."""
     left = sorted(pieces, key=lambda piece: -float(np.ptp(_coordinates(piece)[0])))
     joined = []
     while left:
@@ -169,7 +171,7 @@ def _on_one_line(one: Points, other: Points) -> bool:
 def _coordinates(
     points: Points,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "2"]]:
-    """Return coordinates along and across the points' line, from its middle, and its direction."""
+    """Fit a line to points; return their coordinates along and across it, and its direction."""
     offset = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(offset.T @ offset)
     direction = axes[:, 1] * (1 if axes[1, 1] >= 0 else -1)
@@ -179,9 +181,9 @@ def _coordinates(
 def _line(
     points: Points,
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], float, float]:
-    """Return middle, direction, length [px] and standard deviation of the angle [rad]."""
+    """Return the line's midpoint, direction, length [px] and standard deviation of angle [rad]."""
     along, off, direction = _coordinates(points)
     noise = max(float(np.sqrt(np.mean(off**2))), NOISE_PX)
-    # Neighbouring pixels share their errors, as they are smoothed together.
+    # Errors of neighboring pixels are correlated, because the picture is smoothed.
     spread = float(np.sqrt(np.sum(along**2) / (2 * BLUR_PX)))
     return points.mean(axis=0), direction, float(np.ptp(along)), noise / spread

@@ -1,9 +1,12 @@
-"""Step 1: request the scene in a photo, fit, check and criticise it, return the best round.
+"""Step 1: request the scene in a photo; fit, check and criticize it; and return the best round.
 
-A response is fitted to its own 2D boxes and checked without a model. A repair request contains the
-issues of the response that the fit does not repair and the critic does not dismiss, and the faults
-that the critic sees in the drawn parse; the answer to it contains only what changes. The result is
-the response with the best score.
+Each response is fitted to its own 2D boxes and checked without a model. A repair request lists
+
+- the issues of the response that the fit does not repair and the critic does not dismiss,
+- the faults that the critic sees in the drawing of the scene.
+
+The response to a repair request contains only changes. The result is the response with the best
+score.
 """
 
 import asyncio
@@ -28,7 +31,7 @@ from .room_schema import phrase
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
-"""Minimum of each of the critic's three scores for a response to be accepted."""
+"""A response is accepted only if each of the critic's three scores is at least this value."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class SceneAttempt:
     broken: str = ""
     """Reason why the response gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
-    """Issues of the response, with its own numbers, that the fit does not repair."""
+    """Issues of the response that the fit does not repair, with the values before the fit."""
     fit: FitReport | None = None
     verdict: SceneCritique | None = None
 
@@ -57,7 +60,10 @@ class SceneAttempt:
 
     @property
     def score(self) -> float:
-        """Score of the checks, or its mean with the critic's score, 0 to 1; -1 without a tree."""
+        """Score of the checks, 0 to 1, averaged with the critic's score if there is a critique.
+
+        Without a tree, the score is -1.
+        """
         if self.tree is None:
             return -1.0
         checks = check_score(self.tree, self.open_issues)
@@ -65,7 +71,7 @@ class SceneAttempt:
 
     @property
     def corrections(self) -> tuple[str, ...]:
-        """Faults to correct, one line each; empty if the response is accepted."""
+        """Faults to correct, each as one line; empty if the response is accepted."""
         if self.tree is None:
             return (self.broken,)
         low_score = self.verdict is not None and self.verdict.lowest < ACCEPT
@@ -86,12 +92,12 @@ class Parsed:
     response_tree: SceneTree
     """The tree before the fit."""
     picture: bytes
-    """The parse drawn on the photo, PNG."""
+    """The parsed scene drawn on the photo, as PNG."""
     rounds: tuple[SceneAttempt, ...]
     best_round: int
     """Index of the round that gave `tree`."""
     fallbacks: tuple[tuple[str, str], ...] = field(default=())
-    """Failed stages, and the reasons."""
+    """Stages that failed, each with the reason."""
 
     @property
     def checks(self) -> tuple[SceneIssue, ...]:
@@ -100,7 +106,7 @@ class Parsed:
 
     @property
     def fit(self) -> FitReport | None:
-        """Report of the fit of `tree` to the photo; None if the fit is switched off."""
+        """Report of the fit that gave `tree`; None if the fit is switched off."""
         return self.rounds[self.best_round].fit
 
     def to_json(self) -> str:
@@ -139,7 +145,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     async def criticise(attempt: SceneAttempt) -> SceneAttempt:
         if attempt.tree is None:
             return attempt
-        # Draw only 2D boxes, which the fit does not move: every machine draws the same picture.
+        # Draw only 2D boxes. The fit does not move them, so every machine draws the same picture.
         drawn = draw_parse(photo, attempt.tree)
         findings = [issue.phrase() for issue in attempt.checks]
         request = critic_request(photo, attempt.response, drawn, findings)
@@ -186,7 +192,7 @@ async def _fit_and_check(
         photo: the photograph.
         response: the response.
         options: whether to fit.
-        asked: True if the model was asked about its camera.
+        asked: if True, the model was already asked about the camera.
     """
     try:
         response_tree = tree = to_tree(response, photo)
@@ -194,7 +200,7 @@ async def _fit_and_check(
         return SceneAttempt(response, None, None, str(error))
     issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, asked=asked)
     if issue is not None:
-        # Numbers that the picture contradicts count as estimates.
+        # The picture contradicts the camera, so its numbers do not count as measured.
         estimated = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
         response_tree = tree = tree.model_copy(update=estimated)
     report, checks = None, check_tree(response_tree)

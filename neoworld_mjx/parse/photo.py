@@ -1,12 +1,12 @@
 """Photographs as upright 8-bit RGB, from every format that Pillow decodes.
 
 `load_photo` rotates a picture by its EXIF data, blends transparent pixels with white, converts it
-to 8-bit RGB, and resizes it for the models. All other pixel coordinates are those of the upright
-original; `Photo.scale` converts them to the resized picture. Embedded colour profiles are ignored,
+to 8-bit RGB, and resizes it for the models. After Step 1, pixel coordinates refer to the upright
+original; `Photo.scale` converts them to the resized picture. Embedded color profiles are ignored,
 so a file gives the same pixels on every machine.
 
-A file that could exhaust the memory is rejected by its header, before any pixel is decoded; a large
-picture is decoded in a limited worker.
+The header of a file is read first, and a file that could exhaust the memory is rejected before any
+pixel is decoded. A large picture is decoded in a worker process with limited memory.
 """
 
 import hashlib
@@ -28,19 +28,19 @@ MIN_SIDE_PX = 16
 DRAFT_MPX = 40
 """Number of megapixels above which a JPEG is decoded at half its size."""
 _ROWS = 256
-"""Number of rows that are converted to bytes at once."""
+"""Number of rows that are converted to 8 bits at once."""
 
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph at the size that models receive."""
+    """A photograph in the size that models receive."""
 
     rgb: UInt8[np.ndarray, "height width 3"] = field(repr=False)
     """The resized picture, shape [height, width, 3]."""
     original_size: tuple[int, int]
     """Width and height of the upright original, in pixels."""
     sha256: str
-    """Digest of the file."""
+    """sha256 of the file."""
     path: Path
 
     @property
@@ -50,18 +50,18 @@ class Photo:
 
     @property
     def scale(self) -> float:
-        """Ratio of resized to original pixels; above 1 for an enlarged small photo."""
+        """Longer side of the resized picture divided by that of the original."""
         return max(self.size) / max(self.original_size)
 
 
 def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Photo:
-    """Read a photograph; of an animation or several pages, the first image.
+    """Read a photograph; if a file has several images (frames or pages), read the first one.
 
     Args:
         path: the image file.
-        max_side_px: maximum length of the resized picture's longer side, in pixels.
-        min_side_px: minimum length of the longer side, to which a small picture is enlarged by an
-            integer factor within `max_side_px`.
+        max_side_px: maximum length of the resized picture's longer side [px].
+        min_side_px: minimum length of the longer side [px]. A smaller picture is enlarged by an
+            integer factor, as far as `max_side_px` permits.
 
     Raises:
         PhotoError: the file is missing, not a picture, damaged, too small (under 16 pixels a side),
@@ -84,7 +84,7 @@ def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Pho
 
 
 def _resized(path: Path, max_side_px: int) -> tuple[UInt8[np.ndarray, "h w 3"], tuple[int, int]]:
-    """Return a photograph at the size that models receive, and the size of the original."""
+    """Return the pixels of a photograph, at most `max_side_px` long, and the original size."""
     image, original = _decode(path, _read(path))
     longest = max(original)
     if longest > max_side_px:
@@ -115,7 +115,7 @@ def _read(path: Path) -> bytes:
 
 
 def _decode(path: Path, data: bytes) -> tuple[Image.Image, tuple[int, int]]:
-    """Return the picture upright, in mode RGB, and the size of the upright original."""
+    """Return the upright picture in mode RGB, and the size of the upright original."""
     with open_image(data, str(path), PhotoError, large=True) as image:
         width, height = image.size
         if min(image.size) < MIN_SIDE_PX:
@@ -124,7 +124,7 @@ def _decode(path: Path, data: bytes) -> tuple[Image.Image, tuple[int, int]]:
                 f"at least {MIN_SIDE_PX} pixels a side are needed"
             )
         if width * height > DRAFT_MPX * 1_000_000:
-            # The JPEG decoder can halve a picture while it decodes it.
+            # The JPEG decoder can halve the size of a picture while decoding.
             image.draft("RGB", (width // 2, height // 2))
         image.load()
         upright = _upright(image)
@@ -151,10 +151,10 @@ def _to_rgb(image: Image.Image) -> Image.Image:
 
 
 def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
-    """Convert grey values of 16 or 32 bits, or of floats, to 8 bits.
+    """Convert gray values of 16 or 32 bits, or floats, to 8 bits.
 
-    White is 65535 for integers, 1 for floats up to 1 and 255 for other floats, or the maximum if it
-    is larger.
+    The value of white is 65535 for integers, 1 for floats that do not exceed 1, and 255 for other
+    floats. If the maximum of the picture is larger than 65535 or 255, the maximum is white.
     """
     blocks = range(0, len(values), _ROWS)
     top = max(float(_grey(values[row : row + _ROWS]).max()) for row in blocks)

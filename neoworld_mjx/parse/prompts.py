@@ -61,7 +61,7 @@ class SceneCritique(BaseModel):
 
     @property
     def score(self) -> float:
-        """Mean of the three scores, each clipped to 0 .. 10, over 10."""
+        """Mean of the three scores, each clipped to 0 .. 10, divided by 10."""
         scores = (self.boxes, self.completeness, self.hierarchy)
         return sum(min(max(score, 0.0), 10.0) for score in scores) / 30.0
 
@@ -92,7 +92,7 @@ def correction_request(
     Args:
         photo: the photograph.
         response: the response to correct.
-        findings: its faults, one line each.
+        findings: faults of the response, each as one line.
     """
     width, height = photo.size
     prompt = REPAIR_PROMPT.format(
@@ -119,7 +119,8 @@ def critic_request(
         photo: the photograph.
         response: the response.
         drawn: the response drawn on the photograph.
-        findings: issues of the checks, one line each, which the critic may dismiss by number.
+        findings: issues found by the checks, each as one line; the critic may dismiss them by
+            number.
     """
     width, height = photo.size
     lines = "\n".join(f"{number}. {line}" for number, line in enumerate(findings, start=1))
@@ -140,7 +141,7 @@ def critic_request(
 
 
 def listing(response: ParsedScene) -> str:
-    """List a response's objects for the critic, one per line."""
+    """Return a list of the response's objects for the critic, one object per line."""
     lines = []
     for obj in response.objects:
         box = obj.box

@@ -1,7 +1,7 @@
 """Bounds of every number in the reasoner's response.
 
-The JSON schema does not contain them, because some servers reject schemas with bounds. The model
-receives an error for a number outside its bounds.
+The JSON schema does not contain the bounds, because some servers reject schemas with bounds. If a
+number is outside its bounds, the model receives an error.
 """
 
 from collections.abc import Iterator
@@ -34,12 +34,12 @@ BOUNDS: dict[str, tuple[float, float]] = {
     },
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _POSITION},
 }
-"""Minimum and maximum [m, degrees, pixels, fractions] by the number's path in an object or in the
-response."""
+"""Minimum and maximum of each number [m, degrees, pixels or fractions], by its path. Paths of an
+object's numbers start at the object, and all other paths at the response."""
 
 
 def out_of_bounds(response: BaseModel) -> Iterator[str]:
-    """Yield an error for each number of a response that is out of its bounds."""
+    """Yield an error for each number of a response that is outside its bounds."""
     for path, name, value in _numbers(response):
         low, high = BOUNDS[path]
         if not low <= value <= high:
@@ -48,7 +48,7 @@ def out_of_bounds(response: BaseModel) -> Iterator[str]:
 
 
 def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
-    """Yield an error for each list of a response that is longer than any scene needs."""
+    """Yield an error for each list of a response that has too many entries."""
     for field in type(response).model_fields:
         value = getattr(response, field)
         parts = [value] if isinstance(value, BaseModel) else value
@@ -64,10 +64,10 @@ def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
 
 
 def _numbers(part: BaseModel, prefix: str = "", name: str = "") -> Iterator[tuple[str, str, float]]:
-    """Yield path, name of the object, and value of every number."""
+    """Yield the path, the name of the object, and the value of every number."""
     for field in type(part).model_fields:
         value = getattr(part, field)
-        # Paths start at the object, which the error names.
+        # Paths start at the object, because the error names the object separately.
         path = "" if field == "objects" else f"{prefix}{field}"
         for inner in value if isinstance(value, list) else [value]:
             if isinstance(inner, float):

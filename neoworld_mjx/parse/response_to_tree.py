@@ -1,4 +1,4 @@
-"""Conversion of parsed objects to a scene tree in original pixels, metres and radians."""
+"""Conversion of parsed objects to a scene tree in pixels of the original, meters and radians."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from .room_schema import support_outline, support_surface
 
 MAX_LABEL, MAX_DESCRIPTION = 100, 4000
 _EDGE_AXES: dict[str, Literal["x", "y", "z"]] = {"length": "x", "width": "y", "height": "z"}
-"""Axis of the object's frame along each edge of `size`."""
+"""Axis of the object's frame that is parallel to each edge of `size`."""
 _CameraNumber = Literal["pitch", "height", "fovy", "roll"]
 _CAMERA_NAMES: dict[str, _CameraNumber] = {
     "pitch_deg": "pitch",
@@ -29,11 +29,11 @@ _TOWARDS = {
     "left": (-1.0, 0.0, 0.0),
     "right": (1.0, 0.0, 0.0),
 }
-"""Axis of the rotation, in the object's frame, that moves the object's top in a direction."""
+"""Rotation axis, in the object's frame, by which the object's top moves in each direction."""
 
 
 def camera_of(parsed: ParsedCamera, size: tuple[int, int]) -> Camera:
-    """Return a response's camera of a picture of a width and height [px].
+    """Return the parsed camera for a picture with this width and height [px].
 
     Raises:
         ValidationError: the camera is invalid.
@@ -63,7 +63,7 @@ def build_tree(
         objects: the parsed objects.
         per_pixel: original pixels per pixel of the resized picture, horizontally and vertically.
         size: width and height of the original [px].
-        clip: True to clip boxes at the picture's edges.
+        clip: if True, clip 2D boxes at the picture's edges.
 
     Raises:
         ValidationError: the tree is invalid.
@@ -140,12 +140,12 @@ def _cues(obj: ParsedObject, per_pixel: tuple[float, float]) -> Cues:
 
 
 def corners(box: ParsedBox) -> tuple[float, float, float, float]:
-    """Return left, top, right, bottom of a box."""
+    """Return the left, top, right and bottom of a box."""
     return box.left, box.top, box.right, box.bottom
 
 
 def tilt_quat(tilt: ParsedTilt | None) -> Quat:
-    """Return the rotation, applied before yaw, of a parsed tilt."""
+    """Return the rotation of a parsed tilt, which is applied before the yaw."""
     if tilt is None or tilt.degrees == 0:
         return IDENTITY
     turn = from_axis_angle(_TOWARDS[tilt.towards], math.radians(tilt.degrees))
@@ -153,9 +153,9 @@ def tilt_quat(tilt: ParsedTilt | None) -> Quat:
 
 
 def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
-    """Return the offset of a tilted box's bottom centre from its footprint's centre, x and y [m].
+    """Return the offset (x, y) of a tilted box's bottom center from its footprint's center [m].
 
-    A scene tree contains the bottom centre, a response the centre of the footprint.
+    A scene tree contains the bottom center, whereas a response contains the footprint's center.
     """
     turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
     middle = (turned.min(axis=0) + turned.max(axis=0)) / 2

@@ -1,6 +1,6 @@
-"""Schema of what a response says about supports of the room: their outline and their surface.
+"""Schema of the outline and the surface of supports in a response.
 
-Names, docstrings and descriptions of the classes are part of the request, as those in `schema`.
+Names, docstrings and descriptions of the classes are part of the request, as in `schema`.
 """
 
 from typing import Literal
@@ -12,7 +12,7 @@ from ..spec.surface_pattern import RGB, RoomPatternKind
 
 
 class ResponsePart(BaseModel):
-    """Base of the parts of a response: closed against unknown keys."""
+    """Base class of the parts of a response; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -82,10 +82,10 @@ class ParsedSurface(ResponsePart):
 
 
 def support_surface(surface: ParsedSurface | None) -> SupportSurface | None:
-    """Convert a surface; None stays None.
+    """Convert a surface; return None for None.
 
     Raises:
-        ValueError: a colour is invalid.
+        ValueError: a color is invalid.
     """
     if surface is None:
         return None
@@ -94,17 +94,17 @@ def support_surface(surface: ParsedSurface | None) -> SupportSurface | None:
         kind=surface.pattern,
         rgb=second,
         step=surface.step,
-        # The second axis of a floor's face is the width, that of a wall's face is upright.
+        # The second axis of the face is the width of a floor and the vertical of a wall.
         along="y" if surface.run in ("along_width", "upright") else "x",
     )
     return SupportSurface(material=surface.material, pattern=pattern, rgb=first)
 
 
 def surface_colours(surface: ParsedSurface) -> tuple[RGB | None, RGB | None]:
-    """Return both colours of a surface.
+    """Return both colors of a surface.
 
     Raises:
-        ValueError: one is invalid; the message is written for the model.
+        ValueError: a color is invalid; the message is written for the model.
     """
     first = None if surface.colour is None else _rgb("colour", surface.colour)
     second = surface.second_colour
@@ -119,7 +119,7 @@ def _rgb(field: str, colour: list[float]) -> tuple[float, float, float]:
 
 
 def support_outline(outline: ParsedOutline | None) -> SupportOutline:
-    """Convert an outline; None is a rectangle.
+    """Convert an outline; return a rectangle for None.
 
     Raises:
         ValueError: a polygon is invalid; the message is written for the model.
@@ -139,11 +139,11 @@ def support_problems(
     outline: ParsedOutline | None,
     surface: ParsedSurface | None,
 ) -> list[str]:
-    """Return the errors of an object's fields that are for supports of the environment only.
+    """Return the errors of the fields that only supports of the environment may have.
 
     Args:
-        environment: True if the object is such a support.
-        furniture: True if a program builds its shape from the picture.
+        environment: if True, the object is a support of the environment.
+        furniture: if True, a program builds the object's shape from the picture.
         outline: outline of the object.
         surface: surface of the object.
     """
@@ -166,7 +166,7 @@ def support_problems(
 
 
 def phrase(error: ValidationError) -> str:
-    """Return the errors of a validation on one line, each with its path."""
+    """Return all errors of a validation as one line, each with its path."""
     lines = []
     for problem in error.errors():
         where = ".".join(str(step) for step in problem["loc"])

@@ -1,8 +1,9 @@
 """Schema of the reasoner's response, and its conversion into a `SceneTree`.
 
-The response is flatter than a scene tree and uses pixels of the resized picture, degrees, and tilts
-in words. Validation reports all errors of a response at once, in words for the model. Names,
-docstrings and descriptions of the classes are part of the request, as in `object_schema`.
+The response is less nested than a scene tree. It uses pixels of the resized picture, degrees, and
+words for the directions of tilts. Validation reports all errors of a response at once, in words for
+the model. Names, docstrings and descriptions of the classes are part of the request, as in
+`object_schema`.
 """
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
@@ -61,14 +62,15 @@ class SceneCorrection(ResponsePart):
     )
 
     def applied(self, earlier: ParsedScene, size: tuple[int, int]) -> ParsedScene:
-        """Return the corrected response, in which unchanged objects keep their pixels.
+        """Return the corrected response; objects that are not listed again keep their pixels.
 
         Args:
             earlier: the response to correct.
             size: width and height of the picture that the model saw [px].
 
         Raises:
-            ValidationError: the corrected scene is inconsistent; its messages are for the model.
+            ValidationError: the corrected scene is inconsistent; the messages are written for the
+                model.
         """
         changed = {obj.name: obj for obj in self.objects}
         names = [obj.name for obj in earlier.objects]
@@ -81,7 +83,7 @@ class SceneCorrection(ResponsePart):
             "camera": self.camera or earlier.camera,
             "objects": [*kept, *added],
         }
-        # Objects are validated again: whether parents and occluders exist depends on all of them.
+        # Validate objects again, because their parents and occluders must exist.
         return ParsedScene.model_validate({key: _plain(value) for key, value in data.items()})
 
 
@@ -94,7 +96,7 @@ def _plain(value: object) -> object:
 def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
     """Convert a response into a scene tree in pixels of the upright original.
 
-    Boxes are clipped at the picture's edges.
+    2D boxes are clipped at the picture's edges.
 
     Args:
         response: the response, with boxes in pixels of the resized picture.

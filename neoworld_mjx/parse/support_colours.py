@@ -1,7 +1,7 @@
-"""Colours of supports, measured on pixels that show only the support.
+"""Colors of supports, measured on pixels that show only the support.
 
-A pixel shows a support if its ray hits this support first, and if the pixel lies within the
-support's 2D box and outside the boxes of all objects.
+A pixel shows a support if the ray through the pixel hits this support before any other, and if the
+pixel is within the support's 2D box and outside the 2D boxes of all objects.
 """
 
 from typing import Literal, NamedTuple
@@ -19,31 +19,33 @@ from .photo import Photo
 RASTER = 320
 """Number of samples along the picture's longer side."""
 MARGIN = 0.012
-"""Width of the excluded border around objects and within supports, over the longer side."""
+"""Width of the excluded borders around objects and inside supports, as a fraction of the picture's
+longer side."""
 LEAST_SHARE = 0.004
-"""Minimum fraction of the picture from which a colour is measured."""
+"""A color is measured if the support alone is visible in at least this fraction of the picture."""
 
 
 class SupportColour(NamedTuple):
-    """Colour of a support, and its source."""
+    """Color of a support, and the source of the color."""
 
     rgb: tuple[float, float, float] | None
-    """RGB, 0 to 1; None for the colour of its material."""
+    """RGB, 0 to 1. If None, the support has the color of its material."""
     source: Literal["photo", "answer", "material", "box"]
-    """`photo`: median of the pixels that show only the support; `answer`: parsed colour; `box`:
-    median of its 2D box outside those of objects, for a support without a declared surface."""
+    """Source of the color. `photo`: median of the pixels that show only the support. `answer`:
+    color in the response. `material`: color of the material. `box`: median of the support's 2D box
+    outside the 2D boxes of objects, for a support without a declared surface."""
     share: float
     """Fraction of the picture that shows only the support."""
 
 
 def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
-    """Return the colour of every support of the environment that is built from its box.
+    """Return the color of every support of the environment that is built from its 3D box.
 
-    The measured colour takes precedence over the parsed one if enough of the support is visible.
+    If enough of a support is visible, the measured color takes precedence over the parsed color.
 
     Args:
         photo: the photograph.
-        tree: the parse.
+        tree: the parsed scene.
     """
     measured = measured_colours(photo, tree)
     colours = {}
@@ -64,11 +66,11 @@ def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
 def measured_colours(
     photo: Photo, tree: SceneTree
 ) -> dict[str, tuple[tuple[float, float, float] | None, float]]:
-    """Measure the colours of environment supports that are built from their boxes.
+    """Measure the colors of environment supports that are built from their 3D boxes.
 
     Returns:
-        The colour of each, None if it is hardly visible, and the fraction of the picture that shows
-        only it, by name.
+        For each support, by name: its color (RGB, 0 to 1; None if it is hardly visible), and the
+        fraction of the picture that shows only this support.
     """
     width, height = photo.original_size
     step = max(1.0, max(photo.size) / RASTER)
@@ -115,9 +117,9 @@ def _within(
 def _distance(
     node: TreeNode, eye: Float[np.ndarray, "3"], rays: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w"]:
-    """Return the distance along each ray to a support's box [m]; inf if the ray misses it.
+    """Return the distance along each ray to a support's 3D box [m]; inf if the ray misses it.
 
-    Only the top of a support counts if its outline is not a rectangle.
+    If the outline of a support is not a rectangle, only its top face is considered.
     """
     box = node.box3d
     turn = conjugate(quat_mul(from_yaw(box.yaw), np.array(node.base_tilt)))

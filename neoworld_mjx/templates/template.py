@@ -1,15 +1,15 @@
 """Templates: object programs whose parameters have ranges.
 
-A template is a complete object program. Its parameters are the constants that it assigns at top
-level with a range in the comment after them:
+A template is a complete object program. Its parameters are constants that are assigned at the top
+level of the program and followed by a comment with their range or choices:
 
     depth = 0.55  # 0.4 to 0.7 m
     drawers = 3  # 1 to 5
     pull = "bar"  # one of bar, knob, cup
 
-An instance replaces only these constants in the text. Every template has `depth`, `width` and
-`height`, the object's bounding box along x, y and z with all joints at 0, so that a label and a
-measured box determine a program.
+An instance of a template differs from it only in these constants. Every template has the parameters
+`depth`, `width` and `height`: the edges of the object's bounding box along x, y and z with all
+joints at zero. A label and a measured box therefore determine a program.
 """
 
 import ast
@@ -28,7 +28,7 @@ from ..program.named_constants import RANGE
 
 PROGRAMS = Path(__file__).parent / "programs"
 BOX = ("depth", "width", "height")
-"""Parameters of every template: edges of the bounding box along x, y and z [m]."""
+"""Parameters that every template has: edges of the bounding box along x, y and z [m]."""
 
 _CHOICES = re.compile(r"#\s*one of (\w+(?:, \w+)*)\s*$")
 _HEADER = re.compile(r"# ([A-Z][\w-]*): (.+)")
@@ -44,7 +44,7 @@ class Parameter:
     default: Value
     low: float = 0.0
     high: float = 0.0
-    """Range of a number; both 0 for a choice."""
+    """Minimum and maximum of a number; both are 0 if the parameter has choices."""
     choices: tuple[str, ...] = ()
     unit: str = ""
 
@@ -52,7 +52,7 @@ class Parameter:
         """Validate a value and convert it to the parameter's type.
 
         Raises:
-            SpecError: the value is outside the range or the choices.
+            SpecError: the value is outside the range, or is not one of the choices.
         """
         if self.choices:
             if value not in self.choices:
@@ -71,7 +71,7 @@ class Parameter:
             return self.choices[int(random.integers(len(self.choices)))]
         if isinstance(self.default, int):
             return int(random.integers(int(self.low), int(self.high) + 1))
-        # Four digits keep the text readable.
+        # Round to four digits, so that the text remains readable.
         return float(f"{random.uniform(self.low, self.high):.4g}")
 
 
@@ -90,7 +90,7 @@ class Template:
     """Line of each parameter in the text, counted from 0."""
 
     def program(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the program's text with parameters set to new values.
+        """Return the program's text with the given values of parameters.
 
         Raises:
             SpecError: a parameter is unknown, or its value is outside its range.
@@ -113,7 +113,7 @@ class Template:
         return {name: p.draw(random) for name, p in self.parameters.items()}
 
     def of_box(self, size: tuple[float, float, float]) -> dict[str, Value]:
-        """Return `depth`, `width` and `height` of a measured box [m], clipped to their ranges."""
+        """Return `depth`, `width` and `height` for a measured box [m], clipped to their ranges."""
         return {
             name: min(max(value, self.parameters[name].low), self.parameters[name].high)
             for name, value in zip(BOX, size, strict=True)
@@ -124,12 +124,13 @@ def read_template(path: Path) -> Template:
     """Read a template's file.
 
     Raises:
-        SpecError: a header line, a range or one of BOX is missing, or a default is out of range.
+        SpecError: a header line, a range or a parameter in BOX is missing, or a default is out of
+            range.
     """
     text = path.read_text(encoding="utf-8")
     header = dict(_HEADER.findall(text.split("\nfrom ", 1)[0]))
     if "Label" not in header:
-        raise SpecError(f"{path.name}: the first lines must hold '# Label: ...'")
+        raise SpecError(f"{path.name}: the first lines must contain '# Label: ...'")
     comments = {
         token.start[0]: token.string
         for token in tokenize.generate_tokens(io.StringIO(text).readline)

@@ -282,7 +282,7 @@ def test_missing_token_counts_count_at_their_bound(connect, make):
     panel.ask_sync(make.request())
     books = panel.ledger.to_json()
     assert books["tokens"]["output"] == 700
-    assert "booked at their upper bound" in next(iter(books["fallbacks"]))
+    assert "the ledger has their upper bound" in next(iter(books["fallbacks"]))
 
 
 @pytest.mark.parametrize("parameter", ["max_tokens", "stream_options"])

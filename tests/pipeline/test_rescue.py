@@ -283,7 +283,7 @@ def test_report_of_a_rescue_says_what_was_checked(
     with pytest.raises(SystemExit, match="0"):
         cli.main(command)
     printed = capfd.readouterr().out
-    assert re.search(r"photo:  outlines \d\.\d px off as given, 0\.\d px now", printed)
+    assert re.search(r"photo:  outlines \d\.\d px off before, 0\.\d px after", printed)
     assert f"report: {tmp_path / 'out' / 'report.html'}" in printed
     report = (tmp_path / "out" / "report.html").read_text()
     assert "no object test ran" in report and "pass the object tests" not in report

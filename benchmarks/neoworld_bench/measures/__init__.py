@@ -1,4 +1,4 @@
-"""Measures against ground truth, for the tables of the benchmark."""
+"""Measures that compare scenes, objects and images with ground truth, for the tables."""
 
 from .joint_measure import JointMeasure, JointPair, joint_measure, pooled
 from .object_truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of

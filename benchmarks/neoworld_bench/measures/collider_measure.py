@@ -1,7 +1,8 @@
-"""Distance of an object's colliders from its visual geometry.
+"""Distances between an object's colliders and its visual geometry.
 
-A policy that trains on what a camera sees and is simulated on colliders meets both errors: contact
-where nothing is seen (the colliders protrude), and none where something is (they fall short).
+A policy that is trained on rendered images and simulated with colliders is affected by two errors.
+If colliders protrude, there is contact where nothing is visible. If colliders fall short, there is
+no contact where something is visible.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,23 +23,25 @@ if TYPE_CHECKING:
 
 COLLIDER_SAMPLES, VISUAL_SAMPLES = 4000, 20_000
 BURIED_M = 1e-6
-"""Depth within another collider at which a sample is no part of the surface of their union."""
+"""Depth inside another collider above which a sample is not on the surface of the union [m]."""
 QUANTILE = 0.98
-"""Share of the samples within the reported distances; single corners do not count."""
+"""Quantile of the distances that is reported, so that single corners have no effect."""
 MOST_GAP, MOST_GAP_M = 0.03, 0.003
-"""Bounds of a sound object: the larger of a share of its diagonal and a length."""
+"""An object is sound if its gaps are at most a fraction of its diagonal or a length [m], whichever
+is larger."""
 
 Points = Float[np.ndarray, "n 3"]
 
 
 class ColliderGap(NamedTuple):
-    """Gaps between colliders and visual geometry of an object."""
+    """Gaps between the colliders and the visual geometry of an object."""
 
     protruding_m: float
-    """Distance of the colliders' surface from the visual surface, exceeded by 2 % of it."""
+    """98 % quantile of the distance from the colliders' surface to the visual surface [m]."""
     short_m: float
-    """Distance of the visual surface from the colliders, exceeded by 2 % of it."""
+    """98 % quantile of the distance from the visual surface to the colliders [m]."""
     diagonal_m: float
+    """Diagonal of the bounding box of the visual geometry [m]."""
 
     @property
     def sound(self) -> bool:
@@ -48,14 +51,14 @@ class ColliderGap(NamedTuple):
 
 
 def collider_gap(spec: ObjectSpec, *, seed: int = 0) -> ColliderGap | None:
-    """Measure the colliders of an object at rest against its visual surface.
+    """Compare the colliders of an object with its visual surface, with all joints at zero.
 
     Args:
         spec: the object.
-        seed: of the samples.
+        seed: seed of the samples.
 
     Returns:
-        None if the object has no visual geometry or no colliders.
+        The gaps; None if the object has no visual geometry or no colliders.
     """
     seen, solids = visual_meshes(spec), collision_solids(spec)
     if not seen or not solids:
@@ -73,7 +76,7 @@ def collider_gap(spec: ObjectSpec, *, seed: int = 0) -> ColliderGap | None:
 
 
 def visual_meshes(spec: ObjectSpec) -> "list[trimesh.Trimesh]":
-    """Return the visual geometry of an object at rest."""
+    """Return the meshes of an object's visual geometry, with all joints at zero."""
     import trimesh
 
     moved = link_poses(spec, {})
@@ -87,7 +90,7 @@ def visual_meshes(spec: ObjectSpec) -> "list[trimesh.Trimesh]":
 
 
 def collision_solids(spec: ObjectSpec) -> list[tuple[Piece, Pose]]:
-    """Return the convex colliders of an object at rest, with their poses."""
+    """Return the convex colliders of an object and their poses, with all joints at zero."""
     moved = link_poses(spec, {})
     return [
         (piece, moved[part.name].then(geom.pose()).then(pose(piece.pos, piece.quat)))
@@ -103,7 +106,7 @@ def _union_surface(solids: list[tuple[Piece, Pose]], seed: int) -> Points:
     points = sampled([_mesh_of(*solid) for solid in solids], COLLIDER_SAMPLES, seed)
     buried: Bool[np.ndarray, " n"] = np.zeros(len(points), bool)
     for solid in solids:
-        # The samples of a solid lie on its own surface, which is no depth.
+        # Samples of this solid lie on its surface and therefore have no depth in it.
         buried |= distance_outside(points, [solid]) < -BURIED_M
     return points[~buried]
 

@@ -1,7 +1,8 @@
-"""Depth error of a rendered scene against a sensor's depth image, after one similarity transform.
+"""Depth error of a rendered scene relative to a sensor's depth image, after a similarity transform.
 
-A single photograph leaves scale open, and a reconstruction's camera differs from the true one. The
-similarity of the whole scene removes both. What remains is the error of layout and shapes.
+A single photograph does not determine the scale, and the camera of a reconstruction differs from
+the true camera. One similarity transform of the whole scene removes both errors. The remaining
+error is that of layout and shapes.
 """
 
 from typing import NamedTuple
@@ -11,21 +12,23 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 TOLERANCE = 0.015
-"""Distance at which a pixel's weight is a quarter, over the median depth of the sensor."""
+"""Distance at which a pixel's weight is a quarter, as a fraction of the sensor's median depth."""
 FIRST_TOLERANCE_M = 0.3
+"""Tolerance of the first step of the fit [m]."""
 COOLING = 1.2
-"""Factor between the tolerances of successive steps."""
+"""Factor by which the tolerance decreases in each step."""
 MAX_STEPS, SETTLED = 200, 1e-7
+"""Maximum number of steps of the fit, and change of the similarity below which it ends."""
 FIT_PIXELS = 20_000
-"""Largest number of pixels that the similarity is fitted to, spread evenly over the image."""
+"""Approximate maximum number of pixels for the fit, spread evenly over the image."""
 LEAST_PIXELS = 100
-"""Fewest pixels with both depths for a similarity."""
+"""Minimum number of pixels that have both a rendered and a measured depth."""
 
 Points = Float[np.ndarray, "n 3"]
 
 
 class Intrinsics(NamedTuple):
-    """Pinhole intrinsics [px] as in OpenCV: (0, 0) is the center of the first pixel."""
+    """Pinhole intrinsics as in OpenCV: (0, 0) is the center of the first pixel [px]."""
 
     fx: float
     fy: float
@@ -33,31 +36,31 @@ class Intrinsics(NamedTuple):
     cy: float
 
     def directions(self, width: int, height: int) -> Float[np.ndarray, "h w 3"]:
-        """Return directions through the pixels' centers: x right, y down, z ahead and 1."""
+        """Return directions through the pixels' centers: x right, y down, z forward and equal 1."""
         v, u = np.mgrid[:height, :width].astype(float)
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
 
     def project(self, points: Points) -> Float[np.ndarray, "n 2"]:
-        """Project points in the camera's frame [m] to pixels."""
+        """Project points in the camera's frame [m] to the image [px]."""
         ahead = np.maximum(points[:, 2:], 1e-6)
         return points[:, :2] / ahead * [self.fx, self.fy] + [self.cx, self.cy]
 
 
 class Similarity(NamedTuple):
-    """A map x -> scale R x + t."""
+    """Similarity transform x -> scale * R x + t."""
 
     scale: float
     rotation: Float[np.ndarray, "3 3"]
     translation: Float[np.ndarray, " 3"]
-    """In the units of the image points."""
+    """In the unit of the transformed points."""
 
     def apply(self, points: Points) -> Points:
-        """Map points."""
+        """Transform points."""
         return self.scale * points @ self.rotation.T + self.translation
 
     @property
     def angle_deg(self) -> float:
-        """Angle of the rotation."""
+        """Angle of the rotation [deg]."""
         return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
 
 
@@ -65,31 +68,32 @@ IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 class DepthError(NamedTuple):
-    """Depth error of the pixels of one object."""
+    """Depth errors over the pixels of one object."""
 
     error_mm: float
-    """Median distance of the rendered from the measured point of a pixel."""
+    """Median distance between the rendered and the measured point of a pixel [mm]."""
     depth_error_mm: float
-    """Median absolute difference of the depths."""
+    """Median absolute difference of the depths [mm]."""
     bias_mm: float
-    """Median difference of the depths; positive if the object is too far."""
+    """Median difference of the depths [mm]; positive if the object is too far away."""
     visible_px: int
-    """Pixels that show the object in the rendered image."""
+    """Number of pixels that show the object in the rendered image."""
     measured_px: int
-    """Those of them where the sensor has a depth."""
+    """Number of pixels that show the object and at which the sensor has a depth."""
 
 
 class DepthMeasure(NamedTuple):
     """Depth errors of a scene."""
 
     similarity: Similarity
-    """From the frame of the scene's camera to the sensor's [m]."""
+    """Transform from the frame of the scene's camera to the frame of the sensor's camera [m]."""
     inliers: float
-    """Share of the compared pixels within the tolerance."""
+    """Fraction of the compared pixels whose distance is within the tolerance."""
     tolerance_m: float
+    """Distance at which a pixel's weight in the fit is a quarter [m]."""
     objects: dict[str, DepthError]
-    """By object; objects without a visible pixel are left out, and errors are NaN where the sensor
-    measured none."""
+    """Errors by object. Objects without a visible pixel are omitted. Errors are NaN if the sensor
+    has no depth at any pixel of the object."""
 
 
 def depth_measure(
@@ -100,16 +104,16 @@ def depth_measure(
     *,
     similarity: Similarity | None = None,
 ) -> DepthMeasure:
-    """Compare the points of a rendered scene with those of a sensor, pixel by pixel.
+    """Compare the points of a rendered scene with the points of a sensor, pixel by pixel.
 
     Args:
-        rendered: points of the scene in the frame of its camera (OpenCV axes) [m]; their depth is
-            inf where nothing is hit.
-        segmentation: index of the object in each pixel; -1 for the background.
+        rendered: points of the scene in the frame of the scene's camera, with OpenCV axes [m]. The
+            depth of a pixel without a surface is inf.
+        segmentation: index of the object at each pixel; -1 for the background.
         names: names of the objects by index.
-        sensor: measured points in the frame of the sensor's camera [m]; depth 0 where the sensor
-            measured none.
-        similarity: a given similarity in place of the fitted one.
+        sensor: measured points in the frame of the sensor's camera [m]. The depth of a pixel
+            without a measurement is 0.
+        similarity: similarity transform to use. If None, it is fitted.
 
     Raises:
         ValueError: fewer than LEAST_PIXELS pixels have both depths.
@@ -136,16 +140,17 @@ def depth_measure(
 
 
 def robust_similarity(source: Points, target: Points, tolerance: float) -> Similarity:
-    """Fit the similarity that maps most points near their partners.
+    """Fit the similarity transform that maps as many points as possible close to their partners.
 
-    Minimizes the Geman-McClure loss by reweighted least squares, from the median ratio of depths.
-    The tolerance decreases from FIRST_TOLERANCE_M to the given one, so that distant starts converge
-    (graduated non-convexity, Yang et al. 2020).
+    The fit minimizes the Geman-McClure loss by iteratively reweighted least squares. It starts with
+    the median ratio of depths as the scale. The tolerance decreases from FIRST_TOLERANCE_M to the
+    given tolerance, so that the fit converges from distant starts (graduated non-convexity, Yang et
+    al. 2020).
 
     Args:
         source: points [m].
-        target: their partners [m].
-        tolerance: distance [m] at which a pair's weight is a quarter.
+        target: partner of each point [m].
+        tolerance: distance at which a pair's weight is a quarter [m].
     """
     step = max(1, len(source) // FIT_PIXELS)
     p, q = source[::step], target[::step]
@@ -165,7 +170,7 @@ def robust_similarity(source: Points, target: Points, tolerance: float) -> Simil
 def least_squares_similarity(
     source: Points, target: Points, weights: Float[np.ndarray, " n"] | None = None
 ) -> Similarity:
-    """Return the similarity with the least weighted sum of squared distances (Umeyama 1991)."""
+    """Return the similarity with the smallest weighted sum of squared distances (Umeyama 1991)."""
     w = np.full(len(source), 1.0) if weights is None else weights
     w = w / w.sum()
     a, b = w @ source, w @ target
@@ -192,7 +197,7 @@ def measured_points(
     camera: Intrinsics,
     valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return the points of a depth image [m] in the camera's frame; 0 where it has no depth."""
+    """Return the points of a depth image in the camera's frame [m]; 0 for pixels without depth."""
     height, width = depth.shape
     known = np.isfinite(depth) & (depth > 0)
     known = known if valid is None else known & valid

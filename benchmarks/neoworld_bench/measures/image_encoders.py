@@ -1,8 +1,8 @@
 """CLIP, DINOv2 and LPIPS from the files in which they are published or exported.
 
-CLIP and DINOv2 come as a folder: an image tower in ONNX (`onnx/vision_model.onnx`,
-`onnx/model.onnx`, or the same without `onnx/`) and `preprocessor_config.json`, which specifies
-resizing, center crop and normalisation. LPIPS is one file with two image inputs.
+CLIP and DINOv2 are folders with two files: an image tower in ONNX (`onnx/vision_model.onnx`,
+`onnx/model.onnx`, or these files without `onnx/`), and `preprocessor_config.json`, which specifies
+resizing, center crop and normalization. LPIPS is one ONNX file with two image inputs.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ TOWERS = {
     "dino": (("model.onnx",), ("pooler_output", "last_hidden_state")),
     "uni3d": (("image.onnx",), ("image_embeds",)),
 }
-"""File and output names by the kind of model; the first that exists is used."""
+"""File names and output names of each kind of model; the first name that exists is used."""
 
 
 def _shorter_side(value: Any) -> Any:
@@ -48,16 +48,16 @@ _Triple = tuple[float, float, float]
 
 
 class Preprocessing(BaseModel):
-    """`preprocessor_config.json` as `transformers` writes it for CLIP and DINOv2."""
+    """The file `preprocessor_config.json`, as `transformers` writes it for CLIP and DINOv2."""
 
     model_config = ConfigDict(extra="ignore")
 
     size: Annotated[_Side, BeforeValidator(_shorter_side)]
-    """Shorter side after resizing [px]."""
+    """Length of the shorter side after resizing [px]."""
     crop_size: Annotated[_Side, BeforeValidator(_square)]
-    """Side of the center crop [px]."""
+    """Side length of the center crop [px]."""
     resample: Annotated[int, Field(ge=0, le=5)] = 3
-    """Resampling filter by Pillow's number: 3 is bicubic."""
+    """Pillow's number of the resampling filter; 3 is bicubic."""
     rescale_factor: float = 1 / 255
     image_mean: _Triple
     image_std: Annotated[_Triple, Field(description="Standard deviation of each channel.")]
@@ -67,10 +67,10 @@ class Preprocessing(BaseModel):
     do_normalize: bool = True
 
     def tensor(self, rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "1 3 side side"]:
-        """Return an image as the model's input."""
+        """Preprocess an image into the model's input."""
         height, width = rgb.shape[:2]
         short = min(width, height)
-        # The longer side is rounded down, as in the published processors.
+        # Round the longer side down, as the published preprocessors do.
         resized = (int(self.size * width / short), int(self.size * height / short))
         image = Image.fromarray(rgb).resize(resized, Image.Resampling(self.resample))
         side = self.crop_size
@@ -84,8 +84,8 @@ class ImageEncoder:
     """Image tower with its preprocessing.
 
     Args:
-        path: the published folder, or its ONNX file.
-        kind: one of `TOWERS`.
+        path: the published folder, or the ONNX file in it.
+        kind: a key of `TOWERS`.
 
     Raises:
         ConfigError: a file is missing or is not of this kind.
@@ -117,10 +117,12 @@ class ImageEncoder:
             )
 
     def embed(self, rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " d"]:
-        """Return an image's features, normalised; for tokens, those of the first (CLS).
+        """Return the normalized features of an image.
+
+        If the model returns tokens, the features of the first token (CLS) are used.
 
         Raises:
-            ConfigError: the model's output is not finite or no vector.
+            ConfigError: the model's output is not finite or not a vector.
         """
         assert self._output is not None
         values = self.model.run({"pixel_values": self.preprocessing.tensor(rgb)}, self._output)
@@ -144,15 +146,15 @@ class ImageEncoder:
             wrong = f"{unsupported[0]} is false" if unsupported else "size, crop_size or image_std"
             raise ConfigError(
                 f"{kind}: {config}: {wrong}; expected is a picture that is resized, cut to its "
-                "middle, rescaled and normalised, as CLIP and DINOv2 publish it"
+                "middle, rescaled and normalized, as CLIP and DINOv2 publish it"
             )
 
 
 class LpipsModel:
-    """LPIPS in ONNX, with two inputs [1, 3, h, w] in [-1, 1] and one number as output.
+    """LPIPS as an ONNX model with two inputs [1, 3, h, w] in [-1, 1] and one number as output.
 
     Args:
-        path: the file.
+        path: the file, or a folder with lpips.onnx.
 
     Raises:
         ConfigError: the file is missing, or has other inputs.
@@ -163,14 +165,15 @@ class LpipsModel:
         advice = "expected is LPIPS with two pictures [1, 3, any, any] as inputs"
         names = [port.name for port in self.model.inputs]
         if len(names) != 2:
-            names = ["a picture", "another"]  # No file has these: the error lists its inputs.
+            # No file has these inputs, so `check_inputs` raises an error that lists the inputs.
+            names = ["a picture", "another"]
         self.model.check_inputs(dict.fromkeys(names, (1, 3, None, None)), advice)
 
     def distance(self, a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "h w 3"]) -> float:
-        """Return the distance of two images of equal size, 0 for equal images.
+        """Return the distance between two images of equal size, which is 0 for equal images.
 
         Raises:
-            ConfigError: the output is no number, or the model was exported for another size.
+            ConfigError: the output is not a number, or the model was exported for another size.
         """
         height, width = a.shape[:2]
         size = {port.name: (1, 3, height, width) for port in self.model.inputs}
@@ -189,7 +192,7 @@ class LpipsModel:
 
 
 def _model_file(path: Path, names: list[Path], role: str) -> Path:
-    """Return a model's file: the path itself, or the first of the names in the folder.
+    """Return a model's file: the path itself, or the first of the names that the folder contains.
 
     Raises:
         ConfigError: no such file exists.

@@ -1,10 +1,9 @@
-"""Agreement of an object's joints with the ground truth: matched, missed and extra joints, and
-errors.
+"""Agreement of an object's joints with the ground truth: matches, missed and extra joints, errors.
 
 Joints are matched by the parts that they move and by their motion, not by name. Both objects are in
-the canonical frame (origin at the center of the box's bottom, front along +x) and divided by their
-own diagonal, so that size has no effect. Means of axis, pivot and limits exclude missed joints;
-every mean has its n.
+the canonical frame (origin at the center of the box's bottom face, front along +x), and each object
+is divided by its diagonal, so that size has no effect. Means of axis, pivot and limits exclude
+missed joints. Every mean is given with the number of its values.
 """
 
 import math
@@ -21,34 +20,37 @@ from .object_truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
 from .parse_measure import Mean
 
 MARGIN = 0.02
-"""Margin of the compared boxes on each side as a share of the diagonal, so that
-thin fronts with a small gap still overlap."""
+"""Margin on each side of the compared boxes, as a fraction of the diagonal, so that thin fronts
+with a small gap still overlap."""
 MIN_AGREEMENT = 0.5
-"""Least overlap (geometric mean of the two better directions) of the boxes of matching parts."""
+"""Minimum overlap of the boxes of two parts that match: geometric mean of the overlaps in the two
+better directions."""
 PARALLEL_DEG = 5.0
-"""Angle below which axes count as parallel."""
+"""Angle below which two axes count as parallel [deg]."""
 CORRECT_AXIS_DEG, CORRECT_PIVOT = 10.0, 0.1
-"""Bounds within which a joint of the true type counts as correct."""
+"""Maximum errors of a correct joint: angle of the axis [deg], and distance of the pivot as a
+fraction of the diagonal. A correct joint also has the true type."""
 
 
 class JointPair(Spec):
-    """Ground-truth joint and the predicted joint matched with it."""
+    """A ground-truth joint and the predicted joint that matches it."""
 
     true: str
     predicted: str
     true_type: str
     predicted_type: str
     agreement: float
-    """Overlap of the boxes that they move, 0 to 1."""
+    """Overlap of the boxes of the parts that the joints move, 0 to 1."""
     motion: float
-    """Similarity of their motions, 0 to 1."""
+    """Similarity of the joints' motions, 0 to 1."""
     axis_deg: float | None
-    """Angle of the two lines, 0 to 90; None for ball joints."""
+    """Angle between the two axes, 0 to 90 [deg]; None if a joint is a ball joint."""
     pivot: float | None
-    """Distance of the two lines over the diagonal; None unless both rotate."""
+    """Distance of the two axes as a fraction of the diagonal; None unless both joints rotate about
+    an axis."""
     limits: float | None
-    """Intersection over union of the ranges, as one direction of motion; None if one rotates and
-    the other slides, or if the ground truth has no range."""
+    """Intersection over union of the ranges, both measured in the same direction of motion. None if
+    one joint rotates and the other slides, or if a range is unknown."""
 
     @property
     def correct(self) -> bool:
@@ -61,41 +63,41 @@ class JointPair(Spec):
 
 
 class JointMeasure(Spec):
-    """Joints compared with the ground truth, of one object or of several together."""
+    """Comparison of the joints of one or several objects with the ground truth."""
 
     name: str
     total: int
-    """Ground-truth joints."""
+    """Number of ground-truth joints."""
     predicted: int
     hits: int
     missed: tuple[str, ...]
     extra: tuple[str, ...]
     correct: int
-    """Hits of the true type, with the axis within 10 degrees and the pivot within a tenth of the
-    diagonal."""
+    """Number of hits with the true type, with an error of the axis of at most 10 degrees, and with
+    an error of the pivot of at most a tenth of the diagonal."""
     miss: float | None
-    """1 - hits / total; None without ground-truth joints, as all shares of them."""
+    """1 - hits / total. This and other fractions are None if there are no ground-truth joints."""
     type_error: float | None
-    """Share of all ground-truth joints that were missed or have another type (as in the paper)."""
+    """Fraction of all ground-truth joints that are missed or have another type, as in the paper."""
     type_error_hits: float | None
-    """Share of the hits with another type."""
+    """Fraction of the hits that have another type."""
     axis_deg: Mean
-    """Over hits where both joints have an axis."""
+    """Mean of `JointPair.axis_deg` over hits in which both joints have an axis."""
     pivot: Mean
-    """Over hits where both joints rotate about an axis."""
+    """Mean of `JointPair.pivot` over hits in which both joints rotate about an axis."""
     limits: Mean
-    """Over hits whose ranges can be compared."""
+    """Mean of `JointPair.limits` over hits whose ranges can be compared."""
     pairs: tuple[JointPair, ...]
 
 
 def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> JointMeasure:
-    """Compare an object's joints with the ground-truth ones (paper Section 4, articulation).
+    """Compare an object's joints with those of the ground truth (paper Section 4, articulation).
 
-    Two joints can match if the boxes of the parts that they move, with a margin of 2 % of the
-    diagonal, overlap in all three directions and agree in the better two (an image does not show
-    the depth behind a front). The Hungarian method maximises the sum of overlap and motion
-    similarity: the cosine between the two velocity fields over the true joint's box, which
-    depends on type, axis and pivot.
+    The boxes of the parts that two joints move are compared, with a margin of 2 % of the diagonal.
+    Two joints can match if these boxes overlap in all three directions and agree in the better two,
+    because an image does not show the depth behind a front. The Hungarian method maximizes the sum
+    of overlap and motion similarity. Motion similarity is the cosine between the velocity fields of
+    the two joints over the true joint's box; it depends on type, axis and pivot.
 
     Args:
         predicted: the reconstructed object, or its joints as an `ObjectTruth`.
@@ -111,17 +113,17 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
 
 
 def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
-    """Return the name of the reconstructed joint assigned to each ground-truth joint.
+    """Return the name of the reconstructed joint assigned to each ground-truth joint, by name.
 
-    The assignment is that of `joint_measure` without its minimum overlap. Ground-truth joints are
-    left out only if fewer joints were reconstructed.
+    Joints are assigned as in `joint_measure`, but without a minimum overlap. Ground-truth joints
+    are left out only if fewer joints were reconstructed.
     """
     ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
     return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
 
 
 def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
-    """Pool the joints of several objects, with equal weights of joints."""
+    """Pool the joints of several objects; every joint has the same weight."""
     return _summed(
         name,
         tuple(pair for measure in measures for pair in measure.pairs),
@@ -131,13 +133,13 @@ def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
 
 
 def agree(a: TrueJoint, b: TrueJoint) -> float:
-    """Return the geometric mean of the two better overlaps of the moved boxes, 0 if disjoint."""
+    """Return the geometric mean of the two best overlaps of two moved boxes; 0 if disjoint."""
     best = sorted(overlaps(a, b))
     return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
 
 
 def alike(estimate: TrueJoint, true: TrueJoint) -> float:
-    """Return the absolute cosine of the velocities of the true box's corners, 0 to 1."""
+    """Return the absolute cosine between the velocities of the true box's corners, 0 to 1."""
     if "ball" in (estimate.type, true.type):
         return float(estimate.type == true.type)
     corners = np.array(list(product(*zip(*true.moving_box, strict=True))))
@@ -147,16 +149,17 @@ def alike(estimate: TrueJoint, true: TrueJoint) -> float:
 
 
 def line_angle_deg(a: NDArray, b: NDArray) -> float:
-    """Return the angle [deg] of two lines by their directions [3], 0 to 90."""
+    """Return the angle between two lines with these directions, 0 to 90 [deg]."""
     sine = np.linalg.norm(np.cross(a, b))
     return math.degrees(math.atan2(float(sine), abs(float(a @ b))))
 
 
 def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray) -> float:
-    """Return the distance of the lines p + s a and q + t b.
+    """Return the distance between the lines p + s a and q + t b.
 
-    Lines within 5 degrees of each other count as parallel: their distance is that of the second
-    line's point nearest to `near` from the first line, as their closest points may be far away.
+    Lines within 5 degrees of each other count as parallel, because their closest points may be far
+    away. The result is then the distance of a point on the second line from the first line; it is
+    the point nearest to `near`.
     """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     if line_angle_deg(a, b) < PARALLEL_DEG:
@@ -169,7 +172,7 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
 def _assigned(
     ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
 ) -> list[tuple[int, int]]:
-    """Return the pairs (index of theirs, of ours) that maximise overlap and motion similarity."""
+    """Return the pairs (index in theirs, index in ours) with the largest sum of similarities."""
     worth = np.zeros((len(theirs), len(ours)))
     allowed = np.zeros(worth.shape, bool)
     for i, true in enumerate(theirs):
@@ -185,7 +188,7 @@ def _assigned(
 
 
 def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
-    """Return joints in the canonical frame, with lengths relative to the diagonal."""
+    """Return the joints in the canonical frame, with lengths divided by the diagonal."""
     size = diagonal(truth)
 
     def relative(v: Sequence[float]) -> tuple[float, float, float]:
@@ -207,7 +210,7 @@ def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
 
 
 def overlaps(a: TrueJoint, b: TrueJoint) -> list[float]:
-    """Return the intersection over union of the enlarged boxes in each direction."""
+    """Return the intersection over union of two enlarged boxes along each axis."""
     low, high = np.array(a.moving_box[0]) - MARGIN, np.array(a.moving_box[1]) + MARGIN
     low2, high2 = np.array(b.moving_box[0]) - MARGIN, np.array(b.moving_box[1]) + MARGIN
     common = np.maximum(np.minimum(high, high2) - np.maximum(low, low2), 0.0)

@@ -1,14 +1,14 @@
-"""Ground truth of an object: its joints and its surface, read from a file.
+"""Ground truth of an object, read from a file: its joints and its surface.
 
     {"name": "cabinet", "front": "+x", "box": [[x, y, z], [x, y, z]],
      "joints": [{"name": "hinge", "type": "revolute", "axis": [0, 0, 1], "pivot": [0.2, 0.3, 0],
                  "limits": [0, 1.6], "parent": "body", "child": "door",
                  "moving_box": [[0.2, -0.3, 0], [0.22, 0.3, 0.7]]}]}
 
-Units are metres and radians, in one frame with +z up, at rest (all joints at 0). `front` is the
-direction in which the object's front faces. `moving_box` is the box (low, high) of all parts that
-the joint moves; files omit joints that move nothing visible. Samples of the surface may be in an
-.npz file of the same name, as `points` [n, 3] in the same frame.
+Units are meters and radians. All positions are in one frame with +z up, with all joints at zero.
+`front` is the direction in which the object's front faces. `moving_box` is the box (low, high) of
+all parts that the joint moves. Files omit joints that move nothing visible. Samples of the surface
+may be in an .npz file of the same name, as `points` [n, 3] in the same frame.
 """
 
 from pathlib import Path
@@ -28,24 +28,24 @@ Box = tuple[Vec3, Vec3]
 Motion = Literal["revolute", "continuous", "prismatic", "ball"]
 
 _TURNS = {"+x": 0, "-y": 1, "-x": 2, "+y": 3}
-"""Quarter turns about +z that rotate a front to +x."""
+"""Number of quarter turns about +z that rotate each front to +x."""
 
 
 class TrueJoint(Spec):
-    """Movable joint."""
+    """A joint that moves."""
 
     name: str
     type: Motion
     axis: Vec3 = (0.0, 0.0, 1.0)
-    """Nonzero direction; ignored for ball joints."""
+    """Direction of the axis, of any nonzero length; ignored for ball joints."""
     pivot: Vec3 = (0.0, 0.0, 0.0)
     """Point on the axis [m]; ignored for prismatic joints."""
     limits: tuple[Number, Number] | None = None
-    """Range from rest [rad or m]; None if unlimited or unknown."""
+    """Range relative to the zero position [rad or m]; None if unlimited or unknown."""
     parent: str = ""
     child: str = ""
     moving_box: Box
-    """Low and high corner [m] of the parts that it moves, at rest."""
+    """Low and high corner of the parts that the joint moves, with all joints at zero [m]."""
 
     @model_validator(mode="after")
     def _valid(self) -> "TrueJoint":
@@ -61,7 +61,7 @@ class ObjectTruth(Spec):
     name: str
     front: Front = "+x"
     box: Box
-    """Low and high corner [m] of the whole object at rest."""
+    """Low and high corner of the whole object, with all joints at zero [m]."""
     joints: tuple[TrueJoint, ...] = ()
     source: str = Field(default="", description="Source and licence.")
 
@@ -74,7 +74,7 @@ class ObjectTruth(Spec):
 
 
 def read_truth(path: Path) -> ObjectTruth:
-    """Read a truth file.
+    """Read a ground-truth file.
 
     Raises:
         SpecError: the file cannot be read or is invalid.
@@ -86,7 +86,7 @@ def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
     """Validate a ground truth given as a mapping.
 
     Raises:
-        SpecError: it is invalid; the message names each invalid field.
+        SpecError: the mapping is invalid; the message names up to four invalid fields.
     """
     try:
         return ObjectTruth.model_validate(data)
@@ -122,7 +122,7 @@ def truth_of(spec: ObjectSpec) -> ObjectTruth:
 
 
 def moving_box_of(spec: ObjectSpec, child: str) -> Box:
-    """Return the box (low, high) [m] at rest of a part and its descendants."""
+    """Return the box (low, high) of a part and its descendants, with all joints at zero [m]."""
     moving = {child}
     for part, joint in spec.ordered:
         if joint is not None and joint.parent in moving:
@@ -137,7 +137,7 @@ def moving_box_of(spec: ObjectSpec, child: str) -> Box:
 
 
 def canonical(truth: ObjectTruth) -> ObjectTruth:
-    """Rotate the front to +x and move the origin to the center of the box's bottom [m]."""
+    """Rotate the front to +x, and move the origin to the center of the box's bottom face."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
@@ -155,7 +155,7 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
 
 
 def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
-    """Transform points [n, 3] m of a ground truth's frame as `canonical` does."""
+    """Transform points from a ground truth's frame to its canonical frame [m], shape [n, 3]."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
@@ -163,7 +163,7 @@ def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
 
 
 def diagonal(truth: ObjectTruth) -> float:
-    """Return the diagonal [m] of an object's box."""
+    """Return the diagonal of an object's box [m]."""
     return float(np.linalg.norm(np.ptp(np.array(truth.box), axis=0)))
 
 

@@ -1,4 +1,4 @@
-"""Ground truth of a published MJCF object: its joints, and samples of its visible surface."""
+"""Ground truth of an object from a published MJCF file: joints, and samples of the surface."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,24 +32,24 @@ def truth_of_mjcf(
     samples: int = SAMPLES,
     seed: int = 0,
 ) -> tuple[ObjectTruth, NDArray]:
-    """Read the joints and surface of a model with all joints at their reference.
+    """Read the joints and the surface of a model, with all joints at their reference positions.
 
-    Joints that move nothing visible are left out, as are free joints. A hinge without limits is
-    continuous. Planes are not part of the object.
+    Free joints and joints that move nothing visible are omitted. A hinge without limits is
+    continuous. Planes and height fields are not part of the object.
 
     Args:
-        path: the MJCF file; meshes are read from the paths in it.
-        front: direction in the model's world in which the object's front faces; MJCF does not
-            store it.
+        path: the MJCF file; meshes are read from the paths in the file.
+        front: direction in which the object's front faces in the model's world frame, because MJCF
+            does not store it.
         groups: geom groups that count as visible.
         samples: number of samples of the surface.
         seed: seed of the samples.
 
     Returns:
-        The ground truth, and samples [samples, 3] m in the same frame.
+        The ground truth, and samples in the same frame [m], shape [samples, 3].
 
     Raises:
-        SpecError: the file cannot be read, or nothing in it is visible.
+        SpecError: the file cannot be read, or no geom in it is visible.
     """
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -101,7 +101,7 @@ def truth_of_mjcf(
 
 
 def _descends(model: mujoco.MjModel, geom: int, body: int) -> bool:
-    """Return True if a geom belongs to a body or one of its descendants."""
+    """Return True if a geom belongs to a body or to a descendant of the body."""
     ancestor = int(model.geom_bodyid[geom])
     while ancestor not in (body, 0):
         ancestor = int(model.body_parentid[ancestor])

@@ -1,4 +1,4 @@
-"""ONNX models from the user's files, run on the CPU by onnxruntime (extra `metrics`)."""
+"""ONNX models from the user's files, run by onnxruntime (extra `metrics`) on the CPU."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,15 +18,15 @@ class TensorPort(NamedTuple):
 
     name: str
     shape: tuple[int | None, ...]
-    """None for a dimension of any size."""
+    """Shape; a dimension of any size is None."""
     dtype: type
 
 
 class OnnxModel:
-    """Model that processes one sample at a time.
+    """ONNX model that processes one sample at a time.
 
     Args:
-        path: the file; external weights are in the same folder.
+        path: the file. External weights must be in the same folder.
         role: name of the model in messages, such as "clip".
 
     Raises:
@@ -47,7 +47,7 @@ class OnnxModel:
             raise ConfigError(f"{role}: cannot read {path}: {error.strerror}") from None
         options = onnxruntime.SessionOptions()
         options.log_severity_level = (
-            4  # Errors only: they are raised, and warnings do not concern the caller.
+            4  # Suppress warnings and errors in the log; errors are raised as exceptions.
         )
         try:
             self._session = onnxruntime.InferenceSession(
@@ -59,11 +59,11 @@ class OnnxModel:
         self.outputs = tuple(each.name for each in self._session.get_outputs())
 
     def check_inputs(self, expected: Mapping[str, Sequence[int | None]], advice: str) -> None:
-        """Check the inputs.
+        """Check the names and shapes of the inputs.
 
         Args:
-            expected: shapes by name, None for any size.
-            advice: description of the expected file.
+            expected: shape of each input by name; a dimension of any size is None.
+            advice: description of the expected file, for the error message.
 
         Raises:
             ConfigError: the inputs have other names or shapes.
@@ -82,7 +82,7 @@ class OnnxModel:
                 )
 
     def run(self, values: Mapping[str, NDArray], output: str) -> NDArray:
-        """Return an output as float64.
+        """Run the model and return one output as float64.
 
         Raises:
             ConfigError: the model fails on these values, or its output is not finite.
@@ -104,7 +104,7 @@ class OnnxModel:
         return numbers
 
     def described(self) -> dict[str, str]:
-        """Return the file's name and digest, which identify the model of a figure."""
+        """Return the path and the digest of the file, which identify the model in results."""
         return {"file": str(self.path), "sha256": self.sha256[:16]}
 
     def _port(self, port: Any) -> TensorPort:
@@ -118,7 +118,7 @@ class OnnxModel:
 
 
 def unit(vector: NDArray, model: OnnxModel) -> NDArray:
-    """Normalise a vector [d].
+    """Return a vector [d] divided by its length.
 
     Raises:
         ConfigError: the vector is zero.

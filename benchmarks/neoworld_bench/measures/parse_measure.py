@@ -1,7 +1,7 @@
-"""Agreement of a parse with the ground truth: boxes, supports, sizes, depths and camera.
+"""Agreement of a parsed scene with the ground truth: boxes, supports, sizes, depths and camera.
 
-Nodes are matched by their boxes alone, never by name or label. Each mean has the number of its
-values, and is None without any: no match is not a zero error.
+Nodes are matched only by their boxes, not by name or label. Each mean is given with the number of
+its values. A mean without values is None, because the absence of matches is not an error of zero.
 """
 
 import math
@@ -16,11 +16,11 @@ from neoworld_mjx.measure.boxes import iou_2d, iou_3d, upright
 from neoworld_mjx.spec import Box3D, SceneTree, Spec, TreeNode
 
 MATCH_IOU = 0.25
-"""Least overlap of 2D boxes for which two nodes may match."""
+"""Minimum intersection over union of the 2D boxes of two nodes that match."""
 TIE = 0.02
-"""Pairs of objects whose true depths or sizes differ by less than this share have no order."""
+"""Two objects have no order if their true depths (or sizes) differ by less than this fraction."""
 ROUND = 1.1
-"""Side ratio of a footprint under which its yaw is undefined."""
+"""A footprint has no defined yaw if the ratio of its sides is at most this value."""
 
 
 class Mean(Spec):
@@ -31,64 +31,72 @@ class Mean(Spec):
 
 
 class ParseMeasure(Spec):
-    """Comparison of a parse with the ground truth; objects are nodes that are not environment in
-    the ground truth."""
+    """Comparison of a parsed scene with the ground truth.
+
+    Objects are the nodes that are not environment supports in the ground truth.
+    """
 
     matched: dict[str, str]
-    """Parsed node by true node."""
+    """Name of the parsed node that matches each true node, by name of the true node."""
     missed: tuple[str, ...]
-    """True objects that no parsed node matches."""
+    """True objects that match no parsed node."""
     extra: tuple[str, ...]
     """Parsed objects that match no true node."""
     iou_2d: Mean
-    """Over matched objects."""
+    """Intersection over union of the 2D boxes of matched objects."""
     iou_3d: Mean
-    """Over matched objects, in the world as parsed; boxes upright and turned by their yaw."""
+    """Intersection over union of the 3D boxes of matched objects, in the world frame. Boxes are
+    upright and rotated by their yaw."""
     iou_3d_scaled: Mean
-    """The same after scaling the parse about its camera, with both cameras in one place; an image
-    does not determine that factor."""
+    """`iou_3d` after the parsed scene is scaled by `scale` about its camera and moved to the true
+    camera, because an image does not determine the scale."""
     scale: float | None
-    """Median of true over parsed depth."""
+    """Median ratio of true to parsed depth over matched objects."""
     position_m: Mean
-    """Distance of box centres."""
+    """Distance between the centers of the 3D boxes of matched objects [m]."""
     size_log: Mean
-    """Mean absolute log ratio of edges, that is, of the sorted horizontal two and the height."""
+    """Mean absolute logarithm of the ratios of edges: of the shorter and the longer horizontal edge
+    and of the height."""
     yaw_deg: Mean
-    """Over matched objects whose true footprint is not nearly square."""
+    """Error of the yaw of matched objects whose true footprint is not nearly square [deg]."""
     edge_precision: float | None
     edge_recall: float | None
     edge_f1: float | None
-    """F1 of support edges (parent to child), without those from the world."""
+    """F1 score of support edges (parent to child), without edges from the world."""
     edges_true: int
     edges_parsed: int
     relations: Mean
-    """Share of correct edges whose relation is correct as well."""
+    """Fraction of the correct edges whose relation is also correct."""
     tree_distance: int
-    """Missed nodes, plus extra nodes, plus matched nodes whose parent is another one."""
+    """Number of missed nodes, extra nodes, and matched nodes with a different parent."""
     nodes_true: int
     nodes_parsed: int
     depth_order: Mean
-    """Share of pairs of matched objects in the true order of depth along the view."""
+    """Fraction of the pairs of matched objects that are in the true order of depth."""
     size_order: Mean
-    """Share of pairs of matched objects in the true order of size."""
+    """Fraction of the pairs of matched objects that are in the true order of size."""
     size_ratio_log: Mean
-    """Mean absolute error of the log ratio of sizes over pairs of matched objects."""
+    """Mean absolute error of the logarithm of the ratio of two sizes, over pairs of matched
+    objects."""
     occluded: Mean
-    """Share of matched objects with the correct flag."""
+    """Fraction of the matched objects whose flag `occluded` is correct."""
     environment: Mean
-    """Share of matched nodes with the correct flag."""
+    """Fraction of the matched nodes whose flag `environment` is correct."""
     parts: Mean
-    """Share of true movable parts with a parsed part of the same joint type, over matched objects
-    with such parts."""
+    """Fraction of an object's true movable parts for which there is a parsed part with the same
+    joint type, over matched objects with movable parts."""
     pitch_deg: float
-    """Parsed minus true value, as for all camera angles and its height."""
+    """Parsed minus true pitch of the camera [deg]."""
     roll_deg: float
+    """Parsed minus true roll of the camera [deg]."""
     fovy_deg: float
+    """Parsed minus true vertical field of view [deg]."""
     height_m: float
+    """Parsed minus true height of the camera [m]."""
 
 
 def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
-    """Compare a parse with the ground truth of the same image."""
+    """Compare a parsed scene with the ground truth of the same image."""
     pairs = match(parsed, truth)
     back = {guess: true for true, guess in pairs.items()}
     objects = [
@@ -160,11 +168,11 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
 
 
 def match(parsed: SceneTree, truth: SceneTree) -> dict[str, str]:
-    """Match nodes by their boxes, true name to parsed name.
+    """Match nodes by their boxes; return the parsed name for each matched true name.
 
-    The Hungarian method maximises the sum of 2D IoU plus half the 3D IoU over pairs with a 2D IoU
-    of at least `MATCH_IOU`. Equal environment flags decide between otherwise equal pairs, such as
-    tables that fill the image.
+    The Hungarian method maximizes the sum, over pairs with a 2D IoU of at least `MATCH_IOU`, of the
+    2D IoU and half the 3D IoU. Equal environment flags add a small bonus, which decides between
+    otherwise equal pairs, such as tables that fill the image.
     """
     worth = np.zeros((len(truth.nodes), len(parsed.nodes)))
     for i, true in enumerate(truth.nodes):
@@ -184,7 +192,7 @@ def match(parsed: SceneTree, truth: SceneTree) -> dict[str, str]:
 def _edges(
     parsed: SceneTree, truth: SceneTree, back: dict[str, str]
 ) -> list[tuple[TreeNode, TreeNode]]:
-    """Return parsed and true children of the support edges that both trees have."""
+    """Return the (parsed, true) children of the support edges that both trees contain."""
     edges = []
     for guess in parsed.nodes:
         if guess.parent is None or guess.name not in back or guess.parent not in back:
@@ -196,7 +204,7 @@ def _edges(
 
 
 def _wrong_parents(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> int:
-    """Count matched nodes with different parents."""
+    """Count the matched nodes whose parents do not match."""
     count = 0
     for true_name, parsed_name in pairs.items():
         true, guess = truth.node(true_name).parent, parsed.node(parsed_name).parent
@@ -211,7 +219,7 @@ def _mean(values: Iterable[float]) -> Mean:
 
 
 def _order(values: Sequence[tuple[float, float]]) -> Mean:
-    """Return the share of pairs in the same parsed and true order, without true ties."""
+    """Return the fraction of pairs in the true order, over pairs without a tie in the truth."""
     return _mean(
         float((guess - guess2) * (true - true2) > 0)
         for (guess, true), (guess2, true2) in combinations(values, 2)
@@ -229,7 +237,7 @@ def _depth(tree: SceneTree, node: TreeNode) -> float:
 
 
 def _extent(node: TreeNode) -> float:
-    """Return the edge length [m] of the cube whose volume equals that of the node's box."""
+    """Return the edge length of a cube with the volume of the node's 3D box [m]."""
     return float(np.prod(node.box3d.size) ** (1 / 3))
 
 

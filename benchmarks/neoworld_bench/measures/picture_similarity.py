@@ -1,6 +1,7 @@
-"""Similarity of a rendered image and the photograph: SSIM, LPIPS, CLIP, DINOv2, Uni3D.
+"""Similarity between a rendered image and the photograph: SSIM, LPIPS, CLIP, DINOv2, Uni3D.
 
-Models load from the user's paths. A measure without its model is None, with the reason in `why`.
+Models are loaded from the user's paths. If the model of a measure is missing, the measure is None,
+and `why` contains the reason.
 """
 
 from dataclasses import dataclass
@@ -20,25 +21,25 @@ PICTURE_MEASURES = ("ssim", "lpips", "clip", "dino", "uni3d")
 
 
 class PictureMeasure(Spec):
-    """Similarity of two images; all measures but LPIPS are 1 for equal images."""
+    """Similarity of a rendered image and the photograph."""
 
     ssim: float | None = None
-    """Structural similarity, at most 1."""
+    """Structural similarity; 1 for equal images."""
     lpips: float | None = None
-    """LPIPS distance, 0 for equal images."""
+    """LPIPS distance; 0 for equal images."""
     clip: float | None = None
-    """Cosine of CLIP's image features."""
+    """Cosine similarity of CLIP's image features; 1 for equal images."""
     dino: float | None = None
-    """Cosine of DINOv2's features (CLS)."""
+    """Cosine similarity of DINOv2's features (CLS token); 1 for equal images."""
     uni3d: float | None = None
-    """Cosine of Uni3D's features of the object's points and of the photograph."""
+    """Cosine similarity between Uni3D's features of the object's points and of the photograph."""
     why: dict[str, str] = {}
-    """The reason of each measure that is None."""
+    """Reason of each measure that is None, by name of the measure."""
 
 
 @dataclass(frozen=True)
 class PictureModels:
-    """Loaded models; None if not given."""
+    """Loaded models; a model is None if its path was not given."""
 
     lpips: LpipsModel | None = None
     clip: ImageEncoder | None = None
@@ -56,7 +57,7 @@ class PictureModels:
         """Load the models whose paths are given.
 
         Raises:
-            ConfigError: onnxruntime or a file is missing, or a file is not such a model.
+            ConfigError: onnxruntime or a file is missing, or a file is not a model of this kind.
         """
         return PictureModels(
             lpips=None if lpips is None else LpipsModel(lpips),
@@ -66,7 +67,7 @@ class PictureModels:
         )
 
     def described(self) -> dict[str, dict[str, str] | None]:
-        """Return the file and digest of each model."""
+        """Return the file and the digest of each model; None for models that were not given."""
         models: dict[str, OnnxModel | None] = {
             "lpips": self.lpips and self.lpips.model,
             "clip": self.clip and self.clip.model,
@@ -88,11 +89,11 @@ def picture_measure(
         photo: the photograph or a crop of it.
         rendered: rendered image of the same view and size.
         models: loaded models.
-        cloud: points of the object in the images, for Uni3D; None for whole scenes.
+        cloud: points of the object in the images, for Uni3D; None if the images show a scene.
 
     Raises:
         PhotoError: the images differ in size or are too small.
-        ConfigError: a model fails on them, or its output is not finite.
+        ConfigError: a model fails on the images, or its output is not finite.
     """
     clip, dino, lpips, uni3d = models.clip, models.dino, models.lpips, models.uni3d
     values = {

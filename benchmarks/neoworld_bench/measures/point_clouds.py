@@ -1,8 +1,9 @@
 """Uni3D: similarity of an object's colored points and an image.
 
-The point encoder and the image tower are in one folder, as `points.onnx`, `image.onnx` and
-`preprocessor_config.json`. Points are grouped here, as in Uni3D's own code before its encoder:
-centers by farthest point sampling, and the nearest points of each.
+The point encoder, the image tower and its preprocessing are in one folder, as `points.onnx`,
+`image.onnx` and `preprocessor_config.json`. This module groups the points for the encoder as
+Uni3D's code does: centers are chosen by farthest point sampling, and a group consists of the points
+nearest to its center.
 """
 
 from collections.abc import Mapping
@@ -20,18 +21,18 @@ from .onnx_files import OnnxModel, unit
 from .surface_measure import SAMPLES, samples_of_each
 
 GROUPS, GROUP_SIZE = 512, 64
-"""Number of groups, and of points per group, in the published evaluation; used if the file leaves
-them open."""
+"""Number of groups and number of points per group in the published evaluation. They are used if the
+ONNX file does not fix them."""
 
 Cloud = Float[np.ndarray, "n 6"]
-"""Points [m] with +z up, and their colors in [0, 1]."""
+"""Positions [m], with +z up, and colors (RGB, 0 to 1) of points."""
 
 
 class Uni3DModel:
     """Uni3D in two ONNX files.
 
     Args:
-        folder: contains points.onnx, image.onnx and preprocessor_config.json.
+        folder: folder with points.onnx, image.onnx and preprocessor_config.json.
 
     Raises:
         ConfigError: a file is missing or has other inputs.
@@ -54,10 +55,10 @@ class Uni3DModel:
         self.image = ImageEncoder(folder, "uni3d")
 
     def similarity(self, cloud: Cloud, rgb: UInt8[np.ndarray, "h w 3"]) -> float:
-        """Return the cosine of the features of an object's points and an image.
+        """Return the cosine similarity between the features of an object's points and of an image.
 
         Raises:
-            ConfigError: an output is not finite, or the vectors differ in length.
+            ConfigError: an output is not finite, or the vectors of features differ in length.
         """
         a, b = self.embed(cloud), self.image.embed(rgb)
         if a.shape != b.shape:
@@ -68,7 +69,7 @@ class Uni3DModel:
         return float(a @ b)
 
     def embed(self, cloud: Cloud) -> Float[np.ndarray, " d"]:
-        """Return the normalised features of points."""
+        """Return the normalized features of points."""
         center, features = grouped(cloud, self._groups, self._group_size)
         feed = {"center": center[None], "features": features[None]}
         return unit(self.points.run(feed, self.points.outputs[0]).reshape(-1), self.points)
@@ -81,16 +82,16 @@ def coloured_points(
     count: int = SAMPLES,
     seed: int = 0,
 ) -> Cloud:
-    """Sample the visible shapes of an object uniformly by area, in their materials' colors.
+    """Sample the visible shapes of an object uniformly by area, with the colors of the materials.
 
-    Objects without visible shapes, as MJCF allows, are sampled on their colliders. Patterns and
-    prints of materials are ignored.
+    If an object has no visible shapes, its colliders are sampled. Patterns and projected
+    photographs of materials are ignored.
 
     Args:
         spec: the object.
-        joint_state: joint values [rad or m]; other joints are at 0.
+        joint_state: values of joints [rad or m]; all other joints are at 0.
         count: number of points.
-        seed: of the points.
+        seed: seed of the points.
     """
     import trimesh
 
@@ -111,18 +112,19 @@ def coloured_points(
 def grouped(
     cloud: Cloud, groups: int, group_size: int
 ) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g m 6"]]:
-    """Return the groups of points for Uni3D's encoder.
+    """Group points for Uni3D's encoder.
 
-    Points are centered, divided by the largest distance from the center, and y and z are swapped,
-    as in its evaluation.
+    Points are centered and divided by the largest distance from the center, and y and z are
+    swapped, as in Uni3D's evaluation.
 
     Args:
-        cloud: at least `groups` and `group_size` points.
+        cloud: points and colors; at least `groups` and at least `group_size` points.
         groups: number of groups.
-        group_size: number of points of each.
+        group_size: number of points of a group.
 
     Returns:
-        Centers [g, 3], and the points of each group relative to its center, with their colors.
+        Centers of the groups [g, 3], and for each group the positions relative to its center and
+        the colors of its points [g, m, 6].
     """
     xyz = cloud[:, [0, 2, 1]] - cloud[:, [0, 2, 1]].mean(axis=0)
     xyz = xyz / max(float(np.linalg.norm(xyz, axis=1).max()), 1e-6)
@@ -134,7 +136,7 @@ def grouped(
 
 
 def farthest_points(xyz: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " count"]:
-    """Return indices by farthest point sampling, starting at 0."""
+    """Return the indices of points chosen by farthest point sampling, starting with point 0."""
     chosen = np.zeros(count, int)
     distance = np.full(len(xyz), np.inf)
     for k in range(1, count):

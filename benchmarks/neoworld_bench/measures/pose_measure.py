@@ -1,8 +1,9 @@
-"""Measures of poses and layouts as the field defines them.
+"""Published measures of poses and layouts.
 
-ADD and ADD-S of poses of one model are those of Hinterstoisser et al. 2012 and of BOP (`add`,
-`adi`). Where shape and pose are both predicted, ADD-S, ICP rotation and 3D IoU are the layout
-measures of SAM 3D (2025): ADD-S of two posed point sets in both directions, over the diameter.
+If only the pose of a known model is predicted, `add` and `adi` are ADD and ADD-S as defined by
+Hinterstoisser et al. 2012 and by BOP. If shape and pose are predicted, ADD-S, ICP rotation and 3D
+IoU are the layout measures of SAM 3D (2025). This ADD-S compares two posed point sets in both
+directions and is divided by the diameter.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 RECALL = 0.1
-"""Largest ADD or ADD-S of a correct pose, over the diameter."""
+"""A pose is correct if ADD or ADD-S is below this fraction of the diameter."""
 ICP_STEPS, ICP_CHANGE = 100, 1e-10
 
 Points = Float[np.ndarray, "n 3"]
@@ -23,67 +24,68 @@ Matrix4 = Float[np.ndarray, "4 4"]
 
 
 class LayoutMeasure(NamedTuple):
-    """SAM 3D's layout measures of one object, except for `axis_box_iou`."""
+    """Layout measures of SAM 3D for one object; `axis_box_iou` computes the 3D IoU."""
 
     add_s: float
-    """ADD-S over the true diameter."""
+    """ADD-S divided by the true diameter."""
     correct: bool
-    """True if ADD-S is below RECALL: ADD-S @ 0.1."""
+    """True if `add_s` is below RECALL (ADD-S @ 0.1)."""
     icp_rot_deg: float
-    """Angle of the rotation by which ICP aligns the predicted with the true points."""
+    """Angle of the rotation by which ICP aligns the predicted with the true points [deg]."""
 
 
 def layout_measure(predicted: Points, truth: TruePoints, diameter: float) -> LayoutMeasure:
-    """Compare samples of a predicted object with those of the true one.
+    """Compare samples of a predicted object with samples of the true object.
 
     Args:
-        predicted: samples of the posed prediction [m].
-        truth: samples of the posed true object in the same frame [m].
-        diameter: of the true object [m].
+        predicted: samples of the predicted object at its predicted pose [m].
+        truth: samples of the true object at its true pose, in the same frame [m].
+        diameter: diameter of the true object [m].
     """
     score = add_s(predicted, truth) / diameter
     return LayoutMeasure(score, score < RECALL, icp_rotation_deg(predicted, truth))
 
 
 def add(model: Points, predicted: Matrix4, truth: Matrix4) -> float:
-    """Return the average distance of a model's points at two poses [m]."""
+    """Return ADD: the mean distance between a model's points at two poses [m]."""
     return float(np.linalg.norm(_posed(model, predicted) - _posed(model, truth), axis=1).mean())
 
 
 def adi(model: Points, predicted: Matrix4, truth: Matrix4) -> float:
-    """Return the average distance from a model's points at the true pose to the nearest ones at the
-    predicted pose [m]: ADD-S of objects with indistinguishable views.
+    """Return ADD-S of a model at two poses [m], for objects with indistinguishable views.
+
+    It is the mean distance from the points at the true pose to the nearest point at the predicted
+    pose.
     """
     return float(KDTree(_posed(model, predicted)).query(_posed(model, truth))[0].mean())
 
 
 def add_s(predicted: Points, truth: TruePoints) -> float:
-    """Return the mean of both average distances to the nearest point of the other set [m]."""
+    """Return the mean distance to the nearest point of the other set, over both directions [m]."""
     forth = KDTree(truth).query(predicted)[0].mean()
     back = KDTree(predicted).query(truth)[0].mean()
     return float(forth + back) / 2
 
 
 def recall(errors: list[float | None], threshold: float = RECALL) -> float | None:
-    """Return the share of errors below a threshold; missed objects (None) count as errors.
+    """Return the fraction of errors below a threshold; None if there are no objects.
 
-    Returns:
-        None without objects.
+    A missed object has the error None, which is never below the threshold.
     """
     correct = [error is not None and error < threshold for error in errors]
     return float(np.mean(correct)) if correct else None
 
 
 def point_diameter(points: Points) -> float:
-    """Return the largest distance of two points [m]."""
+    """Return the largest distance between two points [m]."""
     return float(pdist(points).max()) if len(points) > 1 else 0.0
 
 
 def icp_rotation_deg(predicted: Points, truth: TruePoints) -> float:
-    """Return the angle of the rotation by which ICP aligns two posed point sets.
+    """Return the angle of the rotation by which ICP aligns two posed point sets [deg].
 
-    Rigid ICP from the given poses, from predicted to nearest true points. Rotations that map a
-    shape onto itself are no error, as the nearest points hide them.
+    Rigid ICP starts at the given poses and pairs predicted points with the nearest true points. A
+    rotation that maps a shape onto itself is therefore no error.
     """
     tree, points, total = KDTree(truth), predicted, np.eye(3)
     for _ in range(ICP_STEPS):
@@ -99,7 +101,7 @@ def icp_rotation_deg(predicted: Points, truth: TruePoints) -> float:
 
 
 def axis_box_iou(a: Points, b: TruePoints) -> float:
-    """Return the intersection over union of the axis-aligned boxes of two point sets."""
+    """Return the intersection over union of the axis-aligned bounding boxes of two point sets."""
     low = np.maximum(a.min(axis=0), b.min(axis=0))
     high = np.minimum(a.max(axis=0), b.max(axis=0))
     common = float(np.prod(np.maximum(high - low, 0.0)))

@@ -7,16 +7,16 @@ from scipy.ndimage import gaussian_filter
 from neoworld_mjx.errors import PhotoError
 
 SIGMA, RADIUS = 1.5, 5
-"""Standard deviation and radius of the Gaussian window [px]: 11 x 11 pixels."""
+"""Standard deviation and radius of the Gaussian window [px]; the window has 11 x 11 pixels."""
 K1, K2 = 0.01, 0.03
-"""Constants of the paper's equation 13, relative to the range of 255."""
+"""Constants of equation 13 in Wang et al., relative to the range 255 of the pixels."""
 LEAST_PX = 2 * RADIUS + 1
 
 
 def ssim(a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "_ _ 3"]) -> float:
-    """Return the mean SSIM over pixels and colour channels, 1 for equal images.
+    """Return the mean SSIM over pixels and color channels, which is 1 for equal images.
 
-    Only windows entirely within the image count.
+    Only windows that lie entirely within the image are used.
 
     Raises:
         PhotoError: the images differ in size, or a side is under 11 pixels.

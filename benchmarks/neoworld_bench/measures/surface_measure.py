@@ -1,8 +1,8 @@
-"""Distance of an object's surface from the ground truth: Chamfer distance and F-score of samples.
+"""Chamfer distance and F-score between samples of an object's surface and the ground truth.
 
-Both surfaces are sampled uniformly by area. Lengths are divided by a diagonal, so that thresholds
-are relative to the object's size. Samples cover all faces, including the insides of drawers and
-cupboards.
+Both surfaces are sampled uniformly by area. Lengths are divided by the diagonal of the ground
+truth, so thresholds are relative to the object's size. Samples cover all faces, including the
+insides of drawers and cupboards.
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,19 @@ THRESHOLDS = (0.01, 0.05)
 SAMPLES = 10_000
 ICP_STEPS = 30
 MIN_IMPROVEMENT = 1e-5
-"""Relative decrease of the Chamfer distance below which the fit stops."""
+"""The fit stops if the Chamfer distance decreases by less than this fraction."""
 
 
 class Closeness(Spec):
-    """Distances of two sets of samples, relative to the diagonal."""
+    """Distances between two sets of samples, relative to the diagonal."""
 
     chamfer_x10: float
-    """Ten times the mean of the two mean distances to the nearest sample of the other, not
-    squared.
+    """Ten times the Chamfer distance: the mean over both directions of the mean distance (not
+    squared) from a sample to the nearest sample of the other set.
     """
     f_01: float
-    """F-score at 0.01 [%]: harmonic mean of the shares of samples within 0.01 of the other set."""
+    """F-score at 0.01 [%]: harmonic mean, over both directions, of the fractions of samples within
+    0.01 of the other set."""
     f_05: float
     """F-score at 0.05 [%]."""
 
@@ -43,16 +44,17 @@ class GeometryMeasure(Spec):
     """Comparison of an object's surface with the ground truth."""
 
     unaligned: Closeness
-    """Both in the canonical frame, relative to the true diagonal; wrong size and front count."""
+    """Distances with both objects in the canonical frame, so errors of size and front count."""
     aligned: Closeness
-    """After the best fit of the predicted samples, relative to the true diagonal."""
+    """Distances after the best fit of the predicted samples to the ground truth."""
     turn_deg: float
-    """Rotation of the fit about the vertical."""
+    """Rotation of the fit about the vertical [deg]."""
     scale: float
     """Scale factor of the fit."""
     samples: int
     """Number of samples of the predicted object."""
     true_samples: int
+    """Number of samples of the ground truth."""
 
 
 def geometry_measure(
@@ -60,16 +62,18 @@ def geometry_measure(
 ) -> GeometryMeasure:
     """Compare an object's surface with samples of the ground truth (paper Section 4, geometry).
 
-    The fit starts from each of the four quarter turns about the vertical, with coinciding box
-    centers and equal diagonals. Up to 30 least-squares steps to the nearest samples fit a rotation
-    about the vertical, a translation and a scale. The lowest final Chamfer distance counts. Nothing
-    is mirrored or tilted.
+    The fit starts from each of the four quarter turns about the vertical, with equal box centers
+    and diagonals. Up to 30 steps of least squares to the nearest samples fit a rotation about the
+    vertical, a translation and a scale. The start with the smallest final Chamfer distance is used.
+    Objects are not mirrored or tilted.
 
     Args:
-        predicted: the reconstructed object, or samples of it [n, 3] m in its canonical frame.
-        truth: samples [n, 3] m of the ground truth in its canonical frame (`canonical_points`).
+        predicted: the reconstructed object, or its samples in its canonical frame [m], shape
+            [n, 3].
+        truth: samples of the ground truth in its canonical frame [m], shape [m, 3]; see
+            `canonical_points`.
         samples: number of samples of the reconstructed object.
-        seed: of the samples.
+        seed: seed of the samples.
     """
     own = (
         surface_points(predicted, samples, seed) if isinstance(predicted, ObjectSpec) else predicted
@@ -99,8 +103,8 @@ def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
     """Return the Chamfer distance and F-scores between point sets `a` [n, 3] and `b` [m, 3].
 
     Args:
-        a: points, over the diagonal of the ground truth.
-        b: points, in the same unit.
+        a: points, divided by the diagonal of the ground truth.
+        b: points in the same unit.
         tree: KD-tree of `b`, if it is already built.
     """
     forth = (tree or KDTree(b)).query(a)[0]
@@ -119,12 +123,12 @@ def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
 
 
 def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDArray:
-    """Sample the visible shapes of an object at rest uniformly by area.
+    """Sample the visible shapes of an object uniformly by area, with all joints at zero.
 
-    Where shapes penetrate each other, their inner faces are sampled as well.
+    If shapes penetrate each other, their inner faces are sampled, too.
 
     Returns:
-        [count, 3] m, in the object's frame; the same for the same seed.
+        Points in the object's frame [m], shape [count, 3]. The points depend only on the seed.
     """
     import trimesh
 
@@ -139,12 +143,12 @@ def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDA
 
 
 def sampled(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> NDArray:
-    """Sample points [count, 3] of several meshes uniformly by area; deterministic in the seed."""
+    """Return points sampled uniformly by area on several meshes, shape [count, 3]."""
     return np.vstack(samples_of_each(meshes, count, seed))
 
 
 def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> list[NDArray]:
-    """Return the points of `sampled` by mesh, [n, 3] each."""
+    """Return the points of `sampled` on each mesh, shape [n, 3] for each."""
     import trimesh
 
     areas = np.array([mesh.area for mesh in meshes])
@@ -156,8 +160,11 @@ def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) 
 
 
 def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:
-    """Fit samples to the ground truth; return them relative to the diagonal, the rotation [rad] and
-    the scale."""
+    """Fit samples to the ground truth.
+
+    Returns:
+        The fitted samples divided by the diagonal `size`, the rotation [rad], and the scale.
+    """
     goal = true / size
     factor = size / float(np.linalg.norm(np.ptp(own, axis=0)))
     points = (own - _middle(own)) * (factor / size) + _middle(goal)
@@ -171,8 +178,7 @@ def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDA
             break
         last = cost
         kept = points, turn, scale
-        # Pairs of both directions with equal weights, so that neither set can shrink into the
-        # other.
+        # Pairs of both directions have equal weights, so that neither set shrinks into the other.
         source = np.vstack([points, points[nearest]])
         target = np.vstack([goal[near], goal])
         weight = (

@@ -8,13 +8,14 @@ from neoworld_mjx.physics.support import posed_shapes
 from neoworld_mjx.spec import SceneObject
 
 MOST_DIFFERENCE = 0.02
-"""Bound on the difference of symmetric extents, as a fraction of the largest."""
+"""Maximum difference between symmetric extents, as a fraction of the largest extent."""
 
 
 def symmetry(item: SceneObject) -> float:
     """Return the smallest rotation about the vertical that maps an object onto itself [rad].
 
-    0 for round objects, such as a ball or a standing can, whose heading is undefined.
+    The result is 0 for round objects, such as a ball or a standing can, whose heading is undefined.
+    Without symmetry, it is 2 pi.
     """
     points = np.vstack(
         [pose.apply(shape.surface()[0]) for shape, pose in posed_shapes(item, tilted=True)]
@@ -22,11 +23,12 @@ def symmetry(item: SceneObject) -> float:
     points[:, 2] -= points[:, 2].mean()
     angles = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     around = np.stack([np.cos(angles), np.sin(angles)])
-    # Extents to the sides, and obliquely up and down: what leans is not the same half a turn later.
+    # Use extents to the sides and obliquely up and down: half a turn does not map a leaning object
+    # onto itself, although its extents to the sides stay the same.
     extents = np.stack(
         [(points @ np.vstack([around, np.full(360, up)])).max(axis=0) for up in (0.0, 1.0, -1.0)]
     )
-    # About the Steiner point, which turns with the outline.
+    # Measure extents from the Steiner point, which rotates with the outline.
     extents -= around.T @ (around @ extents[0]) * 2 / len(angles)
     for step in (10, 45, 60, 90, 120, 180):
         difference = np.abs(extents - np.roll(extents, step, axis=1)).max()

@@ -1,8 +1,9 @@
-"""Chamfer distance, F-score and voxel IoU of posed meshes at published settings.
+"""Chamfer distance, F-score and voxel IoU of posed meshes with published settings.
 
-Both meshes are mapped by the same transform that fits the true one's box into [-1, 1]^3, without
-any alignment. Settings are those of MessyKitchens' evaluation (docs/IOU_METRICS.md), which
-follows PartCrafter: 64 voxels over the edge of 2, 10 000 samples, F-score at 0.1.
+Both meshes are mapped by the transform that fits the true mesh's bounding box into [-1, 1]^3. They
+are not aligned with each other. The settings are those of MessyKitchens' evaluation
+(docs/IOU_METRICS.md), which follows PartCrafter: 64 voxels along the edge of length 2, 10 000
+samples, F-score at 0.1.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,20 +20,23 @@ PITCH = EDGE / GRIDS
 F_THRESHOLD = 0.1
 VOLUME_SAMPLES = 10_000
 MOST_VOXELS = 30_000_000
-"""Largest number of voxels of a mesh's box; a scene that is far off would take all memory."""
+"""Maximum number of voxels of a mesh's bounding box, because a mesh that is much too large would
+exhaust the memory."""
 
 Points = Float[np.ndarray, "n 3"]
 
 
 class VolumeMeasure(NamedTuple):
-    """Comparison of two meshes in the true one's normalized frame."""
+    """Comparison of two meshes in the normalized frame of the true mesh."""
 
     chamfer: float
-    """Sum of the two mean distances to the nearest sample of the other, not squared."""
+    """Sum over both directions of the mean distance (not squared) to the nearest sample of the
+    other mesh."""
     f_score: float
-    """Harmonic mean of the shares of samples within F_THRESHOLD of the other mesh's."""
+    """Harmonic mean, over both directions, of the fractions of samples within F_THRESHOLD of the
+    other mesh's samples."""
     voxel_iou: float
-    """Intersection over union of the filled voxels of PITCH."""
+    """Intersection over union of the filled voxels with edge length PITCH."""
 
 
 def volume_measure(
@@ -45,13 +49,13 @@ def volume_measure(
     """Compare two posed meshes.
 
     Args:
-        predicted: in the frame of the true mesh.
-        truth: at any scale.
-        samples: number of samples of each.
-        seed: of the samples.
+        predicted: predicted mesh, in the frame of the true mesh.
+        truth: true mesh, at any scale.
+        samples: number of samples of each mesh.
+        seed: seed of the samples.
 
     Raises:
-        ValueError: the predicted mesh is too large for voxels.
+        ValueError: a mesh has too many voxels.
     """
     import trimesh
 
@@ -66,7 +70,7 @@ def volume_measure(
 
 
 def normalized(mesh: "trimesh.Trimesh", frame: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Return a mesh in the frame in which another's box is centered in [-1, 1]^3."""
+    """Return a mesh in the frame in which another mesh's box is centered and fits [-1, 1]^3."""
     low, high = np.asarray(frame.bounds, float)
     result = mesh.copy()
     result.apply_translation(-(low + high) / 2)
@@ -77,14 +81,14 @@ def normalized(mesh: "trimesh.Trimesh", frame: "trimesh.Trimesh") -> "trimesh.Tr
 def surface_distances(
     a: Points, b: Float[np.ndarray, "m 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
-    """Return the distances of samples to the nearest of the other set, in both directions."""
+    """Return the distance of each sample to the nearest of the other set, in both directions."""
     return KDTree(b).query(a)[0], KDTree(a).query(b)[0]
 
 
 def f_score(
     forth: Float[np.ndarray, " n"], back: Float[np.ndarray, " m"], threshold: float
 ) -> float:
-    """Return the harmonic mean of the shares of distances within a threshold."""
+    """Return the harmonic mean of the fractions of distances below a threshold."""
     precision, recall = float((forth < threshold).mean()), float((back < threshold).mean())
     both = precision + recall
     return 2 * precision * recall / both if both else 0.0
@@ -105,10 +109,10 @@ def voxel_iou(a: "trimesh.Trimesh", b: "trimesh.Trimesh", pitch: float = PITCH) 
 
 
 def filled_voxels(mesh: "trimesh.Trimesh", pitch: float) -> Int[np.ndarray, "n 3"]:
-    """Return the indices of the voxels that a mesh touches or encloses.
+    """Return the indices of the voxels that a mesh touches or encloses, shape [n, 3].
 
     Raises:
-        ValueError: it has too many voxels.
+        ValueError: the mesh has too many voxels.
     """
     if np.prod(np.asarray(mesh.extents) / pitch + 1) > MOST_VOXELS:
         raise ValueError(f"a mesh of {np.round(mesh.extents, 2)} has too many voxels of {pitch:g}")

@@ -1,4 +1,4 @@
-"""Baselines of a refinement, as options of its loop: Algorithm 1, random search and CMA-ES."""
+"""Options with which a refinement is one of the baselines Algorithm 1, random search and CMA-ES."""
 
 import math
 from typing import Any
@@ -6,13 +6,13 @@ from typing import Any
 from neoworld_mjx.config import RefineOptions, list_options, merged
 
 CMA_POPULATION = 16
-"""Population of CMA-ES; 4 + 3 ln n is 13 to 15 for its 16 to 40 variables."""
+"""Population of CMA-ES. The usual 4 + 3 ln n is 13 to 15 for the 16 to 40 variables of a scene."""
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:
-    """Return the options of Algorithm 1: every option that differs from the paper has its value.
+    """Return the options of Algorithm 1, with the paper's value of every option that differs.
 
-    As in configs/paper.yaml, but S_sem is geometric.
+    They are the options of configs/paper.yaml, except that S_sem is geometric.
     """
     values: dict[str, Any] = {}
     for option in list_options(RefineOptions):
@@ -28,14 +28,15 @@ def algorithm1(options: RefineOptions) -> RefineOptions:
 
 
 def with_budget(options: RefineOptions, optimizer: str, rollouts: int) -> RefineOptions:
-    """Return the options of another optimizer with at least as many rollouts, all of them made.
+    """Return the options of another optimizer that makes at least the given number of rollouts.
 
-    Random search draws `cem.population` candidates at once or a few less, CMA-ES CMA_POPULATION.
+    The optimizer does not stop early. Random search samples `cem.population` candidates or a few
+    less per iteration, and CMA-ES samples CMA_POPULATION.
 
     Args:
-        options: of the refinement that it is compared with.
-        optimizer: `random` or `cma_es`.
-        rollouts: of that refinement.
+        options: options of the refinement with which the optimizer is compared.
+        optimizer: name of the optimizer, such as `random` or `cma_es`.
+        rollouts: number of rollouts of that refinement.
     """
     population = CMA_POPULATION if optimizer == "cma_es" else options.cem.population
     iterations = max(1, math.ceil(rollouts / population))

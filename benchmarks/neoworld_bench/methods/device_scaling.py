@@ -1,7 +1,7 @@
-"""Rollouts and a sweep on one device and on several: rates, memory, and whether results are equal.
+"""Rollouts and a sweep on one device and on several: rates, memory, and equality of results.
 
-JAX fixes the devices of a process when it starts, so every row runs in a process that sees only its
-devices: GPUs by CUDA_VISIBLE_DEVICES, or simulated devices of a CPU.
+JAX fixes the devices of a process when it starts. Every row therefore runs in a process that sees
+only the devices of this row: GPUs selected by CUDA_VISIBLE_DEVICES, or simulated devices of a CPU.
 """
 
 import json
@@ -39,9 +39,9 @@ from ..rows import Row
 from .baselines import algorithm1
 
 EQUAL = 1e-3
-"""Difference up to which two devices computed the same."""
+"""Maximum difference of two values that count as equal."""
 WEIGHTS = (0.25, 4.0)
-"""Range of the weights of D_drift over the points of the sweep."""
+"""Smallest and largest weight of D_drift over the points of the sweep."""
 
 
 class ScalingTask(BaseModel):
@@ -52,13 +52,14 @@ class ScalingTask(BaseModel):
     work: Literal["rollouts", "sweep"]
     devices: int = Field(ge=1)
     population: int = Field(ge=1)
-    """Candidates of a rollout, or of each iteration of a run."""
+    """Number of candidates of a rollout, or of each iteration of a search."""
     objects: int = Field(default=0, ge=0)
     points: int = Field(default=0, ge=0)
     seeds: int = Field(default=0, ge=0)
     iterations: int = Field(default=0, ge=0)
     repeats: int = Field(default=3, ge=0)
-    """Calls after the first one; without them the first counts, less its compilation."""
+    """Number of timed calls after the first call. If 0, the first call is timed, without its
+    compilation."""
     seed: int = 0
 
 
@@ -68,28 +69,32 @@ class ScalingRow(Row):
     work: str
     devices: int
     objects: int
-    """Objects on the table, or of the sweep's scene."""
+    """Number of objects on the table, or in the sweep's scene."""
     population: int
     runs: int = 0
     seconds: float | None = None
-    """Median over the repeats, without compilation."""
+    """Median time over the repeats, without compilation [s]."""
     candidates_per_s: float | None = None
     speedup: float | None = None
-    """Seconds of the first row of the same work divided by these."""
+    """`seconds` of the first row of the same work divided by `seconds` of this row."""
     parts: str = ""
-    """Seconds by part: `devices` is the scan alone, `host` the rest of a rollout."""
+    """Time of each part [s]. For rollouts, `devices` is the time of the simulation on the devices,
+    and `host` is the rest."""
     compile_s: float | None = None
     device_peak_mib: str = ""
-    """Peak memory of each device."""
+    """Peak memory of each device [MiB]."""
     equal_verdicts: float | None = None
-    """Share of the candidates, or of the winners of runs, with the verdict of the first row."""
+    """Fraction of the candidates, or of the winners of searches, with the same verdict as in the
+    first row of the same work."""
     equal_values: float | None = None
-    """Share whose motion in units of the bounds, or reward, is within EQUAL of the first row's."""
+    """Fraction of the candidates (winners) whose value differs from the first row by at most EQUAL.
+    The value is the motion in units of the bounds for candidates, and the reward for winners."""
     status: str = "ok"
+    """Reason why the row was skipped, or "ok"."""
 
 
 class Scaled(BaseModel):
-    """Measurements of one row from its process."""
+    """Measurements of one row, made in its process."""
 
     model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
 
@@ -100,13 +105,13 @@ class Scaled(BaseModel):
     parts: dict[str, float]
     device_peak_mib: list[float]
     verdicts: list[int]
-    """1 where a candidate is stable, or a winner passes its final check."""
+    """For each candidate, 1 if it is stable; for each winner, 1 if it passes the final check."""
     values: list[float]
     """Motion of each candidate in units of the bounds, or the reward of each winner."""
 
 
 def device_counts(largest: int) -> tuple[int, ...]:
-    """Return 1, 2, 4 and so on up to `largest`, which is included."""
+    """Return the powers of two below `largest`, and `largest`."""
     counts = [2**k for k in range(largest.bit_length()) if 2**k < largest]
     return (*counts, largest)
 
@@ -124,11 +129,11 @@ def scaling_tasks(
 
     Args:
         devices: numbers of devices.
-        objects: numbers of objects of the rollouts.
-        population: candidates of the rollouts.
-        sweep: points, seeds, population and iterations of the sweep; None for no sweep.
-        repeats: of the rollouts.
-        seed: of scenes and layouts.
+        objects: numbers of objects in the scenes of the rollouts.
+        population: number of candidates of a rollout.
+        sweep: points, seeds, population and iterations of the sweep. If None, there is no sweep.
+        repeats: number of timed rollouts after the first.
+        seed: seed of scenes and layouts.
     """
     tasks = [
         ScalingTask(
@@ -163,13 +168,14 @@ def scaling_tasks(
 def scaling(
     tasks: Sequence[ScalingTask], run: Callable[[ScalingTask], Scaled | str]
 ) -> Iterator[ScalingRow]:
-    """Measure tasks one by one, each in its process; yield rows as they complete.
+    """Measure tasks one by one, and yield each row as soon as it is complete.
 
-    Tasks that differ in `devices` alone are compared with the first of them.
+    Tasks that differ only in `devices` are compared with the first of them.
 
     Args:
         tasks: conditions of the rows.
-        run: measures a task, or returns the reason why it was skipped; see `in_a_process`.
+        run: function that measures a task, or returns the reason why the task was skipped; see
+            `in_a_process`.
     """
     first: dict[str, Scaled] = {}
     for task in tasks:
@@ -205,7 +211,15 @@ def scaling(
 
 
 def in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
-    """Measure in a new process within a time limit [s]; return the reason if it has no result."""
+    """Measure a task in a new process within a time limit.
+
+    Args:
+        task: the task.
+        budget: time limit [s].
+
+    Returns:
+        The measurements, or the reason why there are none.
+    """
     environment = os.environ | visible_devices(task.devices, os.environ, jax.default_backend())
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "row.json"
@@ -223,7 +237,7 @@ def in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
 
 
 def visible_devices(devices: int, environment: Mapping[str, str], backend: str) -> dict[str, str]:
-    """Return environment variables with which a process has a number of devices."""
+    """Return the environment variables with which a process sees a number of devices."""
     if backend == "cpu":
         flags = environment.get("XLA_FLAGS", "")
         return {"XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}".strip()}
@@ -236,7 +250,7 @@ def measure(task: ScalingTask) -> Scaled:
     """Measure a task in this process.
 
     Raises:
-        EngineError: JAX has another number of devices.
+        EngineError: JAX has a different number of devices.
     """
     if len(jax.devices()) != task.devices:
         raise EngineError(f"devices: {task.devices} requested, JAX has {len(jax.devices())}")
@@ -266,13 +280,13 @@ def _rollouts(task: ScalingTask) -> Scaled:
 def _scan_alone(
     engine: MjxEngine, scene: SceneModel, poses: Poses, records: int, every: int
 ) -> float:
-    """Return the time of the program that simulates one chunk, times the number of chunks [s]."""
+    """Return the time of the jitted simulation of one chunk, times the number of chunks [s]."""
     model, scene = engine.on_devices(scene)
     size = engine.chunk(model, len(poses.scale))
     split = engine.split(jax.tree.map(lambda x: np.asarray(x[:size], np.float32), poses))
     fields, start, _ = prepare(scene, split)
     scan = lambda: bare_scan(model, fields, start, records, every, mesh=engine.mesh)
-    seconds, _, _ = _timed(scan, 0)  # The rollouts have compiled it.
+    seconds, _, _ = _timed(scan, 0)  # The rollouts have already compiled the function.
     return seconds[0] * -(-len(poses.scale) // size)
 
 
@@ -316,7 +330,10 @@ def _sweep(task: ScalingTask) -> Scaled:
 
 
 def _timed(call: Callable[[], Any], repeats: int) -> tuple[list[float], float, Any]:
-    """Return the times of repeated calls after a first one, its compilation time, and a result."""
+    """Return the times of repeated calls, the compilation time of the first call, and a result.
+
+    Without repeats, the time of the first call is returned, without its compilation.
+    """
     before, began = compiled().seconds, time.perf_counter()
     result: Rollout | Any = jax.block_until_ready(call())
     compile_s = compiled().seconds - before
@@ -329,7 +346,7 @@ def _timed(call: Callable[[], Any], repeats: int) -> tuple[list[float], float, A
 
 
 def main() -> None:
-    """Measure a task given as JSON, and write the result to a file."""
+    """Measure the task given as JSON in the first argument; write the result to the second."""
     result = measure(ScalingTask.model_validate_json(sys.argv[1]))
     Path(sys.argv[2]).write_text(result.model_dump_json(), encoding="utf-8")
 

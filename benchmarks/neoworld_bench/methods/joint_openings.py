@@ -1,8 +1,9 @@
-"""Openings of joints: errors before and after the alignment, on scenes of which one joint is open.
+"""Openings of joints: errors before and after the alignment, on scenes with one open joint.
 
-Few objects of the thirty scenes are open, so every hinge and slide of their movable objects is
-opened in turn, where the camera sees it and it runs into nothing. Initial scenes have errors of
-openings, ranges, places, sizes, 2D boxes and the camera; those of odd numbers also of programs.
+Few objects of the thirty scenes are open. Therefore every hinge and slide of the movable objects is
+opened in turn, if the camera sees the opening and the moving part does not collide. Initial scenes
+have errors of openings, ranges, positions, headings, sizes, 2D boxes and the camera. Initial scenes
+with odd numbers also have errors of programs.
 """
 
 import math
@@ -31,23 +32,24 @@ from ..rows import Row
 from .layout_errors import layout_errors
 
 OPENINGS = (0.3, 0.9)
-"""Smallest and largest opening in the ground truth, as a share of the range."""
+"""Minimum and maximum opening in the ground truth, as a fraction of the range."""
 SEEN_PX, SEEN_M = 300, 0.01
-"""Number of pixels, in 640 columns, whose depth an opening changes by SEEN_M if it is seen."""
+"""The camera sees an opening if it changes the depth by more than SEEN_M [m] in at least SEEN_PX
+pixels of an image with 640 columns."""
 COLLIDES_M = 0.003
-"""Overlap with another object above which a joint is not opened [m]."""
+"""Penetration with another object above which a joint is not opened [m]."""
 BOX_PX = 2.0
 """Standard deviation of the sides of 2D boxes [px]."""
 CAMERA_SD = (math.radians(1.0), math.radians(0.5), 0.03, 0.03)
-"""Deviations of pitch, roll [rad], log focal length and log height."""
+"""Standard deviations of pitch [rad], roll [rad], log focal length and log height."""
 PLACE_SD = (0.015, 0.015, math.radians(2.0), 0.02)
-"""Deviations of an object's position [m], heading [rad] and log scale."""
+"""Standard deviations of an object's position x and y [m], heading [rad] and log scale."""
 STAGES = ("composed", "without", "aligned")
-"""Stages: the initial scene, aligned without joints, and aligned with them."""
+"""The initial scene, the scene aligned without joints, and the scene aligned with joints."""
 
 
 class OpeningRow(Row):
-    """One initial scene of one opened joint."""
+    """Result for one opened joint and one initial scene."""
 
     scene: str
     object: str
@@ -57,28 +59,31 @@ class OpeningRow(Row):
     range: float
     """Range of the joint in the ground truth [rad or m]."""
     truth: float
-    """Position in the ground truth [rad or m]."""
+    """Position of the joint in the ground truth [rad or m]."""
     value: dict[str, float]
-    """Position by stage; 0 if the response shows it closed."""
+    """Position of the joint [rad or m] by stage; 0 if the joint has no value."""
     deviation: float | None
-    """Standard deviation that the alignment states; None if the joint was no unknown."""
+    """Standard deviation that the alignment reports [rad or m]; None if the joint was no unknown of
+    the alignment."""
     evidence: str
+    """Evidence from which the alignment placed the object; "none" if it was not placed."""
     mask_iou: dict[str, float]
-    """Mean over objects of the overlap of their visible pixels with the photograph's, by stage."""
+    """Intersection over union of an object's visible pixels and its pixels in the photograph, as a
+    mean over objects, by stage."""
     own_iou: dict[str, float]
-    """The same of the object with the joint."""
+    """Intersection over union for the object with the joint, by stage."""
     errors: dict[str, dict[str, float]]
     """`layout_errors` by stage."""
 
     def error(self, stage: str) -> float:
-        """Return the error of the position at a stage, as a share of the true range."""
+        """Return the error of the joint's position at a stage, as a fraction of the true range."""
         return abs(self.value[stage] - self.truth) / self.range
 
 
 def opened_scenes(name: str) -> Iterator[tuple[SceneObject, JointSpec, SceneSpec]]:
-    """Yield a scene of the benchmark with one joint after the other open, as photographed.
+    """Yield the object, the joint and the photographed scene for each joint that can be opened.
 
-    Joints that the scene declares open keep their values.
+    Joints that are open in the benchmark's scene keep their values.
     """
     declared = truth_scene(declaration(name))
     for item in declared.objects:
@@ -96,7 +101,7 @@ def opened_scenes(name: str) -> Iterator[tuple[SceneObject, JointSpec, SceneSpec
 
 
 def with_boxes(scene: SceneSpec) -> SceneSpec:
-    """Return a scene with the 2D boxes of its objects' visible pixels."""
+    """Return a scene in which each object's 2D box bounds its visible pixels."""
     assert scene.camera is not None
     width = scene.camera.width
     owner, objects = draw_scene(scene, scene.camera, width).owner, []
@@ -111,7 +116,7 @@ def with_boxes(scene: SceneSpec) -> SceneSpec:
 
 
 def with_open(scene: SceneSpec, item: SceneObject, joint: JointSpec) -> SceneSpec:
-    """Return a scene with a joint open, by a share that its names determine."""
+    """Return a scene with a joint open by a random fraction, which depends only on the names."""
     if item.joint_state.get(joint.name, 0.0):
         return scene
     rng = np.random.default_rng(zlib.crc32(f"{scene.name}/{item.name}/{joint.name}".encode()))
@@ -143,8 +148,10 @@ def _is_seen(scene: SceneSpec, closed: SceneSpec) -> bool:
 
 
 def mask_iou(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
-    """Return the overlap of the visible pixels of each object that both contain and the ground
-    truth shows, in 640 columns.
+    """Return the intersection over union of each object's visible pixels in two scenes.
+
+    Images have 640 columns. The result has the objects that both scenes contain and that are
+    visible in the ground truth, by name.
     """
     assert scene.camera is not None and truth.camera is not None
     own, real = (draw_scene(s, s.camera, 640).owner for s in (scene, truth) if s.camera)
@@ -159,12 +166,12 @@ def mask_iou(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
 
 
 def initial_scene(truth: SceneSpec, number: int, *, programs: bool) -> SceneSpec:
-    """Return a scene with errors, without the fit and the composition of a run.
+    """Return the ground truth with errors; it is not fitted and composed as in a run.
 
     Args:
-        truth: the ground truth, of the benchmark.
-        number: of the noise.
-        programs: whether programs have errors, too.
+        truth: ground truth of a scene of the benchmark.
+        number: seed of the noise.
+        programs: if True, programs have errors, too.
     """
     rng = np.random.default_rng((number, 53))
     shapes = wrong_shapes(truth, number, NoiseLog()) if programs else {}
@@ -176,7 +183,7 @@ def initial_scene(truth: SceneSpec, number: int, *, programs: bool) -> SceneSpec
             off, stretch = OPENING * rng.normal(), RANGE * rng.normal()
             if name in known and known[name].type in ("revolute", "prismatic"):
                 share = opening_share(item.spec.joint(name), value)
-                # A wrong program has a wrong range already.
+                # A wrong program already has a wrong range.
                 share = (share if programs else share * math.exp(stretch)) + off
                 state[name] = opening_value(known[name], float(np.clip(share, 0.0, 1.0)))
         box = item.box2d
@@ -201,9 +208,10 @@ def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[Openi
     """Yield a row for each opened joint of a scene and each initial scene.
 
     Args:
-        name: of the scene.
-        starts: initial scenes of each opened joint; those of odd numbers have wrong programs.
-        seed: of the noise.
+        name: name of the scene.
+        starts: number of initial scenes for each opened joint. Initial scenes with odd numbers have
+            errors of programs.
+        seed: seed of the noise.
     """
     for item, joint, truth in opened_scenes(name):
         photo = photograph(truth)
@@ -241,7 +249,7 @@ def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[Openi
 
 
 def opening_summary(rows: Sequence[OpeningRow]) -> dict[str, Any]:
-    """Summarize rows of joints that are unknowns, of all initial scenes and by their programs."""
+    """Summarize rows of joints that are unknowns: all, with right and with wrong programs."""
     parts = {"all": list(rows)}
     parts["right_programs"] = [row for row in rows if row.start % 2 == 0]
     parts["wrong_programs"] = [row for row in rows if row.start % 2]

@@ -1,4 +1,4 @@
-"""Errors of a scene's layout over its movable objects."""
+"""Errors of the poses and sizes of a scene's movable objects."""
 
 import math
 from collections.abc import Sequence
@@ -14,23 +14,26 @@ from ..measures.symmetry import symmetry
 
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
-"""Bounds of `displaced`; responses' sizes alone move a middle by a few percent of its height."""
+"""Bounds of `displaced`: tilt [deg], and change of height as a fraction of the diagonal plus a
+length [m]. Errors of sizes in a response already move a center by a few percent of its height."""
 LEAST_M = 1e-3
-"""Minimum side of a box for a scale [m]."""
+"""Shorter edges of a box count as this length when edges are compared [m]."""
 Bounds = tuple[np.ndarray, np.ndarray]
 
 
 def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     """Compare a scene with the ground truth, over the objects that both contain.
 
-    The median offset of all objects does not count: it comes from the response's camera, and no
-    layout can correct it.
+    The median offset of all objects is subtracted: it is an error of the response's camera, which
+    no layout can correct.
 
     Returns:
-        "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", see
-        `heading_deg`; "scale_error", of the logarithm of the diagonal; "edge_error", of the
-        logarithms of the three edges. Means over the
-        found objects that are no supports; what is missed or extra is for `unmatched` to count.
+        Means over the movable objects that both scenes contain; `unmatched` lists the others.
+
+        - "xy_error_m": horizontal distance between the objects' centers [m].
+        - "yaw_error_deg": difference of the headings [deg], see `heading_deg`.
+        - "scale_error": absolute difference of the logarithms of the diagonals.
+        - "edge_error": mean absolute difference of the logarithms of the three edges.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     items = [item for item in truth.objects if not item.static and item.name in ends]
@@ -56,7 +59,7 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
 def offsets(
     scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
 ) -> Float[np.ndarray, "object 2"]:
-    """Return the horizontal offsets of the objects' centers from the ground truth [m]."""
+    """Return the horizontal offsets of the objects' centers from the ground truth [m], [n, 2]."""
     ends, starts = world_poses(scene), world_poses(truth)
     middles = [
         [_middle(s.object(name), at[name]) for name in names]
@@ -66,10 +69,10 @@ def offsets(
 
 
 def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:
-    """Return the movable objects of the ground truth that a scene lacks, and those that it has in
-    addition.
+    """Return the names of missed and of extra movable objects.
 
-    No search can correct these, so they are counted separately and affect no error.
+    Missed objects are those that the scene lacks. Extra objects are those that the ground truth
+    lacks. No search can correct them, so they are counted separately and affect no error.
     """
     real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
     names, known = {item.name for item in own}, {item.name for item in truth.objects}
@@ -80,11 +83,14 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
     """Return the objects that toppled or fell, compared with the ground truth.
 
-    A toppled book is stable as well, so stability does not show it. An object is displaced if it is
-    tilted by MOST_TILT_DEG from the ground truth, see `tilt_deg`, or if its lowest point and its
-    center are both higher or lower than expected by MOST_HEIGHT of its diagonal plus MOST_HEIGHT_M.
-    The expected heights are those of the ground truth on the object below, with the size and pose
-    that this has in the scene. Missed objects and what stands on them do not count.
+    A toppled book is stable, so stability does not reveal it. An object is displaced if
+
+    - its tilt differs from the ground truth by more than MOST_TILT_DEG, see `tilt_deg`, or
+    - its lowest point and its center are both higher or lower than expected by more than
+      MOST_HEIGHT times its diagonal plus MOST_HEIGHT_M.
+
+    The expected heights are the heights in the ground truth, transferred to the pose and size that
+    the object below has in the scene. Missed objects and the objects on them are not considered.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names, without = [], {item.name for item in truth.objects if item.name not in ends}
@@ -107,10 +113,11 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
 
 
 def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
-    """Return the angle between the poses of an object, whatever its heading [deg].
+    """Return the difference of the tilts of an object at two poses, regardless of heading [deg].
 
-    It is the angle between the verticals in the object's frame, up to its symmetry: a pencil that
-    leans as much to another side is turned, not tilted. A ball has no tilt.
+    It is the angle between the two vertical directions in the object's frame, up to the object's
+    symmetry. A pencil that leans equally far to another side is turned, not tilted. A ball has no
+    tilt.
     """
     if _is_ball(item):
         return 0.0
@@ -125,12 +132,12 @@ def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
 
 
 def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
-    """Return the rotation about the vertical between the poses of an object, up to its symmetry
-    [deg].
+    """Return the rotation about the vertical between two poses of an object [deg].
 
-    Of a round object that leans or lies, it is that of its axis: a leaning pencil that rolled about
-    it has not turned. None for what looks the same from every side, such as a ball, and for a round
-    object that leans by less than MOST_TILT_DEG.
+    The rotation is reduced by the object's symmetry. For a round object that leans or lies, it is
+    the rotation of its axis: a leaning pencil that has rolled about its axis has not turned. The
+    result is None for an object that looks the same from every side, such as a ball, and for a
+    round object whose axis leans by less than MOST_TILT_DEG.
     """
     period = symmetry(item)
     if period == 0.0:
@@ -152,14 +159,14 @@ def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
 def _carried(
     points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
 ) -> Float[np.ndarray, "n 3"]:
-    """Map points between the frames of two objects by their boxes."""
+    """Map points from the frame of a true object to that of another, from box to box."""
     true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
     ratio = own_size / np.maximum(true_size, LEAST_M)
     return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
 
 
 def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:
-    """Return points at the height of an object's lowest point and of its center."""
+    """Return two points of an object: below its center at the lowest height, and its center."""
     low, high = bounds(item.spec, item.joint_state, tuple(at.quat.tolist()))
     middle = (low + high) / 2
     return at.pos + np.array([[*middle[:2], low[2]], middle])

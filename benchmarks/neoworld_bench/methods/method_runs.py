@@ -1,5 +1,7 @@
-"""Runner of methods on scenes or tasks from noisy initial scenes, in separate processes; files keep
-the rows."""
+"""Run methods on scenes or tasks from noisy initial scenes, in separate processes.
+
+The rows of results are stored in files, so an interrupted run can continue.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,12 +29,12 @@ from .scene_objects import ObjectRow
 
 
 class MethodRow(Row):
-    """Columns that results of methods on scenes and on tasks share."""
+    """Columns that the results of methods on scenes and on tasks have in common."""
 
     noise: str
     """Noise level of the initial scene."""
     injected: str
-    """Kinds of errors of the initial scene other than its numbers, comma-separated; see
+    """Kinds of errors in the initial scene other than errors of its numbers, comma-separated; see
     `parse_noise`."""
     start: int
     """Number of the initial scene."""
@@ -51,7 +53,7 @@ class MethodRow(Row):
 
     @property
     def summary(self) -> str:
-        """Line of the log."""
+        """One line for the log."""
         raise NotImplementedError
 
     @property
@@ -65,10 +67,10 @@ R = TypeVar("R", bound=MethodRow)
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of a run that its rows depend on."""
+    """Settings of a run on which its rows depend."""
 
     seed: int
-    """Seed of noise and searches."""
+    """Seed of the noise and of the searches."""
     refine: RefineOptions
     """Options of the search and of the final check."""
     compose: ComposeOptions
@@ -77,11 +79,11 @@ class RunSettings:
     """Options of the searches that a user named, by name."""
 
     def options_of(self, method: str) -> RefineOptions:
-        """Return the options of a method, before it changes them."""
+        """Return the options that a method is given, before it changes some of them."""
         return dict(self.named).get(method, self.refine)
 
     def of_method(self, method: str, fingerprint: str) -> str:
-        """Return the fingerprint of a method's row from that of its subject."""
+        """Return the fingerprint of a method's row, given the fingerprint of its subject."""
         own = dict(self.named).get(method)
         if own is None:
             return fingerprint
@@ -107,16 +109,16 @@ class MethodJob:
     """Folder of another method's scenes to score in place of running methods."""
 
     def composed(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> SceneSpec:
-        """Compose the initial scene as `initial` does, and return its SceneSpec alone."""
+        """Return only the scene of `initial`."""
         return self.initial(truth, stream, errors).scene
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
-        """Compose the initial scene from the exact response for a true scene, with noise added.
+        """Add noise to the exact response for the ground truth, and compose the initial scene.
 
         Args:
             truth: ground-truth scene with a camera.
-            stream: name that the noise's random numbers derive from.
-            errors: log that receives the injected errors.
+            stream: name from which the seed of the noise is derived.
+            errors: log to which the injected errors are added.
         """
         s = self.settings
         number = noise_number(stream, s.seed, self.start)
@@ -152,23 +154,24 @@ def run_jobs(
     """Run methods on scenes or tasks, except for rows that the file already contains.
 
     Args:
-        work: module-level function that yields the rows of a job, each with those of its objects.
+        work: module-level function that yields the rows of a job, each with the rows of its
+            objects.
         row_type: type of the rows.
-        fingerprints: of each subject; rows with another fingerprint are run again.
+        fingerprints: fingerprint of each subject. Rows with another fingerprint are run again.
         starts: numbers of each subject's initial scenes.
-        methods: names.
-        settings: of the run.
+        methods: names of the methods.
+        settings: settings of the run.
         place: where the jobs run.
-        file: Parquet file of the rows; None stores none.
-        objects: Parquet file of the objects' rows; None stores none.
-        submission: folder of scenes to score, anew each time.
+        file: Parquet file of the rows. If None, rows are not stored.
+        objects: Parquet file of the rows of objects. If None, they are not stored.
+        submission: folder of submitted scenes. They are scored again in each run.
 
     Returns:
-        All requested rows, those from the file included, sorted by key.
+        All requested rows, including rows from the file, sorted by key.
 
     Raises:
-        RunError: a file cannot be read or written or has rows of another noise level, or a process
-            died.
+        RunError: a file cannot be read or written, a file has rows of another noise level, or a
+            process died.
     """
     check_place(place)
     stored = RowFile(file, row_type, lambda row: row.key)
@@ -201,11 +204,11 @@ def run_jobs(
                         subject, start, missing, settings, place.threads, fingerprint, submission
                     )
                 )
-    # An interrupted run has rows of all subjects.
+    # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
     for row, object_rows in run_tasks(work, jobs, place):
         log.info(row.summary)
-        # Objects first: a stored row always has the rows of its objects.
+        # Store objects first, so that every stored row has the rows of its objects.
         stored_objects.put(object_rows, in_place_of=row.key)
         stored.put([row], in_place_of=row.key)
     requested = (

@@ -1,7 +1,7 @@
-"""Methods that a user names: the search with other options, as a row next to the built-in methods.
+"""User-named methods: the search with other options, as rows next to the built-in methods.
 
-A results folder lists the options of every method in methods.json, and one name stands for one set
-of options there.
+A results folder lists the options of every method in methods.json. Within a folder, each name
+stands for one set of options.
 """
 
 import json
@@ -29,7 +29,7 @@ class NamedMethods(NamedTuple):
     """Methods of a run."""
 
     methods: tuple[str, ...]
-    """Names, of METHODS or of `options`."""
+    """Names from METHODS or from `options`, or optimizers."""
     options: tuple[tuple[str, RefineOptions], ...]
     """Name and options of each search that a user named."""
 
@@ -40,7 +40,7 @@ def read_methods(names: Sequence[str], label: str | None, config: Config) -> Nam
     Args:
         names: methods of METHODS, optimizers such as `evosax:SNES`, and NAME=FILE for the search
             with the options of a YAML file on top of the configuration.
-        label: name of the row of `ours`; None leaves it.
+        label: name under which the rows of `ours` appear. If None, the name is `ours`.
         config: the configuration.
 
     Raises:
@@ -66,7 +66,7 @@ def _check_name(where: str, name: str, taken: Mapping[str, Any]) -> None:
     if name in METHODS or name in taken:
         raise ConfigError(f"{where}: the name {name} is taken")
     if not NAME.fullmatch(name):
-        raise ConfigError(f"{where}: a name has letters, digits and _ . + - alone, got {name!r}")
+        raise ConfigError(f"{where}: a name has letters, digits and _ . + - only, got {name!r}")
 
 
 def _options(file: Path, config: Config) -> RefineOptions:
@@ -85,7 +85,7 @@ def note_methods(folder: Path, used: Mapping[str, dict[str, Any]], has_rows: set
     Args:
         folder: the results folder, which exists.
         used: JSON of the options of each method.
-        has_rows: methods of which the folder has rows already.
+        has_rows: methods whose rows the folder already contains.
 
     Raises:
         RunError: a method has rows with other options, or the file cannot be read or written.
@@ -115,5 +115,5 @@ def _change(earlier: Any, now: Any, path: str = "") -> str:
 
 
 def options_json(refine: RefineOptions, **more: Any) -> dict[str, Any]:
-    """Return options as JSON, by path."""
+    """Return the options, by path, as a JSON object with `more` entries."""
     return {"refine": option_values(refine), **more}

@@ -1,4 +1,4 @@
-"""P-Pen: penetration of the parts of an articulated object as its joints move."""
+"""P-Pen: penetration between the parts of an articulated object while its joints move."""
 
 from dataclasses import replace
 
@@ -9,9 +9,9 @@ from neoworld_mjx.config import JointSweepOptions
 from neoworld_mjx.spec import ObjectSpec
 
 P_PEN_M = 1e-3
-"""Depth [m] over which an object counts in P-Pen."""
+"""Penetration of two parts above which an object counts in P-Pen [m]."""
 _DEEPEST_M = 10.0
-"""An allowed depth [m] that no pair reaches, so that every pair is measured in motion, too."""
+"""Allowed penetration [m] that no pair reaches, so that every pair is also measured in motion."""
 
 
 def articulated(spec: ObjectSpec) -> bool:
@@ -20,15 +20,16 @@ def articulated(spec: ObjectSpec) -> bool:
 
 
 def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> float:
-    """Return the deepest overlap of two parts of an object [m], 0 where none overlap.
+    """Return the deepest penetration of two parts of an object [m]; 0 if no parts overlap.
 
-    Parts are measured at rest, over the range of every joint, and with all joints moved at once;
-    parent and child count. Parts that are fastened to each other may overlap. Of states with all
-    joints moved only what is over P_PEN_M counts. What the object's program allows counts as well.
+    Parts are measured with all joints at zero, over the range of every joint, and with all joints
+    moved at once. In states with all joints moved, only penetrations over P_PEN_M count. Pairs of a
+    parent and a child count, and so do overlaps that the object's program allows. Parts that are
+    fixed to each other may overlap.
 
     Args:
         spec: the object.
-        options: how finely ranges are swept.
+        options: number of steps over a range, and number of sampled states.
     """
     o = options or JointSweepOptions()
     bare = [part.name for part in spec.parts if is_placeholder(part)]

@@ -1,5 +1,4 @@
-"""Methods that turn an initial scene into a layout: the search, its ablations and baselines,
-gravity."""
+"""Methods that turn an initial scene into a layout: the search, its ablations, and baselines."""
 
 import dataclasses
 import functools
@@ -47,21 +46,22 @@ class MethodResult:
     scene: SceneSpec
     measure: SceneMeasure
     seconds_to_result: float | None
-    """Time to the first candidate that a search accepts; otherwise `seconds`."""
+    """Time until the first candidate that the search accepts [s]. If there is none, and for methods
+    without a search, it equals `seconds`."""
     seconds: float | None
-    """Time of the method; None if a submission does not state it."""
+    """Time of the method [s]; None if a submission does not state it."""
     rollouts: int = 0
     accepted: bool | None = None
-    """Verdict of a search itself; None for other methods."""
+    """Verdict of the search; None for methods without a search."""
 
 
 def ours(o: RefineOptions) -> RefineOptions:
-    """Return the options as they are."""
+    """Return the options unchanged."""
     return o
 
 
 def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
-    """Return options with some of them replaced, given as a tree."""
+    """Return options with the changes in a nested dict."""
     return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
 
 
@@ -75,7 +75,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
         "finalists": 1,
     },
 }
-"""Changes of the refinement's options by ablation, as in configs/ablations/refine.yaml."""
+"""Changes of the refinement's options in each ablation, as in configs/ablations/refine.yaml."""
 EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
@@ -83,9 +83,9 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_contacts": AlignOptions(contacts=False),
     "without_camera": AlignOptions(camera=False),
 }
-"""Ablations of the alignment with the photograph."""
+"""Options of the alignment with the photograph in each of its ablations."""
 DIMENSIONS = {"aligned_dimensions": AlignOptions(dimensions=True)}
-"""Methods whose alignment also changes dimensions of programs."""
+"""Methods whose alignment also changes dimensions in programs."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "algorithm1": algorithm1,
@@ -93,11 +93,11 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     **dict.fromkeys(EVIDENCE, ours),
     "with_s_photo": partial(changed, change={"reward": {"terms": {"s_photo": 1.0}}}),
 }
-"""Methods that are a refinement with other options."""
+"""Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
-"""Methods that take the composed scene as it is; all others align it with the photograph first."""
+"""Methods that start from the composed scene; all others first align it with the photograph."""
 BUDGETED = ("random", "cma_es")
-"""Other optimizers, with as many rollouts as ours from the same initial scene."""
+"""Other optimizers, which make as many rollouts as `ours` from the same initial scene."""
 METHODS = (
     "open_loop",
     "aligned",
@@ -127,8 +127,8 @@ SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
     "gravity": _gravity,
     "guided": lambda composed, o: settle_scene(composed, o.settle),
 }
-"""Methods without a search: snapped, fallen freely, or settled under guidance. `aligned` and
-`aligned_dimensions` are aligned with the photograph before."""
+"""Methods without a search. Objects are snapped to their supports, fall freely, or settle with
+guidance. `aligned` and `aligned_dimensions` align the scene with the photograph before."""
 
 
 def outcome_of(
@@ -152,9 +152,9 @@ def outcome_of(
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
         rollouts: number of rollouts of an optimizer accepted by `is_budgeted`.
-        warm: whether to search once for a single iteration, in which one candidate stands for all,
-            before the clock runs, so that its time is without compiling.
-        named: options of user-defined searches, by name.
+        warm: if True, first run a search of one iteration that simulates only one candidate, so
+            that the measured time does not include compilation.
+        named: options of user-named searches, by name.
         photo: the photograph, for S_photo.
     """
     if method in SETTLED:
@@ -181,8 +181,8 @@ def outcome_of(
     return MethodResult(
         refined.scene,
         refined.measure,
-        # A candidate of coarse rollouts that fails the final check is not valid; what is kept in
-        # its place is known at the end.
+        # A candidate that coarse rollouts accept but the final check rejects is not valid; the
+        # result that replaces it is known only at the end.
         float(to_valid) if refined.passed and not np.isnan(to_valid) else spent,
         spent,
         refined.rollouts,
@@ -191,15 +191,16 @@ def outcome_of(
 
 
 class OneForAll:
-    """An engine that simulates the first candidate and repeats its result for all others.
+    """An engine that simulates only the first candidate and copies its result to all others.
 
-    A search with it compiles the same programs as one with the engine itself, at little cost.
+    A search with this engine compiles the same functions as a search with the wrapped engine, at
+    little cost.
     """
 
     name = "one for all"
 
     def __init__(self, engine: Engine) -> None:
-        """Simulate with an engine."""
+        """Wrap an engine."""
         self.engine = engine
 
     def rollout(
@@ -239,19 +240,19 @@ def outcomes_of(
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
 ) -> Iterator[tuple[str, MethodResult]]:
-    """Run methods from one initial scene; see `outcome_of`.
+    """Run methods from one initial scene, and yield each name with its result.
 
-    `ours` runs first, because the optimizers accepted by `is_budgeted` get as many rollouts as it
-    used; if it was not requested, its result is discarded.
+    `ours` runs first, because optimizers accepted by `is_budgeted` make as many rollouts as `ours`
+    made. If `ours` was not requested, its result is discarded.
 
     Args:
         methods: names, as for `outcome_of`.
         composed: the composed scene.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
-        photo: returns the photograph; called if a method aligns the scene with it.
+        photo: function that returns the photograph; called if a method needs the photograph.
         align: options of the alignment.
-        programs: the objects' programs, for alignments that change their dimensions.
+        programs: programs of the objects, for alignments that change dimensions.
         seed: random seed of the searches.
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
@@ -313,21 +314,26 @@ def outcomes_of(
 
 
 def in_order(methods: Sequence[str]) -> list[str]:
-    """Return methods in the order of execution: ours first, then as in METHODS."""
+    """Return methods in the order of execution: `ours` first, then as in METHODS."""
     place = {name: k for k, name in enumerate(METHODS)}
     return sorted(methods, key=lambda name: (name != "ours", place.get(name, len(place))))
 
 
 def is_budgeted(method: str) -> bool:
-    """Return whether a method is another optimizer, with as many rollouts as ours.
+    """Return True if a method is another optimizer, which makes as many rollouts as `ours`.
 
-    These are BUDGETED, and optimizers such as `evosax:SNES` or `package.module:function`.
+    Such methods are those in BUDGETED, and names like `evosax:SNES` or `package.module:function`.
     """
     return method in BUDGETED or ":" in method
 
 
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
-    """Raise a SpecError for a name that is no method, and a ConfigError for no optimizer."""
+    """Check the names of methods.
+
+    Raises:
+        SpecError: a name is not a method.
+        ConfigError: a name with a colon is not an optimizer.
+    """
     for method in methods:
         if is_budgeted(method) and method not in named:
             optimizer_factory(method)

@@ -1,4 +1,4 @@
-"""Rows of objects, for P-Pen and curves over thresholds."""
+"""Rows of single objects, for P-Pen and for curves over thresholds."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +12,8 @@ from .part_depths import articulated, part_depth
 
 OBJECTS = "objects.parquet"
 FAR = 1e6
-"""Drift [m] and tilt [deg] of objects that left all bounds, so that columns are finite."""
+"""Maximum drift [m] and tilt [deg]. It also replaces NaN and all values of a diverged simulation,
+so that columns are finite."""
 
 
 class ObjectRow(Row):
@@ -24,27 +25,31 @@ class ObjectRow(Row):
     method: str
     object: str
     drift_m: float | None
-    """Largest displacement in the final check's free fall; None of what cannot move."""
+    """Largest displacement during the simulation of the final check [m]; None if the object cannot
+    move."""
     tilt_deg: float | None
+    """Largest tilt during the simulation of the final check [deg]; None if the object cannot
+    move."""
     depth_m: float
-    """Deepest overlap with another object where it was placed."""
+    """Deepest penetration with another object in the final scene [m]."""
     part_depth_m: float | None
-    """Deepest overlap of two of its parts over its joints' ranges; None without joints."""
+    """Deepest penetration of two parts of the object over the ranges of its joints [m]; None if it
+    has no joints that move."""
 
     @property
     def key(self) -> tuple[str, int, int, str]:
-        """Key of its scene's row."""
+        """Key of the scene's row: scene, start, seed and method."""
         return self.scene, self.start, self.seed, self.method
 
 
 def object_rows(
     scene: SceneSpec, measure: SceneMeasure, key: tuple[str, int, int, str]
 ) -> list[ObjectRow]:
-    """Return the rows of a scene's objects, supports left out.
+    """Return the rows of a scene's objects, without environment supports.
 
     Args:
-        scene: what a method made.
-        measure: of it.
+        scene: final scene of a method.
+        measure: measure of this scene.
         key: scene, start, seed and method.
     """
     name, start, seed, method = key
@@ -71,15 +76,15 @@ def object_rows(
 def _largest(values: Mapping[str, float], name: str, diverged: bool) -> float | None:
     if name not in values:
         return None
-    # A comparison that a NaN fails as well.
+    # The comparison is also false for NaN.
     return values[name] if values[name] < FAR and not diverged else FAR
 
 
 def read_object_rows(folder: Path) -> list[ObjectRow]:
-    """Read the rows of a folder; none where it has no such file.
+    """Read the rows of objects in a folder; if there is no such file, return none.
 
     Raises:
-        RunError: they cannot be read.
+        RunError: the rows cannot be read.
     """
     file = folder / OBJECTS
     return stored_rows(file, ObjectRow) if file.exists() else []

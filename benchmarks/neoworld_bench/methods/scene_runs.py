@@ -1,4 +1,4 @@
-"""Runs of methods over scenes and initial scenes, in separate processes, with a row of each."""
+"""Runs of methods on scenes from initial scenes, in separate processes, with one row per run."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -37,31 +37,33 @@ class SceneRow(MethodRow):
     objects: int
     """Movable objects of the ground truth."""
     refused: str
-    """Kinds that were drawn, but of which no variant passes the checks."""
+    """Kinds of errors that were sampled but not injected, because no variant passes the checks;
+    comma-separated."""
     missed: int
-    """Number of them that the initial scene lacks."""
+    """Number of movable objects of the ground truth that the result lacks."""
     extra: int
-    """Movable objects of the initial scene that the ground truth does not have."""
+    """Number of movable objects of the result that the ground truth lacks."""
     valid: bool
-    """True if the result passes the final check, no object is displaced, and none that the method
-    was given is missed; see `validity`.
+    """True if the result passes the final check, no object is displaced, and no object that the
+    method was given is missed; see `validity`.
     """
     check_passed: bool
-    """True if it passes the final check alone."""
+    """True if the result passes the final check."""
     accepted: bool | None
-    """Verdict of a search itself, which also requires that nothing settled away from where it was
-    composed; None for other methods."""
+    """Verdict of the search, which also requires that no object settled away from its composed
+    position; None for methods without a search."""
     displaced: int
-    """Objects that are toppled or have fallen from where the ground truth has them."""
+    """Number of objects that have toppled or fallen compared with the ground truth."""
     s_pen: int
-    """1 if two objects are deeper than the bound in the result."""
+    """1 if two objects penetrate deeper than the bound in the result, else 0."""
     s_stab: bool
     o_stab: float
-    """Share of the movable objects that stay within the bounds."""
+    """Fraction of the movable objects whose drift and tilt stay within the bounds."""
     articulated: int
-    """Objects with joints that move."""
+    """Number of objects with joints that move."""
     p_pen: int
-    """Articulated objects of which two parts are deeper than 1 mm over the joints' ranges."""
+    """Number of articulated objects in which two parts penetrate deeper than 1 mm, over the ranges
+    of the joints."""
     max_depth_m: float
     max_drift_m: float
     max_tilt_deg: float
@@ -69,18 +71,19 @@ class SceneRow(MethodRow):
     yaw_error_deg: float
     scale_error: float
     edge_error: float
-    """Of the three edges of an object; `scale_error` is that of its diagonal."""
+    """Error of an object's three edges, whereas `scale_error` is the error of its diagonal; see
+    `layout_errors`."""
     box_iou: float
-    """Overlap of visible boxes with the ground truth's, mean over objects."""
+    """Intersection over union of visible 2D boxes with those of the ground truth, as a mean over
+    objects."""
     seconds_to_valid: float | None
-    """Time at the first valid candidate; None where the result is not valid."""
+    """Time until the first valid candidate [s]; None if the result is not valid."""
     seconds: float | None
-    """Time of the method; None if a submission does not state it."""
+    """Time of the method [s]; None if a submission does not state it."""
 
     @property
     def found(self) -> int:
-        """Number of the ground truth's movable objects in the initial scene, over which errors are
-        means."""
+        """Number of movable objects of the ground truth in the result; errors are means of them."""
         return self.objects - self.missed
 
     @property
@@ -90,7 +93,7 @@ class SceneRow(MethodRow):
 
     @property
     def summary(self) -> str:
-        """Line of the log."""
+        """One line for the log."""
         valid = "valid" if self.valid else "not valid"
         time = "" if self.seconds is None else f", {self.seconds:.1f} s"
         error = f"{1e3 * self.xy_error_m:.1f} mm"
@@ -98,16 +101,20 @@ class SceneRow(MethodRow):
 
 
 def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the scenes with these names: all for no names, evenly spaced ones for a single number.
+    """Return the names of the chosen scenes.
+
+    Args:
+        names: names of scenes. If empty, all scenes are chosen. If it is a single number, this many
+            scenes are chosen, evenly spaced in the list.
 
     Raises:
-        SpecError: there is no such scene, or there are not so many.
+        SpecError: there is no scene of this name, or there are fewer scenes than the number.
     """
     every = tuple(declarations())
     if len(names) == 1 and names[0].isdecimal():
         count = int(names[0])
         if not 1 <= count <= len(every):
-            raise SpecError(f"scenes: there are 1 to {len(every)} to take, not {count}")
+            raise SpecError(f"scenes: got {count}, valid is from 1 to {len(every)}")
         return tuple(every[int(k * len(every) / count)] for k in range(count))
     for name in names:
         if name not in every:
@@ -128,13 +135,14 @@ def run_scenes(
     """Run methods on scenes, except for rows that the folder's file already contains.
 
     Args:
-        scenes: names.
-        methods: of METHODS.
-        settings: of the run.
+        scenes: names of the scenes.
+        methods: names of methods, as for `check_methods`.
+        settings: settings of the run.
         starts: number of initial scenes of each scene.
-        place: where they run.
-        out: folder of `results.parquet`; None stores nothing.
-        submission: folder of scenes to score in place of running methods, anew each time.
+        place: where the methods run.
+        out: folder of `results.parquet`. If None, rows are not stored.
+        submission: folder of submitted scenes, which are scored (again in each run) instead of
+            running methods.
 
     Raises:
         SpecError: a method is unknown, or the submission cannot be read.
@@ -163,7 +171,7 @@ def run_scenes(
 
 
 def scene_rows(job: MethodJob) -> Iterator[tuple[SceneRow, list[ObjectRow]]]:
-    """Run the methods of a scene; yield each row with those of its objects."""
+    """Run the methods of a job; yield each row with the rows of its objects."""
     truth, refine = photographed(declaration(job.subject)), job.settings.refine
     errors = NoiseLog()
     for method, result, initial in _outcomes(job, truth, errors):
@@ -176,7 +184,7 @@ def scene_rows(job: MethodJob) -> Iterator[tuple[SceneRow, list[ObjectRow]]]:
 def _outcomes(
     job: MethodJob, truth: SceneSpec, errors: NoiseLog
 ) -> Iterator[tuple[str, MethodResult, SceneSpec | None]]:
-    """Yield each method with its result and its initial scene; None for a submission."""
+    """Yield each method with its result and its initial scene, which is None for a submission."""
     s = job.settings
     if job.submission is not None:
         yield job.methods[0], submitted(job.submission, job.start, truth, s.refine), None
@@ -211,11 +219,11 @@ def _row(
     still = [
         m.drift_m[name] < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg for name in m.drift_m
     ]
-    # The result keeps its own camera: that of the response, as fitted.
+    # Boxes are compared in the camera of the result, which is the fitted camera of the response.
     true_objects = {item.name: item for item in truth.objects}
     with_true_boxes = []
     for item in result.scene.objects:
-        # An object that the ground truth lacks has no box, but hides others.
+        # An object that the ground truth lacks has no box, but can hide other objects.
         true = true_objects.get(item.name)
         box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
         with_true_boxes.append(item.model_copy(update=box))
@@ -257,7 +265,8 @@ def known_rows(folder: Path) -> list[SceneRow]:
     """Read the rows of a folder.
 
     Raises:
-        RunError: it has none, they cannot be read, or a method has rows with different options.
+        RunError: the folder has no rows, they cannot be read, or a method has rows with different
+            options or scenes.
     """
     rows = stored_rows(folder / RESULTS, SceneRow)
     marks: dict[tuple[str, str], str] = {}

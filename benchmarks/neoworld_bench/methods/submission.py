@@ -1,12 +1,13 @@
-"""Scenes that other methods made, read from a folder and scored as the rows of a method.
+"""Scenes from other methods (submissions), read from a folder and scored as rows of a method.
 
     DIR/SCENE/scene.json | scene.xml | scene.usda | scene.usd | scene.usdc | scene.glb | poses.json
     DIR/SCENE/result.json            optional: {"seconds": 12.5}
-    DIR/SCENE/start_0/...            the same for each start, where a method begins at starts
+    DIR/SCENE/start_0/...            the same files for each initial scene (start), if the method
+                                     was given the initial scenes
 
-Names of objects are those of the ground truth, and their poses are in the ground truth's world, or
-with "frame": "camera" in a poses.json in the frame of its camera.
-Files are a stranger's: they are read within bounds and nothing in them is run.
+Objects have the names of the ground truth. Their poses are in the world frame of the ground truth,
+or, if a poses.json has "frame": "camera", in the frame of the ground truth's camera.
+The files are untrusted: they are read within bounds, and no code in them is run.
 """
 
 from pathlib import Path
@@ -29,32 +30,40 @@ from .layout_errors import unmatched
 from .scene_methods import MethodResult
 
 MESHES = ("scene.glb", "poses.json")
-"""Scenes of meshes, which do not say what is a support: objects that the ground truth fixes are."""
+"""Files with meshes, which do not state which objects are fixed. An object is fixed if it is fixed
+in the ground truth."""
 FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc", *MESHES)
-"""Names of a submitted scene; of several the first counts."""
+"""File names of a submitted scene. If there are several files, the first in this order is read."""
 RESULT = "result.json"
 HELD = "held_"
-"""Prefix of the name of an object that is fixed although the ground truth's is free."""
+"""Prefix for the name of an object that is fixed in the submission but free in the ground truth."""
 
 
 class SubmittedResult(Spec):
     """Optional metadata of a submitted scene."""
 
     seconds: float | None = Field(default=None, ge=0, allow_inf_nan=False)
-    """Time to produce the scene."""
+    """Time that the method took for the scene [s]."""
 
 
 def submission_name(folder: Path) -> str:
-    """Return the method name of a folder's rows."""
+    """Return the name under which a folder's scenes appear as a method."""
     return f"submission:{identifier(folder.resolve().name, 'submission')}"
 
 
 def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
-    """Return the numbers of the initial scenes that a folder covers: only 0, or as many as
-    requested.
+    """Return the numbers of the initial scenes for which a folder has results.
+
+    If the scene's folder contains a scene file, the result is only 0. Otherwise it must have a
+    folder for each of the requested initial scenes.
+
+    Args:
+        folder: folder of the submission.
+        scene: name of the scene.
+        starts: requested number of initial scenes.
 
     Raises:
-        SpecError: there is no scene, or there are scenes of starts but not of all.
+        SpecError: there is no scene file, or the file of an initial scene is missing.
     """
     if not folder.is_dir():
         raise SpecError(f"submission: {folder} is no folder")
@@ -63,31 +72,32 @@ def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
     if not (folder / scene / "start_0").is_dir():
         raise SpecError(
             f"submission: {folder / scene} has none of {', '.join(FILES)}, nor start_0 with one; "
-            "--scenes scores only the scenes that it names"
+            "--scenes NAME scores only the named scenes"
         )
     for start in range(starts):
         if scene_file(_place(folder, scene, start)) is None:
             raise SpecError(
                 f"submission: {folder / scene}/start_{start} has none of {', '.join(FILES)}; "
-                "--starts says how many there are"
+                "--starts must be the number of submitted starts"
             )
     return tuple(range(starts))
 
 
 def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> MethodResult:
-    """Read and measure what a folder has for a start of a scene.
+    """Read and measure the submitted result for an initial scene.
 
-    An object that the ground truth has free to move and the file fixed is missed, and its like in
-    the scene gets another name. Without a camera the scene has the ground truth's.
+    An object that is free in the ground truth but fixed in the file counts as missed; the fixed
+    object gets another name. If the file has no camera, the ground truth's camera is used.
 
     Args:
-        folder: of the submission.
-        start: number of the start.
-        truth: the scene's, as photographed; its name is the scene's folder.
+        folder: folder of the submission.
+        start: number of the initial scene.
+        truth: ground truth, as photographed. Its name is the name of the scene's folder.
         o: options of the final check.
 
     Raises:
-        SpecError: a file is broken or hostile, or holds none of the ground truth's objects.
+        SpecError: a file is broken or exceeds a bound, or the scene has none of the ground truth's
+            movable objects.
     """
     place = _place(folder, truth.name, start)
     file = scene_file(place)
@@ -103,8 +113,8 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
     movable = [item.name for item in truth.objects if not item.static]
     if len(unmatched(scene, truth)[0]) == len(movable):
         raise SpecError(
-            f"submission: {file} has no object of the scene that is free to move; the scene's are "
-            f"{', '.join(movable)}"
+            f"submission: {file} has no object of the scene that is free to move; the movable "
+            f"objects of the scene are {', '.join(movable)}"
         )
     said = SubmittedResult()
     if (place / RESULT).exists():
@@ -113,21 +123,21 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
 
 
 def _place(folder: Path, scene: str, start: int) -> Path:
-    """Return the folder of a start, which is the scene's where that has a file of its own."""
+    """Return the folder with a start's result: the scene's folder if it contains a scene file."""
     own = folder / scene
     return own if scene_file(own) is not None else own / f"start_{start}"
 
 
 def scene_file(folder: Path) -> Path | None:
-    """Return the file of a folder's scene, the first of FILES; None if there is none."""
+    """Return the first of FILES that exists in a folder; None if there is none."""
     return next((folder / name for name in FILES if (folder / name).exists()), None)
 
 
 def read_scene_file(file: Path) -> ImportedScene:
-    """Read a scene.json, an MJCF, USD or glTF scene, or a poses.json, with notes of the reader.
+    """Read a scene.json, an MJCF, USD or glTF scene, or a poses.json, with the reader's notes.
 
     Raises:
-        SpecError: it cannot be read, or holds a single object.
+        SpecError: the file cannot be read, or contains a single object.
     """
     if file.suffix == ".json" and file.name not in MESHES:
         return ImportedScene(read_scene(file), ())
@@ -138,7 +148,7 @@ def read_scene_file(file: Path) -> ImportedScene:
 
 
 def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
-    """Return a scene in the ground truth's world; poses in a camera's frame are in its camera's."""
+    """Return a scene in the ground truth's world frame, converted from the frame of its camera."""
     if not read.in_camera or read.camera is None or read.camera.pose is None:
         return read.spec
     if truth.camera is None:
@@ -150,7 +160,7 @@ def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
 
 
 def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
-    """Fix the objects that the ground truth fixes."""
+    """Fix the objects that are fixed in the ground truth."""
     fixed = {item.name: item for item in truth.objects if item.static}
     objects = (
         item.model_copy(
@@ -167,7 +177,7 @@ def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
 
 
 def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
-    """Rename objects that are fixed here and free in the ground truth."""
+    """Rename objects that are fixed in the scene but free in the ground truth."""
     free = {item.name for item in truth.objects if not item.static}
     names = {
         item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})

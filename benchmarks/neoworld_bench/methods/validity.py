@@ -1,4 +1,4 @@
-"""Validity of a final scene, the same for every method and for submissions."""
+"""Validity of a final scene, by the same rules for every method and for submissions."""
 
 from typing import NamedTuple
 
@@ -10,22 +10,22 @@ from .layout_errors import displaced, unmatched
 
 
 class Validity(NamedTuple):
-    """Validity of a final scene with its components."""
+    """Components of the validity of a final scene."""
 
     check_passed: bool
     """True if the final check passes."""
     displaced: tuple[str, ...]
-    """Objects that are toppled or have fallen from where the ground truth has them."""
+    """Objects that have toppled or fallen compared with the ground truth."""
     missed: tuple[str, ...]
-    """Movable objects of the ground truth that the scene does not have."""
+    """Movable objects of the ground truth that the scene lacks."""
     extra: tuple[str, ...]
-    """Movable objects that the ground truth does not have."""
+    """Movable objects of the scene that the ground truth lacks."""
     lost: tuple[str, ...]
-    """Missed objects that the method's initial scene contained."""
+    """Missed objects that the method was given: in its initial scene, or in the photograph."""
 
     @property
     def valid(self) -> bool:
-        """True if the final check passes, nothing is displaced, and nothing given is missed."""
+        """True if the final check passes and no object is displaced or lost."""
         return self.check_passed and not self.displaced and not self.lost
 
 
@@ -37,15 +37,15 @@ def validity(
     *,
     given: SceneSpec | None = None,
 ) -> Validity:
-    """Return the validity of a method's final scene; the method's own verdict does not count.
+    """Return the validity of a method's final scene, regardless of the method's verdict.
 
     Args:
         scene: the final scene.
-        measure: of it, by the final check.
-        truth: the scene's.
+        measure: measure of the final scene by the final check.
+        truth: ground truth of the scene.
         o: options with the bounds of the final check.
-        given: the start that the method had; None where it had the picture, which shows every
-            object of the ground truth.
+        given: initial scene that the method was given. If None, the method was given the
+            photograph, which shows every object of the ground truth.
     """
     missed, extra = unmatched(scene, truth)
     had = {item.name for item in (given or truth).objects if not item.static}

@@ -1,1 +1,1 @@
-"""Errors of responses and programs, and the initial scenes that result from them."""
+"""Simulated errors of responses and programs, and the initial scenes with these errors."""

@@ -1,7 +1,8 @@
 """Wrong dimensions of programs: every edge of every object is too long or too short by WRONG.
 
-The sign of each edge is drawn; equal edges of an object have one sign, as a round or square object
-is recognized. The text of the program has the wrong edges, so that it can be edited.
+The sign of each error is random. Equal edges of an object have the same sign, because a model
+recognizes round and square objects. The text of the program contains the wrong edges, so that it
+can be edited.
 """
 
 import zlib
@@ -23,26 +24,29 @@ from .parse_noise import NoiseLog
 WRONG = 0.1
 """Relative error of an edge."""
 TRIES = 8
-"""Draws of the signs until a program passes the checks; there are eight."""
+"""Maximum number of samples of the signs until a program passes the checks. There are eight
+combinations of signs."""
 
 
 class WrongDimensions(NamedTuple):
-    """A program with wrong edges, and the object that it builds at the scene's scale."""
+    """A program with wrong edges, and the object that it builds at the scale of the scene."""
 
     text: str
     spec: ObjectSpec
     factor: float
-    """Scale of the object in its scene."""
+    """Scale of the object in the scene."""
 
 
 def with_wrong_dimensions(item: ObjectDeclaration, number: int, log: NoiseLog) -> WrongDimensions:
-    """Return an object whose edges are wrong by WRONG.
+    """Return the program of an object with edges that are wrong by WRONG.
+
+    If no sample passes the checks, the program is correct, and "dimensions" is added to the refused
+    errors of the log.
 
     Args:
-        item: the object's declaration, which is true.
-        number: of the noise; every object has a stream of its own.
-        log: to which "dimensions" is added as refused where no draw passes the checks; the object
-            is then right.
+        item: the true declaration of the object.
+        number: seed of the noise. The noise of each object also depends on its name.
+        log: log of errors.
     """
     rng = np.random.default_rng((number, 51, zlib.crc32(item.name.encode())))
     template = template_of(item)
@@ -61,7 +65,7 @@ def with_wrong_dimensions(item: ObjectDeclaration, number: int, log: NoiseLog) -
 def _with_wrong_edges(
     template: Template, given: Mapping[str, Value], rng: np.random.Generator
 ) -> dict[str, Value]:
-    """Return a program's parameters with other edges, clipped to their ranges."""
+    """Return a program's parameters with wrong edges, clipped to the parameters' ranges."""
     values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()}
     values |= given
     factors: dict[Value, float] = {}
@@ -82,11 +86,11 @@ def editable(
     programs: Mapping[str, WrongDimensions],
     compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
 ) -> EditablePrograms:
-    """Return programs for `program.freed_dimensions.free_dimensions`.
+    """Return the programs in the form that `program.freed_dimensions.free_dimensions` takes.
 
     Args:
-        programs: of the objects, by name.
-        compose: composes the scene with other objects.
+        programs: programs of the objects, by name.
+        compose: function that composes the scene with the given objects replaced.
     """
 
     def object_of(name: str, text: str) -> ObjectSpec | str:

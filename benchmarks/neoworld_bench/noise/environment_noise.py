@@ -1,6 +1,9 @@
-"""Errors of a response's supports: sizes of tables, positions of walls and furniture. Supports were
-not measured separately; they have the errors of objects placed in space. The top of a table or
-floor is the reference of heights and stays."""
+"""Errors of environment supports in a response: sizes of tables, positions of walls and furniture.
+
+Errors of supports were not measured separately. They have the errors that were measured on objects
+whose response gives a position in space. The top of a table or floor is the reference for heights
+and keeps its position.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -11,12 +14,12 @@ from ..fidelity.rendered_responses import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YA
 
 
 def with_other_supports(response: SceneTree, truth: SceneTree, number: int) -> SceneTree:
-    """Return a response with errors of its supports.
+    """Return a response with errors in its environment supports.
 
     Args:
-        response: with noise in its objects' numbers.
-        truth: the exact one.
-        number: of the noise.
+        response: response with noise in the numbers of its objects.
+        truth: exact response.
+        number: seed of the noise.
     """
     rng = np.random.default_rng((number, 49))
     eye = truth.camera.position()

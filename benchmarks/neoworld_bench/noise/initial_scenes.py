@@ -1,7 +1,13 @@
 """Initial scenes: the ground truth with the errors of responses, fitted and composed as in a run.
-Every initial scene of every scene has its own noise, with measured spreads and rates: of the
-numbers of a parse (`rendered_responses`, `environment_noise`), of its tree (`parse_noise`), and of
-programs (`program_noise`, `joint_noise`). Composition derives sizes from the boxes of the response.
+
+Each initial scene has different noise. Deviations and rates of the noise were measured. There are
+errors of
+
+- the numbers of a response (`rendered_responses`, `environment_noise`),
+- the tree of a response (`parse_noise`),
+- programs (`program_noise`, `joint_noise`).
+
+Composition derives the sizes of objects from the boxes of the response.
 """
 
 import zlib
@@ -25,11 +31,17 @@ from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
 
 NoiseLevel = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
-"""Noise of an initial scene. exact: none; layout: the numbers of a parse; parse: also its tree;
-programs: layout and programs; dimensions: layout, and the edges of every program wrong by 10 %;
-all: parse and programs."""
+"""Noise of an initial scene.
+
+- exact: no noise.
+- layout: the numbers of the response.
+- parse: layout, and the tree of the response.
+- programs: layout, and the programs.
+- dimensions: layout, and all edges of every program are wrong by 10 %.
+- all: parse and programs.
+"""
 EVALUATION = 1
-"""Initial scenes with odd numbers are the evaluation half: no default is tuned on them."""
+"""Initial scenes with odd numbers are the evaluation half, on which no default is tuned."""
 
 
 def noise_number(name: str, seed: int, start: int) -> int:
@@ -39,7 +51,7 @@ def noise_number(name: str, seed: int, start: int) -> int:
 
 @dataclass(frozen=True)
 class InitialScene:
-    """A composed scene, and the programs that it is composed of."""
+    """A composed scene, and the programs of its objects."""
 
     scene: SceneSpec
     programs: EditablePrograms
@@ -57,17 +69,17 @@ def initial_scene(
     """Compose a scene from a noisy response, as in a run.
 
     Args:
-        scene: the ground truth, as photographed; where programs have noise, objects of a scene of
-            the benchmark.
-        tree: its exact response.
-        number: of the noise. All levels of one number have the same noise in the response's
+        scene: the ground truth, as photographed. If programs have noise, it must contain only
+            objects of a scene of the benchmark.
+        tree: exact response for the scene.
+        number: seed of the noise. For one number, all levels have the same noise in the response's
             numbers.
-        options: of composition.
-        noise: its level.
-        log: list that receives the errors of the tree.
+        options: options of composition.
+        noise: level of the noise.
+        log: log to which the errors of the tree and of programs are added.
 
     Returns:
-        The scene, with the programs of its movable objects where these have wrong dimensions alone.
+        The scene. At the level "dimensions", it comes with the programs of its movable objects.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
     shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
@@ -78,7 +90,7 @@ def initial_scene(
         texts = wrong_edges(scene, number, programs)
         shapes |= {name: each.spec for name, each in texts.items()}
     fitted = tree
-    # A fit of what is exact would only move what is right, by up to some millimetres.
+    # A fit would move the objects of an exact response by up to some millimeters.
     if noise != "exact":
         wrong_tree = noise in ("parse", "all")
         kept = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
@@ -97,34 +109,36 @@ def initial_scene(
 
 @dataclass(frozen=True)
 class FittedResponse:
-    """A fitted response with its errors."""
+    """A fitted response with a list of its errors."""
 
     tree: SceneTree
     """Fitted tree."""
     shapes: dict[str, ObjectSpec]
-    """Programs of the objects that it invents."""
+    """Specs of the objects that are not in the ground truth, by name."""
     log: NoiseLog
-    """Errors other than those of its numbers."""
+    """Errors that are not errors of numbers."""
     issues: tuple[SceneIssue, ...]
-    """Issues found by the checks of a parse."""
+    """Issues of the fitted tree that the checks of Step 1 find."""
 
     @property
     def score(self) -> float:
-        """Score by which a parse selects the best of its responses."""
+        """Score by which Step 1 selects the best response."""
         return check_score(self.tree, self.issues)
 
 
 def fitted_response(
     tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
 ) -> FittedResponse:
-    """Return a response as a parse keeps it: what the checks refuse is drawn once more, and the
-    best response is kept.
+    """Return a noisy response that is revised, fitted and selected as in Step 1.
+
+    As long as rounds remain, the boxes of objects that the checks refuse are sampled again. The
+    response with the best score is returned.
 
     Args:
         tree: the exact response.
-        number: of the noise.
-        shapes: programs of its objects.
-        wrong_tree: whether the tree has errors, too.
+        number: seed of the noise.
+        shapes: specs of its objects, by name.
+        wrong_tree: if True, the tree has errors, too.
     """
     response = with_other_supports(noisy_response(tree, number), tree, number)
     attempts = [_attempt(response, number, shapes, wrong_tree)]
@@ -132,7 +146,7 @@ def fitted_response(
     for _ in range(ParseOptions().critic_rounds):
         last = attempts[-1]
         refused = {name for name, _ in refusals(last.issues) - known}
-        # What it invents has no true box about which it could think again.
+        # Objects that are not in the ground truth have no true box to sample from.
         names = refused & {node.name for node in response.nodes if not node.environment}
         if not names:
             break
@@ -153,12 +167,12 @@ def _attempt(
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
-    """Return the movable objects of a scene with errors of programs.
+    """Return the specs of a scene's movable objects with errors of programs, by name.
 
     Args:
         scene: a scene of the benchmark, or some of its objects.
-        number: of the noise.
-        log: of the errors.
+        number: seed of the noise.
+        log: log to which errors are added.
     """
     names = {item.name for item in scene.objects}
     shapes = {}
@@ -171,7 +185,10 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
 
 
 def wrong_edges(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, WrongDimensions]:
-    """Return the movable objects of a scene with wrong edges; arguments as for `wrong_shapes`."""
+    """Return the programs of a scene's movable objects with wrong edges, by name.
+
+    The arguments are the same as for `wrong_shapes`.
+    """
     names = {item.name for item in scene.objects}
     return {
         item.name: with_wrong_dimensions(item, number, log)

@@ -1,7 +1,7 @@
-"""Errors of joints in programs: missing, extra, of another type, axis, pivot or range.
+"""Errors of joints in programs: missing and extra joints; wrong types, axes, pivots and ranges.
 
-Rates and magnitudes are those of twelve objects with 29 joints (docs/benchmarks.md, "Objects from
-pictures" and "One program against three").
+Rates and magnitudes were measured on twelve objects with 29 joints (docs/benchmarks.md, "Objects
+from pictures" and "One program against three").
 """
 
 import math
@@ -23,32 +23,37 @@ from neoworld_mjx.spec import (
 from .noise_draft import Draft
 
 MISSED = 2 / 29
-"""Share of ground-truth joints without a made one: 27 of 29 were hit, in each of three runs."""
+"""Rate of missing joints. Measured: in each of three runs, the programs had 27 of the 29 true
+joints (27 hits)."""
 EXTRA = 4 / 12
-"""Extra joints an object with joints: four in twelve objects."""
+"""Rate of an extra joint in an object with joints. Measured: four extra joints in twelve
+objects."""
 OTHER_TYPE = 1 / (27 + 2)
-"""Share of joints of a wrong type: none of 27 hits; 1/(n + 2) is the mean of Laplace's rule."""
+"""Rate of joints with a wrong type. Measured: none of 27 hits. The rate 1/(n + 2) is the mean of
+Laplace's rule of succession."""
 ACROSS = 1 / 54
-"""Share of joints about a perpendicular axis: one of the 54 hits of two runs, a toggle."""
+"""Rate of joints with a perpendicular axis. Measured: one (a toggle) of the 54 hits of two runs."""
 SLANTED, SLANT_DEG = 1 / 27, 8.4
-"""Share of joints with a slanted axis, and the angle: a lever on a slope estimated by eye, one of
-the 27 hits of the first run. The axes of the others are exact."""
+"""Rate of joints with a slanted axis, and the angle [deg]. Measured: one of the 27 hits of the
+first run, a lever on a slope that was estimated by eye. The axes of the other hits were exact."""
 PIVOT = 0.0102
-"""Standard deviation of the pivot in either direction across the axis, over the object's diagonal:
-the mean distance of the 16 revolute hits was .0128."""
+"""Standard deviation of the pivot along each of the two directions perpendicular to the axis, as a
+fraction of the object's diagonal. Measured: a mean distance of .0128 over 16 revolute hits."""
 RANGE = 0.26
-"""Spread of the logarithm of a range: mean overlap with the ground truth .82 in the first run, .84
-and .81 in the others, as of ranges from the same end with this spread."""
+"""Standard deviation of the logarithm of a range. Measured: mean overlaps with the true range of
+.82, .84 and .81 in three runs. Ranges with this deviation and a common lower end have about this
+overlap."""
 TURN_RAD, SLIDE = 0.5, 0.3
-"""Range of a joint that is not in the ground truth: an angle [rad], or a share of what slides."""
+"""Range of a joint that the ground truth lacks: an angle [rad], or a fraction of the sliding part's
+size."""
 
 
 def wrong_joints(draft: Draft) -> None:
-    """Put errors into the joints of an object.
+    """Add errors to the joints of an object.
 
     Args:
-        draft: the object, to whose log "joint missing", "joint type", "joint axis" and "joint
-            extra" are added.
+        draft: the object. The errors "joint missing", "joint type", "joint axis" and "joint extra"
+            are added to its log.
     """
     rng = draft.rng
     names = [joint.name for joint in free_joints(draft.spec)]
@@ -70,7 +75,7 @@ def wrong_joints(draft: Draft) -> None:
 
 
 def free_joints(spec: ObjectSpec) -> list[JointSpec]:
-    """Return the independent moving joints that no other joint refers to."""
+    """Return the moving joints that neither depend on other joints nor are referenced by them."""
     referenced = {name for joint in spec.joints for name in joint.after} | {
         joint.mimic.joint for joint in spec.joints if joint.mimic is not None
     }
@@ -84,7 +89,7 @@ def free_joints(spec: ObjectSpec) -> list[JointSpec]:
 
 
 def with_joint(spec: ObjectSpec, changed: JointSpec) -> ObjectSpec:
-    """Return an object with a joint replaced; the intent of the joint is removed."""
+    """Return an object with one joint replaced, and without the intent of this joint."""
     joint = JointSpec.model_validate(changed.model_dump() | {"intent": None})
     joints = tuple(joint if old.name == joint.name else old for old in spec.joints)
     return spec.model_copy(update={"joints": joints})
@@ -111,7 +116,7 @@ def of_other_type(spec: ObjectSpec, name: str) -> JointSpec:
 
 
 def across_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint about, or along, one of the two axes perpendicular to its own."""
+    """Return a joint whose axis is replaced by one of two perpendicular axes."""
     joint = spec.joint(name)
     first, second = _across(np.array(joint.axis))
     way = (first, second)[int(rng.integers(2))] * rng.choice((-1.0, 1.0))
@@ -130,7 +135,7 @@ def slanted_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> Joint
 
 
 def off_pivot(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint with a displaced pivot; a prismatic joint is returned unchanged."""
+    """Return a joint with a displaced pivot; joints that do not rotate are returned unchanged."""
     joint = spec.joint(name)
     if joint.type not in ("revolute", "continuous"):
         return joint
@@ -141,7 +146,7 @@ def off_pivot(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpe
 
 
 def off_range(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint with a longer or shorter range; one without limits is returned unchanged."""
+    """Return a joint with a longer or shorter range; joints without limits are unchanged."""
     joint = spec.joint(name)
     if joint.type not in ("revolute", "prismatic"):
         return joint
@@ -150,7 +155,7 @@ def off_range(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpe
 
 
 def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec | None:
-    """Return an object with one of its shapes as a moving part of its own."""
+    """Return an object in which one shape becomes a separate moving part; None if impossible."""
     options = list(_loose_shapes(spec))
     if not options:
         return None
@@ -172,7 +177,7 @@ def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec |
 
 
 def _with_usual_losses(spec: ObjectSpec, joint: JointSpec) -> JointSpec:
-    """Return a joint with the damping and dry friction of programs that state none."""
+    """Return a joint with the damping and dry friction that a program has by default."""
     losses = default_losses(joint, inertial(spec, spec.part(joint.child)))
     return joint.model_copy(update=dict(zip(("damping", "friction"), losses, strict=True)))
 

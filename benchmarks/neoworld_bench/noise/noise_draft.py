@@ -1,4 +1,4 @@
-"""An object to which errors are added one by one, each of which passes the checks of programs."""
+"""Add errors to an object one by one, so that the object always passes the checks of programs."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ from neoworld_mjx.spec import ObjectSpec
 from .parse_noise import NoiseLog
 
 TRIES = 8
-"""Maximum number of draws of an error until one passes the checks."""
+"""Maximum number of samples of an error until one passes the checks."""
 Variant = Callable[[ObjectSpec, np.random.Generator], ObjectSpec | None]
 
 
@@ -31,16 +31,18 @@ class Draft:
         rng: np.random.Generator,
         log: NoiseLog,
     ) -> None:
-        """Start from an object and the overlaps that its program declares."""
+        """Start from an object without errors, and the overlaps that its program allows."""
         self.spec, self.rng, self._allowances, self._log = spec, rng, allowances, log
 
     def change(self, kind: str, variant: Variant, *, noted: bool = True) -> None:
         """Add an error to the object.
 
         Args:
-            kind: its name in the log.
-            variant: draws an object with the error; None where it has no place for it.
-            noted: whether it is logged where it succeeds, as every object has it otherwise.
+            kind: name of the error in the log.
+            variant: function that samples an object with the error, or returns None if the object
+                cannot have this error.
+            noted: if True, the log notes that the error was injected. Errors that every object has
+                are not noted.
         """
         for _ in range(TRIES):
             try:

@@ -1,9 +1,12 @@
-"""Errors of a parse other than its numbers: objects, parents, relations, openings, field of view.
-Rates come from five rendered images with 30 objects, parsed by a model: none missed, none extra,
-all support edges right, the field of view wrong in two; and from the responses to four photographs.
-The rate of an error that did not occur in n cases is 1/(n + 2), the mean of Laplace's rule of
-succession. In a run an error that the checks of the parse refuse is sent back, so here it is drawn
-again."""
+"""Errors of a response that are not errors of its numbers.
+
+They concern the list of objects, parents, relations, openings and the field of view. Rates come
+from the responses of a model to five rendered images with 30 objects, and to four photographs. For
+the rendered images, no object was missed or extra, all support edges were right, and the field of
+view was wrong in two images. The rate of an error that did not occur in n cases is 1/(n + 2), the
+mean of Laplace's rule of succession. In a run, a response that the checks refuse is sent back to
+the model; here, the error is sampled again.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,34 +23,34 @@ from neoworld_mjx.spec.pose import from_yaw, rotate
 from .split_noise import SPLIT, with_halves
 
 UNSEEN = 1 / (30 + 2)
-"""Rate by object of errors that none of 30 objects of five rendered images had: missed, duplicated,
-wrong parent, wrong relation. Of seven photographs' scenes six were complete; with 8 objects per
-scene this rate leaves 78 % complete."""
+"""Rate per object of each of four errors: missed, duplicated, wrong parent, wrong relation. None of
+30 objects in five rendered images had one. Of the scenes of seven photographs, six were complete;
+with 8 objects per scene, this rate leaves 78 % complete."""
 CLOSED = 1 / (15 + 2)
-"""Rate at which an open joint is parsed as closed: none of 15 joints in the responses to four
-photographs was."""
+"""Rate of open joints that are parsed as closed. Measured: none of 15 joints in the responses to
+four photographs."""
 OPENING = 0.06
-"""Standard deviation of an opening, a ratio of two lengths in the image; that of edges, see
-`program_noise.EDGE`. Openings were not measured separately."""
+"""Standard deviation of an opening. An opening is the ratio of two lengths in the image, so it has
+the deviation of edges, `program_noise.EDGE`. Openings were not measured separately."""
 MISJUDGED, LEAST_DEG, MOST_DEG = 2 / 5, 12.0, 16.0
-"""Share of responses with a wrong field of view, and the size of the error: 12 and 16 degrees in
-two of five rendered images. The sign was not recorded and is random here."""
+"""Rate of responses with a wrong field of view, and minimum and maximum error [deg]. Measured: 12
+and 16 degrees in two of five rendered images. The sign was not recorded and is random here."""
 NARROWEST_DEG = 12.0
-"""Minimum field of view of a response."""
+"""Minimum field of view of a response [deg]."""
 COPY = "_again"
-"""Suffix of the name of an invented object, after the name of its original."""
+"""Suffix of the name of a duplicate, after the name of the original object."""
 APART = 1.15
-"""Distance of an invented object from its original, over its size."""
+"""Distance of a duplicate from the original, as a multiple of the original's size."""
 
 
 @dataclass
 class NoiseLog:
-    """Errors of an initial scene other than those of its numbers."""
+    """Errors of an initial scene that are not errors of its numbers."""
 
     injected: list[str] = field(default_factory=list)
-    """Kinds of the errors that it has."""
+    """Kinds of the errors in the scene."""
     refused: list[str] = field(default_factory=list)
-    """Kinds of errors that were drawn, but of which no variant passes the checks."""
+    """Kinds of errors that were sampled but not injected, because no variant passes the checks."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +59,18 @@ class WrongParse:
 
     tree: SceneTree
     shapes: dict[str, ObjectSpec]
-    """Specs of the objects that it invents."""
+    """Specs of the objects that are not in the ground truth, by name."""
 
 
 Edit = Callable[[SceneTree, str, np.random.Generator], Iterator[SceneTree]]
 
 
 def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> SceneTree:
-    """Return a tree with a wrong field of view, at the rate MISJUDGED.
+    """Return a tree whose field of view is wrong with the probability MISJUDGED.
 
-    As the sizes of objects are known, the camera moves by the ratio of the focal lengths (a dolly
-    zoom), which keeps the layout and the pixels at the objects' mean depth.
+    Because sizes of objects are known, a response with a wrong field of view also has a wrong
+    distance of the camera. The camera moves in proportion to the focal length (a dolly zoom), so
+    that the layout and the pixels at the objects' mean depth stay the same.
     """
     off = math.radians(rng.uniform(LEAST_DEG, MOST_DEG)) * rng.choice((-1.0, 1.0))
     if rng.uniform() >= MISJUDGED:
@@ -95,11 +99,11 @@ def wrong_parse(
     """Add errors to a response.
 
     Args:
-        response: with noise in its numbers.
-        number: of the noise.
-        log: to which kinds are added: "view", "closed", "missed", "extra", "carrier", "relation",
-            "split".
-        shapes: programs of the response's objects.
+        response: response with noise in its numbers.
+        number: seed of the noise.
+        log: log to which the kinds of errors are added: "view", "closed", "missed", "extra",
+            "carrier" (wrong parent), "relation", "split".
+        shapes: specs of the response's objects, by name.
     """
     tree = with_misjudged_view(response, np.random.default_rng((number, 47)), log)
     tree = _openings(tree, np.random.default_rng((number, 44)), log)
@@ -124,7 +128,7 @@ def wrong_parse(
 
 
 def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> SceneTree | None:
-    """Return the first variant of an error that the checks of a parse do not refuse."""
+    """Return the first variant of an error that the checks do not refuse; None if there is none."""
     known = refusals(check_tree(tree))
     for name in rng.permutation([node.name for node in _objects(tree)]).tolist():
         for changed in edit(tree, name, rng):
@@ -134,7 +138,7 @@ def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> Sc
 
 
 def refusals(issues: Sequence[SceneIssue]) -> set[tuple[str, str]]:
-    """Return object and code of each issue for which a run sends a response back."""
+    """Return the object and the code of each issue for which a run sends a response back."""
     return {(issue.node, issue.code) for issue in issues if issue.severity == "error"}
 
 
@@ -158,7 +162,7 @@ def _openings(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> Scene
 
 
 def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield a tree without an object; its children rest on its parent."""
+    """Yield a tree without an object, whose children are moved to the object's parent."""
     gone = tree.node(name)
     if len(_objects(tree)) < 2:
         return
@@ -170,7 +174,8 @@ def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[Sc
             "occluded_by": tuple(other for other in node.occluded_by if other != name)
         }
         if node.parent == name:
-            # In a bowl in a crate is in the crate; in a bowl on a table is on the table.
+            # What is in a bowl in a crate is in the crate; what is in a bowl on a table is on the
+            # table.
             taken = "in" in (gone.relation, node.relation)
             relation = gone.relation if taken else node.relation
             update |= {"parent": gone.parent, "parent_link": gone.parent_link, "relation": relation}
@@ -179,9 +184,10 @@ def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[Sc
 
 
 def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees with a duplicate of an object on each of its four sides.
+    """Yield trees with a duplicate of an object next to the object, on each of its four sides.
 
-    Objects that have children, lean or are invented themselves are not duplicated.
+    Only objects that are on or in their parent are duplicated, and no objects with children and no
+    duplicates.
     """
     node, copy = tree.node(name), f"{name}{COPY}"
     if node.relation not in ("on", "in") or name.endswith(COPY):
@@ -204,7 +210,7 @@ def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[
 
 
 def with_other_parent(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees with an object on a neighbour or on its grandparent, at the same position."""
+    """Yield trees in which an object has another parent and the same position."""
     node = tree.node(name)
     if node.relation == "attached":
         return
@@ -221,7 +227,7 @@ def with_other_parent(tree: SceneTree, name: str, rng: np.random.Generator) -> I
 def with_other_relation(
     tree: SceneTree, name: str, rng: np.random.Generator
 ) -> Iterator[SceneTree]:
-    """Yield a tree with another relation of an object to its parent."""
+    """Yield a tree in which an object has another relation to its parent."""
     node = tree.node(name)
     if node.relation == "attached" or node.parent is None:
         return

@@ -1,6 +1,9 @@
-"""Errors of programs: proportions, walls, shapes, a missing part, joints. Magnitudes come from
-twelve objects, each programmed from one image (docs/objects.md). A drawn object must pass the
-checks of programs; an error of which no draw passes is logged as refused."""
+"""Errors of programs: proportions, walls, shapes, a missing part, joints.
+
+Magnitudes were measured on twelve objects, each programmed from one image (docs/objects.md). An
+object with errors must pass the checks of programs. If no sample of an error passes, the error is
+logged as refused.
+"""
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -31,19 +34,20 @@ from .parse_noise import NoiseLog
 from .share_noise import AXES, with_other_shares
 
 EDGE = 0.06
-"""Standard deviation of the logarithm of edges and other lengths and ratios of a program: the worst
-edge of twelve objects was off by 5.5 % (median; 1 to 11 %) after a fit of the overall size, as is
-the worst of three edges with this spread."""
+"""Standard deviation of the logarithm of edges and of other lengths and ratios in a program.
+Measured: the worst edge of an object was wrong by 5.5 % (median of twelve objects; range 1 to 11 %)
+after a fit of the overall size. The worst of three edges with this deviation has the same error."""
 WALL = 0.26
-"""Standard deviation of the logarithm of the thickness of walls, which was not measured; it is that
-of joint ranges, as both are chosen by what is usual."""
+"""Standard deviation of the logarithm of the thickness of walls. It was not measured; it equals
+that of joint ranges, because a model chooses usual values for both."""
 REPLACED, MISSING = 1 / (12 + 2), 1 / (12 + 2)
-"""Rates by object of a shape replaced by another primitive, and of a missing small part: no body or
-visible part of twelve objects was wrong; 1/(n + 2) is the mean of Laplace's rule."""
+"""Rates per object of a shape that is replaced by another primitive, and of a missing small part.
+Measured: no body or visible part of twelve objects was wrong. The rate 1/(n + 2) is the mean of
+Laplace's rule of succession."""
 SMALL = 0.1
-"""Maximum share of an object's volume of a missing part."""
+"""Maximum volume of a missing part, as a fraction of the object's volume."""
 NEARLY_SQUARE = 1.25
-"""Maximum ratio of two edges at which a box is taken for a cylinder."""
+"""Maximum ratio of the horizontal edges of a box that is replaced by a cylinder."""
 
 
 def wrong_program(
@@ -52,10 +56,10 @@ def wrong_program(
     """Return an object with the errors of a program written from an image.
 
     Args:
-        item: the object's declaration, which is true.
-        number: of the noise; every object has a stream of its own.
-        parents: its parts that carry other objects, which are never missing.
-        log: to which "shape", "part", and the kinds of `joint_noise` are added.
+        item: the true declaration of the object.
+        number: seed of the noise. The noise of each object also depends on its name.
+        parents: parts that support other objects; these are never missing.
+        log: log to which the errors are added: "shape", "part", and the errors of `joint_noise`.
     """
     rng = np.random.default_rng((number, 45, zlib.crc32(item.name.encode())))
     built = _drawn(template_of(item), item.set, rng, log)
@@ -75,8 +79,7 @@ def wrong_program(
 def _drawn(
     template: Template, given: dict[str, Value], rng: np.random.Generator, log: NoiseLog
 ) -> BuildResult:
-    """Run the program with parameters near the ground truth, or with the ground truth if none
-    passes."""
+    """Build the program with noisy parameters; if no sample passes, with the true parameters."""
     for _ in range(TRIES):
         values = near_parameters(template, given, rng)
         built = build(template.program(values))
@@ -89,10 +92,10 @@ def _drawn(
 def near_parameters(
     template: Template, given: dict[str, Value], rng: np.random.Generator
 ) -> dict[str, Value]:
-    """Return a program's parameters with noisy lengths.
+    """Return a program's parameters with noisy lengths, clipped to the parameters' ranges.
 
-    Equal edges stay equal, as a round or square object is recognized; counts and choices are
-    unchanged. Values are clipped to the parameter's range.
+    Equal edges stay equal, because a model recognizes round and square objects. Counts and choices
+    are unchanged.
     """
     values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()} | given
     factors: dict[Value, float] = {}
@@ -107,7 +110,7 @@ def near_parameters(
 
 
 def with_other_walls(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec:
-    """Return an object whose walls are all thicker or thinner by one factor."""
+    """Return an object in which the thickness of all walls is multiplied by one random factor."""
     factor = float(np.exp(WALL * rng.normal()))
 
     def walled(geom: GeomSpec) -> GeomSpec:
@@ -122,7 +125,7 @@ def with_other_walls(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec:
 
 
 def with_other_shape(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec | None:
-    """Return the object with one shape replaced by another primitive of about the same bounds."""
+    """Return an object with one shape replaced by another primitive with similar bounds."""
     options = [
         (geom, other) for part in spec.parts for geom in part.geoms for other in _others(geom.shape)
     ]
@@ -152,7 +155,7 @@ def _others(shape: Shape) -> Iterator[Shape]:
 def without_part(
     spec: ObjectSpec, rng: np.random.Generator, parents: frozenset[str]
 ) -> ObjectSpec | None:
-    """Return an object without a small part, or a small shape of one, that supports nothing."""
+    """Return an object without a small part or shape that supports nothing; None if impossible."""
     total = sum(geom.shape.volume() for part in spec.parts for geom in part.geoms)
     holding = {joint.parent for joint in spec.joints} | parents | {spec.root}
     referenced = {name for joint in spec.joints for name in joint.after} | {

@@ -1,4 +1,4 @@
-"""Errors of proportions within an object: positions of shelves, fronts, handles and legs."""
+"""Errors of the proportions of an object: positions of shelves, fronts, handles and legs."""
 
 from collections.abc import Mapping
 
@@ -9,28 +9,31 @@ from neoworld_mjx.spec import GeomSpec, ObjectSpec, bounds
 from neoworld_mjx.spec.pose import matrix
 
 SHARES = 0.2
-"""Standard deviation of the knots at thirds of an object's sides, over the side. It is chosen by
-the Chamfer distance of twelve objects, whose mean is .139 (times ten; docs/benchmarks.md, "Objects
-from pictures"): with this spread it is .129 for cupboards, ovens and desks, without it .113; the
-checks of programs refuse many draws with a larger one."""
+"""Standard deviation of the displacement of the knots at thirds of an object's side, as a fraction
+of the side. It is chosen by the Chamfer distance (times ten) of twelve objects, whose mean is .139
+(docs/benchmarks.md, "Objects from pictures"). With this deviation, the Chamfer distance of
+cupboards, ovens and desks is .129; without it, .113. With a larger deviation, the checks of
+programs refuse many samples."""
 KNOTS = 4
-"""Points along a side between which errors are interpolated; both ends stay."""
+"""Number of points along a side between which displacements are interpolated; both ends stay."""
 NARROWEST = 0.15
-"""Minimum share of its length that a third keeps; smaller draws are repeated."""
+"""Minimum length of a third after the displacement, as a fraction of its length before. Samples
+with shorter thirds are repeated."""
 AXES = (3, 3, 2, 2, 2, 1, 1, 1)
-"""Number of axes that change in each attempt, as the checks may refuse three at once."""
+"""Number of axes that change in each attempt; fewer in later attempts, because the checks may
+refuse changes of three axes."""
 ALIGNED = 1e-6
-"""Tolerance of a rotation matrix that permutes axes."""
+"""Maximum deviation of a rotation matrix from one that permutes axes."""
 
 
 class Shares:
-    """A monotone map of each axis of an object onto itself that keeps its bounding box.
+    """A random monotone map of each axis of an object that keeps the object's bounding box.
 
-    Parts that are separate along an axis stay separate, parts that touch keep touching.
+    Parts that are separate along an axis stay separate, and parts that touch keep touching.
     """
 
     def __init__(self, spec: ObjectSpec, rng: np.random.Generator, axes: int) -> None:
-        """Draw a map of a number of axes of an object at rest."""
+        """Sample a map that changes a number of axes of an object, with all joints at zero."""
         self.low, self.high = bounds(spec)
         self.knots = np.linspace(0.0, 1.0, KNOTS)
         changed = rng.permutation(3) < axes
@@ -44,7 +47,7 @@ class Shares:
                 return values
 
     def __call__(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Map points of the object's frame [m]; outside of the box nothing changes."""
+        """Map points in the object's frame [m]; coordinates outside the box do not change."""
         points, size = np.asarray(points, float), self.high - self.low
         share = (points - self.low) / size
         mapped = [
@@ -57,10 +60,10 @@ class Shares:
 
 
 def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
-    """Return an object in nearly the same box with other positions and sizes of its parts.
+    """Return an object with other positions and sizes of its parts in nearly the same box.
 
-    Boxes and shapes extruded along an axis are resized, walls keep their thickness, other shapes
-    are moved. Joint axes move along.
+    Boxes and shapes extruded along an axis are resized, but walls keep their thickness. Other
+    shapes are moved. Joints and sites are moved, too.
     """
     at = Shares(spec, rng, axes)
     point = lambda pos: tuple(at(np.array(pos)).tolist())
@@ -85,7 +88,7 @@ def _mapped(geom: GeomSpec, at: Shares) -> GeomSpec:
     half = np.round(axes) @ own / 2
     ends = at(np.stack([pos - half, pos + half]))
     size = np.round(axes).T @ (ends[1] - ends[0])
-    # Along axes in which the shape cannot grow its middle moves, alone.
+    # Along an axis in which the shape cannot be resized, only its center moves.
     middle = np.where(half > 0, ends.mean(axis=0), at(pos))
     if "size" in shape:
         shape["size"] = tuple(size.tolist())
@@ -97,7 +100,7 @@ def _mapped(geom: GeomSpec, at: Shares) -> GeomSpec:
 
 
 def _sides(shape: Mapping[str, object]) -> Float[np.ndarray, " 3"]:
-    """Return the edges of a shape that the map may change [m]; 0 for others."""
+    """Return the lengths of a shape that the map may change, along its axes [m]; others are 0."""
     if "size" in shape:
         return np.array(shape["size"], float)
     if "height" in shape and shape["type"] in ("cylinder", "prism", "extrusion"):

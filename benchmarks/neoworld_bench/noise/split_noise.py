@@ -1,5 +1,4 @@
-"""Errors of a parse that takes one object for two: an upper and a lower half, or two side by
-side."""
+"""Errors of a response that splits one object into two: one on the other, or side by side."""
 
 from collections.abc import Iterator, Mapping
 
@@ -21,18 +20,18 @@ from neoworld_mjx.spec.extent import part_bounds, recentred
 from neoworld_mjx.spec.pose import IDENTITY, from_yaw, matrix, rotate
 
 SPLIT = 1 / (61 + 2)
-"""Rate at which an object is taken for two: none of 61 movable objects in the responses to four
-photographs is half of an object; 1/(n + 2) is the mean of Laplace's rule. One support is part of
-one: the tablet arm of a chair that is mostly out of the image."""
+"""Rate of objects that are split into two. Measured: none of 61 movable objects in the responses to
+four photographs is half of an object. One support is part of an object: the tablet arm of a chair
+that is mostly outside the image. The rate 1/(n + 2) is the mean of Laplace's rule of succession."""
 HALVES = ("_half_1", "_half_2")
 """Suffixes of the names of the halves."""
 LEAST = 0.25
-"""Minimum share of the object's side of a half."""
+"""Minimum length of a half along the cut axis, as a fraction of the object's length."""
 ON_GROUND = 0.05
-"""Maximum height of a half over the object's bottom, over its height, at which it stands on its
-parent."""
+"""A half stands on the parent if the half's bottom is above the object's bottom by less than this
+fraction of the object's height."""
 ALIGNED = 1e-6
-"""Largest deviation of a rotation matrix from one that exchanges axes."""
+"""Maximum deviation of a rotation matrix from one that permutes axes."""
 
 Range = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
 
@@ -44,17 +43,17 @@ def with_halves(
     shapes: Mapping[str, ObjectSpec],
     made: dict[str, ObjectSpec],
 ) -> Iterator[SceneTree]:
-    """Yield trees with two halves in place of an object, cut across one axis after another.
+    """Yield trees with two halves in place of an object, for a cut across each axis.
 
-    The object stands upright and has no children. Neither half counts as the object: it is missed,
-    and both are extra.
+    Only objects that stand upright and have no children are cut. The object counts as missed, and
+    both halves count as extra.
 
     Args:
         tree: a response.
-        name: of the object.
-        rng: draws the order of the axes.
-        shapes: programs of the objects.
-        made: to which the halves' programs are added.
+        name: name of the object.
+        rng: random generator for the order of the axes.
+        shapes: specs of the objects, by name.
+        made: dict to which the specs of the halves are added.
     """
     node, names = tree.node(name), [name + end for end in HALVES]
     upright = node.relation in ("on", "in") and np.allclose(node.base_tilt, IDENTITY)
@@ -83,12 +82,14 @@ def with_halves(
 
 
 def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | None:
-    """Cut an object of one part in two across an axis, near its center: between shapes if possible,
-    otherwise through boxes and cylinders.
+    """Cut an object with a single part across an axis into two halves.
+
+    Cuts along a face of a shape, nearest to the object's center, are tried before a cut through the
+    center. Only boxes and cylinders can be cut.
 
     Returns:
-        The half below and the half above, in the object's frame; None where a shape that is in the
-        way cannot be cut, or a half would hang in the air.
+        The halves on the negative and on the positive side of the cut, in the object's frame. None
+        if the object cannot be cut, or if a half would hang in the air.
     """
     part = spec.part(spec.root)
     if spec.parts != (part,) or part.mass is not None:
@@ -122,7 +123,7 @@ def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | No
 def _cut(
     geom: GeomSpec, axis: int, plane: float, ends: Range
 ) -> tuple[GeomSpec | None, GeomSpec | None] | None:
-    """Return the parts of a shape below and above a plane; None if it cannot be cut there."""
+    """Return the parts of a shape below and above a plane; None if the shape cannot be cut."""
     low, high = (float(end[axis]) for end in ends)
     edge = 1e-6 * (high - low)
     if high <= plane + edge:
@@ -150,7 +151,7 @@ def _cut(
 
 
 def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -> TreeNode | None:
-    """Return a half's node, with its share of the object's boxes; None if it is invisible."""
+    """Return the node of a half, with its part of the object's boxes; None if invisible."""
     (low, high), (a, b) = bounds(spec), bounds(half)
     size, share = np.array(node.box3d.size), 1 / (high - low)
     step = ((a + b) / 2 - (low + high) / 2) * share * size
@@ -164,7 +165,7 @@ def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -
     whole, seen = expected_box(tree.camera, node), expected_box(tree.camera, part)
     if whole is None or seen is None:
         return None
-    # Where the whole is seen off from where it is expected, so is the half.
+    # Transfer the difference between the object's 2D box and its expected box to the half.
     read = np.array(node.box2d.as_tuple())
     ratio = (read[2:] - read[:2]) / (whole[2:] - whole[:2])
     pixels = np.concatenate([read[:2] + (end - whole[:2]) * ratio for end in (seen[:2], seen[2:])])
