@@ -1,4 +1,4 @@
-"""Primitive shapes: box, ball, capsule, cylinder, ellipsoid, convex prism and hollow box."""
+"""Primitive shapes: box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box."""
 
 from typing import Literal
 
@@ -18,17 +18,17 @@ Edges = tuple[Length, Length, Length]
 
 
 class Box(Primitive):
-    """A box, centred, with full edge lengths along x, y, z."""
+    """A centered box with full edge lengths along x, y and z."""
 
     type: Literal["box"] = "box"
     size: Edges
 
     def primitive(self) -> Piece:
-        """Return the box."""
+        """Return the box as a piece."""
         return Piece("box", tuple(v / 2 for v in self.size))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Build 12 triangles."""
+        """Return the 12 triangles of the box."""
         x, y, z = self.size
         return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
 
@@ -38,13 +38,13 @@ class Box(Primitive):
 
 
 class Sphere(Primitive):
-    """A ball, centred."""
+    """A centered sphere."""
 
     type: Literal["sphere"] = "sphere"
     radius: Length
 
     def primitive(self) -> Piece:
-        """Return the sphere."""
+        """Return the sphere as a piece."""
         return Piece("sphere", (self.radius, 0.0, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -57,14 +57,14 @@ class Sphere(Primitive):
 
 
 class Capsule(Primitive):
-    """A capsule along z, centred; `length` is that of the cylinder between the two half balls."""
+    """A centered capsule along z; `length` excludes the two hemispheres."""
 
     type: Literal["capsule"] = "capsule"
     radius: Length
     length: Length
 
     def primitive(self) -> Piece:
-        """Return the capsule itself."""
+        """Return the capsule as a piece."""
         return Piece("capsule", (self.radius, self.length / 2, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -79,14 +79,14 @@ class Capsule(Primitive):
 
 
 class Cylinder(Primitive):
-    """A cylinder along z, centred."""
+    """A centered cylinder along z."""
 
     type: Literal["cylinder"] = "cylinder"
     radius: Length
     height: Length
 
     def primitive(self) -> Piece:
-        """Return the cylinder itself."""
+        """Return the cylinder as a piece."""
         return Piece("cylinder", (self.radius, self.height / 2, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -102,17 +102,17 @@ class Cylinder(Primitive):
 
 
 class Ellipsoid(Primitive):
-    """An ellipsoid, centred, with semi-axes along x, y, z."""
+    """A centered ellipsoid with semi-axes along x, y and z."""
 
     type: Literal["ellipsoid"] = "ellipsoid"
     radii: tuple[Length, Length, Length]
 
     def primitive(self) -> Piece:
-        """Return the ellipsoid itself."""
+        """Return the ellipsoid as a piece."""
         return Piece("ellipsoid", self.radii)
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Stretch a ball."""
+        """Stretch a sphere."""
         vertices, faces = revolved(meridian(1.0, 0.0), BALL_SECTORS)
         return vertices * np.array(self.radii), faces
 
@@ -122,7 +122,7 @@ class Ellipsoid(Primitive):
 
 
 class Prism(BaseShape):
-    """A convex outline in x, y extruded along z from -height/2 to height/2."""
+    """A convex outline of (x, y) points, extruded along z from -height/2 to height/2."""
 
     type: Literal["prism"] = "prism"
     outline: tuple[Point2, ...] = Field(min_length=3, max_length=64)
@@ -143,7 +143,7 @@ class Prism(BaseShape):
         return self
 
     def build_pieces(self) -> list[Piece]:
-        """Return the prism itself."""
+        """Return the prism as the only piece."""
         return [prism(np.array(self.outline), self.height)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -162,7 +162,7 @@ class Prism(BaseShape):
 
 
 class HollowBox(BaseShape):
-    """A box with walls of one thickness and the named faces left open, centred; a drawer or bin."""
+    """A centered box with walls of even thickness and open faces, such as a drawer or a bin."""
 
     type: Literal["hollow_box"] = "hollow_box"
     size: Edges
@@ -199,7 +199,7 @@ class HollowBox(BaseShape):
         return walls
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Return the faces of filled cells, on the grid of the walls."""
+        """Return the outer faces of the filled cells of a grid that the walls define."""
         grid, cavity = [], []
         for axis, letter in enumerate("xyz"):
             half = self.size[axis] / 2
@@ -241,7 +241,7 @@ class HollowBox(BaseShape):
 
 
 def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
-    """Return signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
+    """Compute signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
     order = np.argsort(-radii, kind="stable")
     r = radii[order]
     y = np.maximum(np.abs(p[:, order]), 1e-9 * r)
