@@ -37,8 +37,8 @@ class ScalableSpec(Spec):
     """
 
     scalings: ClassVar[dict[str, Scaling | None]] = {}
-    """Scaling of each field. None for a field without numbers of its own, such as a nested
-    description, which declares the scalings of its fields."""
+    """Scaling of each field; None for a field that holds no numbers itself. Nested descriptions
+    declare the scalings of their fields."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:

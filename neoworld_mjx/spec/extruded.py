@@ -86,7 +86,7 @@ class Extrusion(BaseShape):
         return (areas[0] - sum(areas[1:])) * self.height
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
         return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
@@ -121,7 +121,7 @@ class RoundedBox(BaseShape):
         return slabs + math.pi * r**2 * (a + b + c) + 4 / 3 * math.pi * r**3
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return box_distance(rows(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:

@@ -118,6 +118,6 @@ def moving_parts(spec: ObjectSpec, joint: JointSpec) -> set[str]:
 
 
 def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
-    """Return the object with `joint` in place of its joint of that name."""
+    """Return the object with the joint of the same name replaced by `joint`."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})

@@ -103,8 +103,9 @@ displacement of a point whose distance from the axis is half the diagonal of the
 def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
     """Return the cosine between the initial displacement of a joint's child and `intent.opens`.
 
-    The displacement is that of the center of the child's bounding box over a tenth of the joint's
-    range (of at most 1 rad or 1 m). Return None if the joint's axis passes near this center.
+    The displacement is that of the center of the child's bounding box if the joint moves by a tenth
+    of its range, but at most by 0.1 rad or 0.1 m. Return None if the joint's axis passes near this
+    center.
     """
     low, high = part_bounds(spec, spec.part(joint.child))
     width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower

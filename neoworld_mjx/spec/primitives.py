@@ -33,7 +33,7 @@ class Box(Primitive):
         return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return box_distance(rows(points), np.array(self.size) / 2)
 
 
@@ -52,7 +52,7 @@ class Sphere(Primitive):
         return revolved(meridian(self.radius, 0.0), BALL_SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return np.linalg.norm(rows(points), axis=1) - self.radius
 
 
@@ -72,7 +72,7 @@ class Capsule(Primitive):
         return revolved(meridian(self.radius, self.length / 2), BALL_SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         along = np.maximum(np.abs(p[:, 2]) - self.length / 2, 0.0)
         return np.hypot(np.hypot(p[:, 0], p[:, 1]), along) - self.radius
@@ -95,7 +95,7 @@ class Cylinder(Primitive):
         return revolved(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         flat = np.hypot(p[:, 0], p[:, 1]) - self.radius
         return extruded_distance(flat, p[:, 2], self.height / 2)
@@ -117,7 +117,7 @@ class Ellipsoid(Primitive):
         return vertices * np.array(self.radii), faces
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return _ellipsoid_distance(rows(points), np.array(self.radii))
 
 
@@ -155,14 +155,14 @@ class Prism(BaseShape):
         return abs(polygon_area(np.array(self.outline))) * self.height
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         flat = loops_distance(p[:, :2], [np.array(self.outline, float)])
         return extruded_distance(flat, p[:, 2], self.height / 2)
 
 
 class HollowBox(BaseShape):
-    """A centered box with walls of even thickness and open faces, such as a drawer or a bin."""
+    """A centered box with walls of equal thickness on all faces except `open`, such as a drawer."""
 
     type: Literal["hollow_box"] = "hollow_box"
     size: Edges

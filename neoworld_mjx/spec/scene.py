@@ -37,15 +37,15 @@ class PoseUncertainty(Spec):
     """Standard deviations of an object's pose and size after alignment with the photograph."""
 
     along: Deviation
-    """Horizontal position along the camera's view [m]."""
+    """Standard deviation of the horizontal position along the camera's view [m]."""
     across: Deviation
-    """Horizontal position across the camera's view [m]."""
+    """Standard deviation of the horizontal position across the camera's view [m]."""
     yaw: Deviation
-    """Heading [rad]."""
+    """Standard deviation of the heading [rad]."""
     log_scale: Deviation
-    """Logarithm of the size."""
+    """Standard deviation of the logarithm of the size."""
     joints: dict[JointKey, Deviation] = Field(default={}, exclude_if=lambda value: not value)
-    """Positions of the joints that the photograph shows open [rad or m]."""
+    """Standard deviations of the positions of joints that the photograph shows open [rad or m]."""
 
 
 class SceneObject(Spec):

@@ -62,7 +62,7 @@ class CSG(BaseShape):
         if _depth(self) > MAX_DEPTH:
             raise ValueError(f"csg shapes may be nested at most {MAX_DEPTH} deep")
         if not decomposed(self.operation, self.operands, self.sectors):
-            raise ValueError(f"csg {self.operation} is empty")
+            raise ValueError(f"csg {self.operation} leaves nothing")
         bodies = count_bodies(self.operation, self.operands)
         if bodies > 1:
             raise ValueError(

@@ -73,8 +73,8 @@ class Cues(Spec):
     """Uncertainties of a node's parsed values, and cues that constrain the values."""
 
     contact: tuple[Number, Number] | None = None
-    """Visible contact point with the support that is nearest to the camera, in pixels of the
-    original image (x to the right, y down); None if no contact is visible."""
+    """Pixel of the original image (x to the right, y down) at which the visible contact with the
+    support is nearest to the camera; None if no contact is visible."""
     cut_sides: tuple[Literal["left", "top", "right", "bottom"], ...] | None = None
     """Sides of `box2d` beyond which the object continues, either occluded or outside the image;
     None if not stated."""
@@ -116,7 +116,7 @@ class TreeNode(Spec):
     """Rotation that is applied before the yaw, for objects that lean or lie."""
     articulation: tuple[PartState, ...] = ()
     held_by: str | None = None
-    """Means by which an attached object is removably held; None if the object is fastened."""
+    """Means by which a removable object is attached; None if the object is fastened."""
     cues: Cues = Cues()
     outline: SupportOutline = RECTANGLE
     """Outline of an environment support within `box3d`, seen from above."""
