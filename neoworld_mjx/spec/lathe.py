@@ -90,7 +90,7 @@ class Lathe(BaseShape):
         return pieces
 
     def distinct_pieces(self) -> list[tuple[Piece, int]]:
-        """Return the pieces up to rotation about z, each with the number of times that it is repeated.
+        """Return the pieces up to rotation about z, each with the number of times it is repeated.
 
         A repeated piece is the wedge that spans the angles from 0 to 2 pi / sectors.
         """

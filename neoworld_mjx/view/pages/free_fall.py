@@ -113,7 +113,7 @@ class FreeFall:
                 mujoco.mj_step(self._model, self._data)
 
     def push(self, name: str, velocity: NDArray) -> bool:
-        """Add a velocity [3] m/s to a movable object; return False for a static one."""
+        """Add a velocity [m/s], shape [3], to a movable object; return False if it is static."""
         with self._lock:
             joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
             if joint < 0:

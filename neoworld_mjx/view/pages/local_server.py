@@ -15,7 +15,7 @@ PORT = 8080
 _HOSTS_OF_THIS_MACHINE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _PAGES_OF_THIS_MACHINE = re.compile(rf"https?://{_HOSTS_OF_THIS_MACHINE.pattern}")
 _MAX_MESSAGE_BYTES = 1 << 20
-"""Maximum size of a message from a page; its controls send a few hundred bytes."""
+"""Maximum size of a message from a page. The controls of a page send a few hundred bytes."""
 _log = logging.getLogger(__name__)
 
 

@@ -57,7 +57,7 @@ class SceneEditor:
         self.patch = self.patch.merged(name, ObjectPlacement(joint_state={key: value}))
 
     def set_box(self, name: str, box: Box2D) -> None:
-        """Set an object's box in the photograph, which the search compares with its projection."""
+        """Set an object's box in the photograph, with which the search compares the projection."""
         self._replace(self.scene.object(name).model_copy(update={"box2d": box}))
         self.patch = self.patch.merged(name, ObjectPlacement(box2d=box))
 

@@ -30,7 +30,7 @@ _METRIC_LIMITS = (
 
 
 def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Markup:
-    """Return the section with a row for each object; rows of failing objects come first, open.
+    """Return the section with one row per object; rows of failing objects come first and are open.
 
     Args:
         folder: the run folder.
@@ -98,7 +98,7 @@ def _facts(
     agreement: Mapping[str, Any],
     causes: list[str],
 ) -> list[tuple[str, object]]:
-    """Return labeled facts on an object: violated limits, results of steps, overlap of boxes."""
+    """Return labeled facts about an object: violated limits, results of steps, overlap of boxes."""
     facts: list[tuple[str, object]] = []
     if causes:
         facts.append(("not valid", elements.span("; ".join(causes), "bad")))

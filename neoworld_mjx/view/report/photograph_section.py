@@ -16,7 +16,7 @@ UNSEEN = 0.9
 """Ratio of a heading's standard deviation to that of its prior at and above which the photograph
 counts as not showing the heading."""
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
-"""Words for the `evidence` in align.json that determined the pose of an object."""
+"""Words for the values of `evidence` in align.json, which determined the pose of an object."""
 _SCENES = ("composed", "aligned")
 _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
 _EVIDENCE = (

@@ -1,7 +1,8 @@
-"""Write report.html, one page on a run that needs no server and no network.
+"""Write report.html, a report on a run in one page.
 
-The report can be written after any step. It shows the contents of the run folder and names missing
-files. Verdicts and numbers come from run.json and verify.json.
+The page needs no server and no network. The report can be written after any step. It shows the
+contents of the run folder and names missing files. Verdicts and numbers come from run.json and
+verify.json.
 """
 
 import json

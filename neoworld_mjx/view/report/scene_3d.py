@@ -1,6 +1,6 @@
 """Interactive view of a scene in the report, with a slider for each joint, in WebGL and offline.
 
-The page contains the script. Its content security policy allows no other script.
+The page contains the script, and the content security policy of the page allows no other script.
 """
 
 import base64
