@@ -1,4 +1,7 @@
-"""Render scenes and objects by ray casting: no OpenGL, and the same pixels on every machine."""
+"""Render scenes and objects by ray casting.
+
+Rendering needs no OpenGL and gives the same pixels on every machine.
+"""
 
 from .flat_rendering import render_plain
 from .rendering import RenderedImage, render

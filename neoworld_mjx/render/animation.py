@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 FORMATS = {".gif": "GIF", ".webp": "WEBP"}
-"""Formats by suffix."""
+"""Names of Pillow's formats, by file suffix."""
 
 
 def encode_animation(frames: Iterable[NDArray], pause_ms: int, suffix: str = ".gif") -> bytes:
     """Encode frames as an animation that repeats forever.
 
     Args:
-        frames: uint8 [h, w, 3] each, at least one.
+        frames: at least one image, each uint8 [h, w, 3].
         pause_ms: duration of each frame [ms].
         suffix: ".gif" or ".webp".
     """

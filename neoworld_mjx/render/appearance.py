@@ -15,26 +15,26 @@ from .surface_patterns import patterned
 
 @dataclass(frozen=True)
 class Appearance:
-    """Optical properties per geom of a model."""
+    """Optical properties of each geom of a model."""
 
     colour: NDArray
-    """Linear rgb, [geom, 3]."""
+    """Linear RGB color, shape [geom, 3]."""
     gloss: NDArray
-    """Reflectance at normal incidence, [geom]."""
+    """Reflectance at normal incidence, shape [geom]."""
     metal: NDArray
-    """True if reflections have the color of the geom, bool [geom]."""
+    """Whether reflections have the color of the geom, bool [geom]."""
     patterned: NDArray
-    """True if the geom has a pattern or a print, bool [geom]."""
+    """Whether the geom has a pattern or a print, bool [geom]."""
     patterns: dict[int, SurfacePattern]
     """Patterns by geom id."""
     prints: dict[int, ReadPrint]
     """Prints of the photograph by geom id, in the frame of the geom's body."""
     photographed: NDArray
-    """True if the color is that of the photograph, bool [geom]."""
+    """Whether the color comes from the photograph (the geom has a print), bool [geom]."""
     to_object: NDArray
-    """Rotation from the world to the body of each geom, [geom, 3, 3]."""
+    """Rotation from the world frame to the frame of each geom's body, shape [geom, 3, 3]."""
     offset: NDArray
-    """Translation from the world to the body of each geom [m], [geom, 3]."""
+    """Translation from the world frame to the frame of each geom's body [m], shape [geom, 3]."""
 
 
 def appearance_of(
@@ -43,9 +43,10 @@ def appearance_of(
     """Return the appearance of every geom.
 
     Args:
-        model: the model; defines the colors.
-        data: the posed model; defines the frames of patterns.
-        scene: the scene of the model; defines gloss, patterns and prints. None for a plain model.
+        model: the model, which defines the colors.
+        data: data of the model after `mj_kinematics`, which defines the frames of patterns.
+        scene: the scene of the model, which defines gloss, patterns and prints. If None, all geoms
+            have the same gloss and no pattern.
     """
     n = model.ngeom
     gloss, metal = np.full(n, 0.04), np.zeros(n, bool)
@@ -72,7 +73,7 @@ def appearance_of(
                         patterns[g] = surface.pattern
                     gloss[g] = _gloss(surface)
                     owner[g] = body
-    # Patterns are functions of points in the frame of the body, so they move with it.
+    # Patterns are functions of points in the frame of the body, so patterns move with the body.
     turn = data.xmat[owner].reshape(n, 3, 3)
     to_object = np.swapaxes(turn, 1, 2)
     offset = -np.einsum("nij,nj->ni", to_object, data.xpos[owner])
@@ -85,7 +86,7 @@ def appearance_of(
 
 
 def geom_rgba(model: mujoco.MjModel) -> NDArray:
-    """Return the color and opacity of every geom [geom, 4], from its material if it has one."""
+    """Return the RGBA color of each geom [geom, 4], from its material if it has one."""
     material = model.geom_matid[:, None]
     if not model.nmat:
         return model.geom_rgba.copy()
@@ -107,9 +108,9 @@ def albedo(
     Args:
         appearance: appearance of the geoms.
         geom: geom ids [n].
-        point: points in the world [n, 3] m.
-        normal: normals at the points [n, 3].
-        pixel: size of a pixel at each point [n] m.
+        point: points in the world frame [m], shape [n, 3].
+        normal: normals at the points in the world frame, shape [n, 3].
+        pixel: size of a pixel at each point [m], shape [n].
     """
     colour = appearance.colour[geom]
     for g in np.unique(geom[appearance.patterned[geom]]):
@@ -151,7 +152,7 @@ _DISPLAY = np.round(255 * displayed(np.linspace(0.0, 1.0, _STEPS))).astype(np.ui
 
 
 def display(light: NDArray) -> NDArray:
-    """Convert linear light to display color, uint8, with a soft knee near 1."""
+    """Convert linear light to display color (sRGB, uint8); light above 0.85 saturates smoothly."""
     x = np.maximum(light, 0.0)
     knee = 0.85
     over = x - knee

@@ -1,4 +1,4 @@
-"""Faces of objects that are flat where a rendered image shows them."""
+"""Large flat faces of objects, found in a rendered image."""
 
 from typing import cast
 
@@ -10,24 +10,24 @@ from .rendering import RenderedImage
 from .view import View
 
 LEAST_SHARE = 0.004
-"""Fraction of the image that a face covers at least."""
+"""Smallest fraction of the image that a face covers."""
 LEAST_OF_OBJECT = 0.15
-"""Fraction of the object's visible pixels that a face covers at least, as bands of round objects
-do not."""
+"""Smallest fraction of the object's visible pixels that a face covers. Bands of a round object,
+which have nearly equal normals, cover less."""
 MOST_FACES = 3
-"""Number of faces of a box that a camera sees."""
+"""Largest number of faces of a box that a camera sees at once."""
 SAME_NORMAL = 0.996
-"""Cosine of the largest angle between normals of one face, 5 degrees."""
+"""Smallest cosine between the normals of one face (an angle of 5 degrees)."""
 SAME_PLANE = 0.01
-"""Largest distance between parallel faces that count as one, relative to the depth."""
+"""Largest distance of a point from the plane of its face, relative to the point's depth."""
 
 
 def flat_faces(image: RenderedImage, view: View) -> Bool[np.ndarray, "row column"]:
-    """Return the pixels that show a large flat face of an object.
+    """Return a mask of the pixels that show a large flat face of an object.
 
     Args:
         image: the rendered image.
-        view: its view.
+        view: the view of the image.
     """
     rows, columns = np.mgrid[: view.height, : view.width]
     rays = view.rays(np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2))
@@ -52,12 +52,12 @@ def flat_faces(image: RenderedImage, view: View) -> Bool[np.ndarray, "row column
             if near.sum() >= least_here:
                 flat[side[near]] = True
             left = left[~same]
-    # A face is connected; single pixels of the same plane belong to details.
+    # Remove isolated pixels, which belong to details that lie in the plane of a face.
     return cast(Bool[np.ndarray, "row column"], ndimage.binary_opening(flat.reshape(rows.shape)))
 
 
 def _most_common(normals: np.ndarray) -> np.ndarray:
-    """Return the median [3] of the most common bin, 0.2 wide, of normals [n, 3]."""
+    """Return the median of the normals [n, 3] in the most common bin; bins are 0.2 wide."""
     _, bins, counts = np.unique(
         np.round(5 * normals), axis=0, return_inverse=True, return_counts=True
     )

@@ -1,6 +1,7 @@
 """Render with flat colors, one light and outlines, without shadows and patterns.
 
-This takes a fraction of the time of `rendering`; it serves to compare many candidate layouts.
+`render_plain` takes a fraction of the time of `rendering.render`. It serves to compare many
+candidate layouts.
 """
 
 import numpy as np
@@ -23,15 +24,15 @@ _OUTLINE = 0.45
 def render_plain(
     scene: SceneSpec, camera: Camera | View, *, width: int | None = None
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Render with flat colors.
+    """Render a scene with flat colors.
 
     Args:
-        scene: the scene, in its own poses and joint states.
+        scene: the scene, which is rendered at its poses and joint states.
         camera: the camera.
-        width: width of the image in pixels; None uses the camera's.
+        width: width of the image [px]; if None, the width of the camera.
 
     Returns:
-        Display color (sRGB).
+        The image in display color (sRGB).
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width)
@@ -78,7 +79,7 @@ def render_plain(
 
 
 def _borders(owner: NDArray) -> NDArray:
-    """Return the pixels [h, w] whose right or lower neighbor belongs to another object."""
+    """Return a mask of the pixels [h, w] whose right or lower neighbor shows another object."""
     border = np.zeros(owner.shape, bool)
     border[:, :-1] |= owner[:, :-1] != owner[:, 1:]
     border[:-1] |= owner[:-1] != owner[1:]

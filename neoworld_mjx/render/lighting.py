@@ -1,8 +1,8 @@
 """Lighting: a soft key light and a sky, with shadows and ambient occlusion.
 
-Each light is sampled at 16 points. Each pixel of a 4 x 4 tile traces a shadow ray to one of them;
-averaging over neighboring pixels of the same surface gives every pixel all 16 samples, at the cost
-of one shadow ray per pixel and light.
+Each light is sampled at 16 points. The 16 pixels of a 4 x 4 tile trace one shadow ray per light,
+each to a different sample point. The average over neighboring pixels of the same surface combines
+all 16 samples at the cost of one shadow ray per pixel and light.
 """
 
 import math
@@ -17,41 +17,41 @@ from .view import View
 
 TILE = 4
 FLOOR = -2
-"""Value that represents the floor among geom ids."""
+"""Id of the floor in arrays of geom ids."""
 
-# The lights add up to about 1 on what is level and on what faces the camera, so that surfaces show
-# the color of their material; what faces away from both is at half.
+# The lights add up to about 1 on horizontal surfaces and on surfaces that face the camera, so these
+# show the color of their material. Surfaces that face away from both lights are half as bright.
 KEY_COLOUR = np.array([1.03, 1.0, 0.94]) * 0.82
 SKY_COLOUR = np.array([0.95, 0.99, 1.06]) * 0.5
 BOUNCE_COLOUR = np.array([1.02, 1.0, 0.97]) * 0.58
 ZENITH, HORIZON = linear(np.array([0.72, 0.76, 0.81])), linear(np.array([0.90, 0.91, 0.92]))
 GROUND = linear(np.array([0.74, 0.73, 0.72]))
 AMBIENT = 0.65
-"""Mean light that reflections show. The color of a material includes it; what is
-brighter is a highlight."""
+"""Mean brightness of reflected surroundings. The color of a material already includes it, so only
+brighter reflections add a highlight."""
 FLOOR_COLOUR = linear(np.array([0.74, 0.735, 0.73]))
 
 
 @dataclass(frozen=True)
 class Lights:
-    """Sample points of both lights, far from the scene."""
+    """Sample points of the key light and of the sky, far from the scene."""
 
     key: NDArray
-    """Sample points of the key light [16, 3] m."""
+    """Sample points of the key light [m], shape [16, 3]."""
     key_direction: NDArray
     """Unit vector [3] towards the key light."""
     sky: NDArray
-    """Sample points of the sky [16, 3] m."""
+    """Sample points of the sky [m], shape [16, 3]."""
     sky_directions: NDArray
-    """Unit vectors towards the sample points of the sky [16, 3]."""
+    """Unit vectors towards the sample points of the sky, shape [16, 3]."""
 
 
 def lights(view: View, centre: NDArray, reach: float) -> Lights:
-    """Return a key light above, left of and behind the camera, and a sky.
+    """Return a key light, which shines from behind the camera, above and to the left, and a sky.
 
     Args:
         view: the camera.
-        centre: center of the scene [m], [3].
+        centre: center of the scene [m], shape [3].
         reach: radius of the scene [m].
     """
     forward = view.axes[:, 2] * [1.0, 1.0, 0.0]
@@ -85,18 +85,19 @@ def visibility(
     normal: NDArray,
     depth: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """Return the visible fractions of the key light and of the sky, both [h, w] in [0, 1].
+    """Return the fractions of the key light and of the sky that each pixel sees, both [h, w].
 
     Args:
         caster: ray caster of the model.
         sources: the lights.
-        surface: geom id of each pixel, FLOOR, or -1 for the background, [h, w].
-        point: points on the surfaces [m], [h, w, 3].
-        normal: normals of the surfaces [h, w, 3].
-        depth: depth along the view [m], [h, w], to which the offset of shadow rays is proportional.
+        surface: geom id of each pixel, FLOOR, or -1 for the background, shape [h, w].
+        point: points on the surfaces [m], shape [h, w, 3].
+        normal: normals of the surfaces, shape [h, w, 3].
+        depth: depth along the view [m], shape [h, w]. The offset of shadow rays is proportional to
+            the depth.
     """
     h, w = surface.shape
-    # Facets lie inside the smooth surface; the offset avoids self-shadowing.
+    # Facets lie inside the smooth surface. The offset prevents them from shadowing themselves.
     lifted = point + normal * (np.where(np.isfinite(depth), depth, 0.0) * 1.0e-3)[..., None]
     key, key_weight = np.zeros((h, w)), np.zeros((h, w))
     sky, sky_weight = np.zeros((h, w)), np.zeros((h, w))
@@ -166,11 +167,12 @@ def _shift(a: NDArray, by: int, axis: int, fill: float | int) -> NDArray:
 
 
 def surroundings(direction: NDArray, key_direction: NDArray | None = None) -> NDArray:
-    """Return the light [n, 3] from directions [n, 3]: a bright sky over a gray ground.
+    """Return the light [n, 3] that arrives from each direction: a bright sky over a gray ground.
 
     Args:
-        direction: unit vectors.
-        key_direction: direction of the key light, drawn as a soft bright spot; None omits it.
+        direction: unit vectors [n, 3].
+        key_direction: unit vector towards the key light, which adds a soft bright spot; if None,
+            omit the spot.
     """
     z = direction[..., 2:3]
     up = np.clip(z, 0.0, 1.0)
@@ -200,14 +202,14 @@ def shade(
     Args:
         colour: linear albedo [n, 3].
         gloss: reflectance at normal incidence [n].
-        metal: True if reflections have the color of the surface [n].
+        metal: whether reflections have the color of the surface, bool [n].
         normal: unit normals [n, 3].
-        towards_eye: unit vectors [n, 3].
+        towards_eye: unit vectors towards the eye [n, 3].
         key: visible fraction of the key light [n].
         sky: visible fraction of the sky [n].
         key_direction: unit vector [3] towards the key light.
-        opacity: opacity of the surfaces [n]; None if opaque.
-        behind: light from behind the surfaces [n, 3]; needs `opacity`.
+        opacity: opacity of the surfaces [n]; if None, the surfaces are opaque.
+        behind: light from behind the surfaces [n, 3], used together with `opacity`.
     """
     facing = np.clip(normal @ key_direction, 0.0, 1.0) * key
     up = 0.5 + 0.5 * normal[:, 2]

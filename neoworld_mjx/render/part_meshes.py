@@ -23,18 +23,18 @@ PIECE_COLOURS: tuple[RGB, ...] = (
     (64, 190, 196),
     (196, 98, 82),
 )
-"""Colors of convex pieces, used in rotation."""
+"""Colors of convex pieces, assigned in turn."""
 THIN = 0.04
-"""Largest deviation of simplified surfaces, relative to the shortest side of their box."""
+"""Largest deviation of a simplified surface, relative to the shortest edge of its bounding box."""
 
 
 class PartMesh(NamedTuple):
-    """Triangles of one color, in the object's frame with all joints at 0."""
+    """Triangles of one color, in the object's frame with all joints at zero."""
 
     vertices: NDArray
-    """float32 [v, 3] m."""
+    """Vertices [m], float32 [v, 3]."""
     faces: NDArray
-    """int32 [f, 3]."""
+    """Vertex indices of the triangles, int32 [f, 3]."""
     rgb: RGB
     alpha: float
 
@@ -47,8 +47,8 @@ def visible_meshes(
     Args:
         spec: the object.
         part: a part of the object.
-        opaque: True for only opaque surfaces, False for only transparent ones; None for both.
-        tolerance: largest deviation of simplified surfaces [m]; 0 keeps every triangle.
+        opaque: if True, return only opaque surfaces; if False, only transparent ones; if None, all.
+        tolerance: largest deviation of simplified surfaces [m]; if 0, keep every triangle.
     """
     by_colour: dict[tuple[float, float, float, float], list[tuple[NDArray, NDArray]]] = {}
     for geom in part.geoms:
@@ -69,7 +69,7 @@ def visible_triangles(part: PartSpec) -> int:
 
 
 def piece_meshes(part: PartSpec) -> list[PartMesh]:
-    """Return the convex pieces of a part, one mesh for each of a few colors."""
+    """Return the convex pieces of a part, merged into one mesh for each color of PIECE_COLOURS."""
     groups: dict[RGB, list[tuple[NDArray, NDArray]]] = {}
     for k, (_, piece, local) in enumerate(pieces(part)):
         vertices, faces = _hull(piece)
@@ -79,7 +79,7 @@ def piece_meshes(part: PartSpec) -> list[PartMesh]:
 
 
 def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Split vertices at sharp edges, so that viewers that interpolate normals keep the edges."""
+    """Split vertices at sharp edges, which stay sharp in viewers that interpolate normals."""
     normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 3)
     corners = np.column_stack([faces.ravel(), normals])
     rows, index = np.unique(corners, axis=0, return_inverse=True)
@@ -88,7 +88,7 @@ def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
 
 @lru_cache(maxsize=1024)
 def _creased_surface(shape: Shape, tolerance: float) -> tuple[NDArray, NDArray]:
-    """Return the simplified, creased surface of a shape in its frame."""
+    """Return the simplified, creased surface of a shape in the shape's frame."""
     return creased(*simplified(*shape.surface(), tolerance))
 
 
@@ -96,9 +96,9 @@ def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDA
     """Simplify a closed mesh; return any other mesh unchanged.
 
     Args:
-        vertices: [v, 3] m.
-        faces: [f, 3].
-        tolerance: largest deviation [m]; it is smaller for thin shapes.
+        vertices: vertices [m], shape [v, 3].
+        faces: triangles, shape [f, 3].
+        tolerance: largest deviation [m]; for thin shapes, THIN limits it further.
     """
     tolerance = min(tolerance, THIN * float(np.ptp(vertices, axis=0).min()))
     if tolerance <= 0:
@@ -113,7 +113,7 @@ def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDA
 
 
 def _hull(piece: Piece) -> tuple[NDArray, NDArray]:
-    """Return the surface of a convex piece in its own frame."""
+    """Return the surface of a convex piece in the frame of the piece."""
     import trimesh
 
     size = np.asarray(piece.size, float)

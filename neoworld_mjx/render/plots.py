@@ -9,9 +9,9 @@ _log = logging.getLogger(__name__)
 
 
 def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | None:
-    """Return a figure as SVG; log how to install matplotlib and return None without it.
+    """Return a figure as SVG, or None if matplotlib is not installed.
 
-    The same plot gives the same bytes.
+    If matplotlib is not installed, log how to install it. Equal plots give equal bytes.
 
     Args:
         size: width and height [inch].
@@ -24,16 +24,16 @@ def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | No
 def plot(
     size: tuple[float, float], draw: Callable[[Any], None], form: Literal["svg", "pdf"]
 ) -> bytes | None:
-    """Return a figure as SVG or PDF; see `plot_svg`."""
+    """Return a figure as SVG or PDF, or None if matplotlib is not installed; see `plot_svg`."""
     try:
         import matplotlib
     except ImportError:
-        _log.info("no figure: uv sync --inexact --extra plot draws one")
+        _log.info("no figure, as matplotlib is missing: uv sync --inexact --extra plot")
         return None
     from matplotlib.figure import Figure
 
     dates = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
-    # pyplot would keep the figure in memory and need a display.
+    # Use no pyplot: it would keep the figure in memory and need a display.
     with matplotlib.rc_context(
         {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none", "pdf.fonttype": 42}
     ):

@@ -1,4 +1,4 @@
-"""Prints of the photograph: visible surface points and their colors."""
+"""Prints of the photograph: the surface points that a print shows, and their colors."""
 
 import base64
 from dataclasses import dataclass
@@ -15,13 +15,14 @@ from ..spec import Material
 from ..spec.photo_print import PhotoPrint
 
 LEAST_COSINE = 0.2
-"""Smallest cosine between a printed point's normal and its direction to the camera."""
+"""Smallest cosine between the normal at a printed point and the direction towards the camera."""
 DEPTH_SHARE = 0.015
-"""Largest relative difference from the print's depth at which a point counts as visible."""
+"""Largest difference between the depth of a visible point and the depth stored in the print,
+relative to the depth of the point."""
 MOST_CONDITION = 1e9
-"""Largest condition number of the matrix of a print; those of cameras are far smaller."""
+"""Largest condition number of the matrix of a print. Real cameras have far smaller ones."""
 STRIP = 8
-"""Number of rows of the plain color below the image of a print."""
+"""Number of rows in the strip of plain color below the image of a print."""
 
 
 @dataclass(frozen=True)
@@ -29,25 +30,28 @@ class ReadPrint:
     """A print with decoded images."""
 
     colours: NDArray
-    """Display colors, uint8 [h, w, 3]."""
+    """Display (sRGB) colors, uint8 [h, w, 3]."""
     depths: NDArray
-    """Depths [h, w] m; inf where the object was not visible."""
+    """Depths [m], shape [h, w]; inf where the object was not visible."""
     turn: NDArray
-    """Linear part of the projection [3, 3] 1/m."""
+    """Linear part of the projection [1/m], shape [3, 3]."""
     shift: NDArray
-    """Translation of the projection [3]."""
+    """Translation of the projection, shape [3]."""
 
     def shifted(self, origin: NDArray) -> "ReadPrint":
-        """Return the print for points relative to another origin [3] m."""
+        """Return the print for points that are given relative to another origin [m], shape [3]."""
         shift = self.shift + self.turn @ origin
         return ReadPrint(self.colours, self.depths, self.turn, shift)
 
     def seen(self, points: NDArray, normals: NDArray) -> tuple[NDArray, NDArray]:
-        """Return positions (u, v) [n, 2] in the window, and the visible points, bool [n].
+        """Project points into the window of the print, and test which points the print shows.
 
         Args:
-            points: points in the object's frame [n, 3] m.
-            normals: normals at the points [n, 3], of any length.
+            points: points in the object's frame [m], shape [n, 3].
+            normals: normals at the points, of any length, shape [n, 3].
+
+        Returns:
+            Positions (u, v) in the window, shape [n, 2], and a mask of the visible points, [n].
         """
         local = points @ self.turn.T + self.shift
         depth = np.where(local[:, 2] > 1e-9, local[:, 2], 1e-9)
@@ -79,9 +83,9 @@ class ReadPrint:
         return upper * (1 - fy) + lower * fy
 
     def texture_coordinates(self, position: NDArray, visible: NDArray) -> NDArray:
-        """Return coordinates [n, 2] on the texture of `print_png`, v upwards.
+        """Return texture coordinates on the image of `print_png`, shape [n, 2]; v points upwards.
 
-        Points that the camera does not see map to the strip of plain color at the edge.
+        Points that the camera does not see map to the strip of plain color at the lower edge.
         """
         rows = self.colours.shape[0]
         share = rows / (rows + STRIP)
@@ -94,7 +98,7 @@ def read_print(photo: PhotoPrint) -> ReadPrint:
     """Decode a print; recent results are cached.
 
     Raises:
-        SpecError: its images cannot be read.
+        SpecError: the images of the print cannot be read, or its matrix is singular.
     """
     return _read_print(photo)  # pyright: ignore[reportArgumentType] frozen models are hashable
 
@@ -131,7 +135,7 @@ def base64_png(image: NDArray) -> str:
 
 
 def print_png(material: Material) -> bytes:
-    """Return the texture of a printed material: its image above a strip of its plain color."""
+    """Return the texture of a printed material as PNG: the print above a strip of plain color."""
     assert material.photo is not None
     colours = read_print(material.photo).colours
     plain = np.round(255 * np.array(material.rgba[:3])).astype(np.uint8)

@@ -1,7 +1,7 @@
 """Cast rays against a MuJoCo model: hits with smooth normals, and visibility between points.
 
 `mujoco.mj_multiRay` needs no OpenGL, gives the same result on every machine and releases the GIL.
-It writes to the stack of its MjData, so each thread has its own.
+It writes to the stack of an MjData, so each thread uses a separate MjData.
 """
 
 import copy
@@ -24,26 +24,27 @@ if TYPE_CHECKING:
 
 FAR = 1e10
 SEE_THROUGH_GROUP, LAYER_GROUP = 5, 4
-"""Geom groups, in the copy of the model, of the transparent geoms and of the one cast alone."""
+"""Geom groups in the ray caster's copy of the model: the first for transparent geoms, the second
+for the one transparent geom at which `RayCaster.layers` casts rays."""
 FAR_BOX_M = 1e4
-"""Half the edge of a box that contains every eye."""
+"""Half the edge length [m] of a box that contains the origin of every ray."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """First hit of every ray, one row each."""
+    """First hit of each ray. Every array has one row per ray."""
 
     geom: NDArray
     """Geom id, int32 [n]; -1 for a miss."""
     distance: NDArray
-    """Distance in lengths of the direction [n]; inf for a miss."""
+    """Distance as a multiple of the length of the ray's direction vector [n]; inf for a miss."""
     point: NDArray
-    """Point of the hit [m], [n, 3]; undefined for a miss."""
+    """Point of the hit in the world frame [m], shape [n, 3]; the origin of the ray for a miss."""
     normal: NDArray
-    """Outward unit normal, interpolated over meshes, [n, 3]; zero for a miss."""
+    """Outward unit normal in the world frame, shape [n, 3]; zero for a miss."""
 
     def rows(self, index: NDArray) -> "Hits":
-        """Return the hits of some rays."""
+        """Return the hits of the rays with the given indices."""
         return Hits(self.geom[index], self.distance[index], self.point[index], self.normal[index])
 
 
@@ -56,7 +57,7 @@ class RayCaster:
         self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
         visual = model.geom_group == VISUAL_GROUP
         self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
-        """True for drawn geoms [geom]: the visual ones, or all if the model has none."""
+        """Mask of the rendered geoms [geom]: visual geoms or, if there are none, groups 0 to 2."""
         self._opaque = np.zeros(6, np.uint8)
         self._opaque[np.unique(model.geom_group[self.shown])] = 1
         self.alpha: NDArray = geom_rgba(model)[:, 3]
@@ -64,7 +65,7 @@ class RayCaster:
         self.see_through: NDArray = np.flatnonzero(
             self.shown & (self.alpha > 0) & (self.alpha < OPAQUE_ALPHA)
         )
-        """Ids of the drawn geoms that are transparent."""
+        """Ids of the rendered geoms that are transparent."""
         self.model.geom_group[self.see_through] = SEE_THROUGH_GROUP
         self._all = self._opaque.copy()
         self._all[SEE_THROUGH_GROUP] = 1
@@ -76,20 +77,20 @@ class RayCaster:
         """Cast rays from one point.
 
         Args:
-            eye: origin of the rays [3] m.
-            directions: directions of the rays [n, 3].
-            smooth: True to interpolate normals over meshes, False for normals of facets.
-            opaque: True if rays pass through transparent geoms.
+            eye: origin of the rays [m], shape [3].
+            directions: directions of the rays, shape [n, 3].
+            smooth: if True, interpolate normals over meshes; if False, return normals of facets.
+            opaque: if True, rays pass through transparent geoms.
         """
         return self._hits(eye, directions, self._opaque if opaque else self._all, smooth)
 
     def layers(
         self, eye: NDArray, directions: NDArray, *, smooth: bool = True
     ) -> list[tuple[NDArray, Hits]]:
-        """Return the first hits on each transparent geom, ignoring all other geoms.
+        """Cast rays at each transparent geom separately, as if there were no other geoms.
 
         Returns:
-            The rows of `directions` that hit a geom, and their hits, for each geom that is hit.
+            One pair for each geom that is hit: the indices of the rays that hit it, and their hits.
         """
         hits_by_geom = []
         length = np.linalg.norm(directions, axis=1)
@@ -106,7 +107,7 @@ class RayCaster:
         return hits_by_geom
 
     def _near(self, g: int, eye: NDArray, directions: NDArray, length: NDArray) -> NDArray:
-        """Return True for rays that hit the bounding sphere of a geom [n]."""
+        """Return a mask [n] of the rays that hit the bounding sphere of a geom."""
         to_middle = self.data.geom_xpos[g] - eye
         along = directions @ to_middle / length
         radius = float(self.model.geom_rbound[g])
@@ -123,9 +124,10 @@ class RayCaster:
         return Hits(geom, np.where(geom >= 0, distance, np.inf), point, normal)
 
     def visible(self, source: NDArray, points: NDArray) -> NDArray:
-        """Return the fraction of light from a source [3] that reaches points [n, 3], [n] in [0, 1].
+        """Return the fraction [n] of the light from a source [3] that reaches each point [n, 3].
 
-        Of several transparent geoms on a ray only the one nearest to the source attenuates it.
+        If a ray crosses several transparent geoms, only the geom nearest to the source attenuates
+        the light.
         """
         rays = points - source
         geom, distance, _ = self._cast(source, rays, self._opaque, normals=False)
@@ -193,11 +195,12 @@ class RayCaster:
 
 
 def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model whose bounding boxes of bodies contain every eye.
+    """Return a copy of a model in which the bounding box of each body contains every ray's origin.
 
-    `mj_multiRay` culls bodies by the angles of the corners of their boxes. It culls too much if the
-    boxes are not axis-aligned, as for bodies with a rotated inertial frame: table legs and cabinet
-    corners vanish. Bodies whose box contains the eye are not culled.
+    `mj_multiRay` culls a body if a ray lies outside the range of angles that the corners of the
+    body's box span. If the box is not axis-aligned, because the body has a rotated inertial frame,
+    the range is too small: table legs and cabinet corners vanish. A body whose box contains the
+    origin of the rays is not culled.
     """
     model = copy.copy(model)
     roots = model.body_bvhadr[model.body_bvhadr >= 0]
@@ -207,15 +210,15 @@ def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
 
 @dataclass(frozen=True)
 class _Smooth:
-    """Search tree for the facet of a mesh that a ray has hit, which MuJoCo does not report."""
+    """Search tree that finds the facet that a ray has hit, which MuJoCo does not report."""
 
     tree: "KDTree"
     reach: float
     """Largest coordinate of the mesh [m]."""
     corners: NDArray
-    """Corners of the facets [f, 3, 3] m."""
+    """Corners of the facets [m], shape [f, 3, 3]."""
     normals_at: NDArray
-    """Normals at the corners [f, 3, 3]."""
+    """Normals at the corners, shape [f, 3, 3]."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, mesh: int) -> "_Smooth":
@@ -243,7 +246,7 @@ class _Smooth:
         return np.where(length > 0.1, mixed / np.maximum(length, 1e-30), flat)
 
     def _weights(self, points: NDArray, near: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the candidate facet [n, k] that contains each point, and its barycentrics."""
+        """Return which nearby facet [n, k] contains each point, and the barycentric coordinates."""
         best = near[:, 0].copy()
         weights = _barycentric(points, self.corners[best])
         for k in range(1, near.shape[1]):
@@ -255,7 +258,7 @@ class _Smooth:
 
 
 def _key(normal: NDArray, offset: NDArray, position: NDArray) -> NDArray:
-    # The plane has a larger weight than the position, as it is known exactly.
+    # The plane of the facet is known exactly, so it has a larger weight than the position.
     return np.column_stack([100.0 * normal, 100.0 * offset, position])
 
 

@@ -1,8 +1,8 @@
 """Render color, depth, normals and object masks by ray casting, without OpenGL.
 
-Depth, normals and segmentation are those of the first surface, transparent or opaque, on the ray
-through the center of each pixel. Color is supersampled only at edges: pixels whose neighbors show
-another surface.
+Depth, normals and segmentation describe the first surface, transparent or opaque, on the ray
+through the center of each pixel. Color is supersampled only at edges, that is, in pixels with a
+neighbor that shows another surface.
 """
 
 from dataclasses import dataclass
@@ -21,27 +21,31 @@ from .see_through import Layers
 from .view import View
 
 OPEN_SKY = 0.8
-"""Visible fraction of the sky that is assumed for transparent surfaces."""
+"""Fraction of the sky that is assumed visible from transparent surfaces, and from all surfaces if
+shadows are omitted."""
 
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """Rendered image of a scene with depth, normals and object masks, all [height, width]."""
+    """Rendered image of a scene with depth, normals and object masks.
+
+    In all arrays but `color`, the floor counts as background.
+    """
 
     color: NDArray
     """Display color (sRGB), uint8 [h, w, 3]."""
     depth: NDArray
     """Depth along the optical axis [m], float64 [h, w]; inf for the background."""
     normal: NDArray
-    """Outward unit normal in the world, float64 [h, w, 3]; zero for the background."""
+    """Outward unit normal in the world frame, float64 [h, w, 3]; zero for the background."""
     segmentation: NDArray
     """Index of the object, int32 [h, w]; -1 for the background."""
     names: tuple[str, ...]
-    """Names of the objects by index."""
+    """Names of the objects, by the index in `segmentation`."""
     geoms: NDArray
     """Index of the geom, int32 [h, w]; -1 for the background."""
     geom_names: tuple[str, ...]
-    """Names of the geoms by index."""
+    """Names of the geoms, by the index in `geoms`."""
 
 
 def render(
@@ -56,17 +60,20 @@ def render(
 ) -> RenderedImage:
     """Render a scene or a posed model.
 
+    If only one of `width` and `height` is given, the other follows from the aspect ratio of a
+    `Camera`, and does not change for a `View`.
+
     Args:
-        scene: a scene in its poses and joint states, or a model with posed data (after
-            `mj_kinematics`). If a model has geoms in group 1, only those are drawn. An object of a
-            model is a child body of the world with its descendants, in the order of the model.
+        scene: a scene, rendered at its poses and joint states, or a model and its data after
+            `mj_kinematics`. If a model has geoms in group 1, only these are rendered. Each child
+            body of the world, with its descendants, is one object, in the order of the model.
         camera: the camera.
-        width: width in pixels; None uses the camera's, or follows from `height`.
-        height: height in pixels; None follows from `width` and the aspect ratio of the camera.
+        width: width [px].
+        height: height [px].
         supersample: rays per pixel and axis at edges; 1 disables antialiasing.
-        floor: True to draw a plain floor below everything, and the scene's backdrop; they are not
-            objects.
-        shadows: False omits shadows, which takes half the time, where colors do not matter.
+        floor: if True, render a plain floor below all objects, and the scene's backdrop. Neither
+            counts as an object.
+        shadows: if False, omit shadows. Rendering takes half the time, and only colors change.
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)
@@ -111,7 +118,7 @@ def render(
 
 
 def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile a scene with visual geoms, in its poses and joint states."""
+    """Compile a scene with visual geoms; set the data to the scene's poses and joint states."""
     model = to_mjspec(scene, visual=True).compile()
     data = mujoco.MjData(model)
     if model.nkey:
@@ -121,7 +128,7 @@ def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def object_of_geoms(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
-    """Return the index of each geom's object, and the names of the objects."""
+    """Return the index of each geom's object (-1 for the world), and the names of the objects."""
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     index = np.full(model.nbody, -1)
     index[roots] = np.arange(len(roots))
@@ -134,7 +141,7 @@ class _RayHits:
     rays: NDArray
     hits: Hits
     surface: NDArray
-    """Opaque geom id, FLOOR, or -1, [n]."""
+    """Id of the first opaque geom, FLOOR, or -1 for the background, shape [n]."""
     layers: Layers
     """Hits on transparent geoms in front of the surface."""
 
@@ -148,7 +155,7 @@ class _Stage:
     centre: NDArray
     reach: float
     ground: float | None
-    """Height of the floor [m]; None without a floor."""
+    """Height of the floor [m]; None if there is no floor."""
     backdrop: Backdrop | None
 
     @classmethod
@@ -198,7 +205,7 @@ class _Stage:
     def front(
         self, cast: _RayHits, shape: tuple[int, int]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Return the first surface of each pixel: its id, point, normal and depth."""
+        """Return the id, point, normal and depth of the first surface of each pixel."""
         surface, point = cast.surface.copy(), cast.hits.point.copy()
         normal = cast.hits.normal.copy()
         nearest = cast.layers.nearest()
@@ -214,10 +221,10 @@ class _Stage:
         )
 
     def shade(self, cast: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
-        """Return the light along each ray, times the camera's gain [n, 3]."""
+        """Return the light along each ray, multiplied by the camera's gain, shape [n, 3]."""
         light = surroundings(cast.rays)
         if self.backdrop is not None and self.view.eye[0] < self.backdrop.x:
-            # The plane extends upwards and sideways without end; its color includes its light.
+            # The backdrop extends upwards and sideways without end. Its color includes lighting.
             light[cast.rays[:, 0] > 0] = self._floor_color()
         body = np.flatnonzero(cast.surface >= 0)
         light[body] = self._shade_hits(cast.hits, body, cast.rays[body], key[body], sky[body])
@@ -243,7 +250,7 @@ class _Stage:
         return self._through(cast, light) * self.view.gain
 
     def _floor_color(self) -> NDArray:
-        """Return the linear color [3] of the floor, that of the backdrop if there is one."""
+        """Return the linear color [3] of the floor: the color of the backdrop, if there is one."""
         if self.backdrop is None:
             return FLOOR_COLOUR
         return linear(np.array(self.backdrop.rgb)) / self.view.gain
@@ -271,11 +278,11 @@ class _Stage:
         opacity: NDArray | None = None,
         behind: NDArray | None = None,
     ) -> NDArray:
-        """Return the light [k, 3] of some rows [k] of hits."""
+        """Return the light [k, 3] from the hits with the given indices [k]."""
         geom, normal = hits.geom[rows], hits.normal[rows]
         pixel = hits.distance[rows] / self.view.focal
         colour = albedo(self.appearance, geom, hits.point[rows], normal, pixel)
-        # Colors of the photograph have its exposure already.
+        # Colors of the photograph already include its exposure, so the gain must not change them.
         colour[self.appearance.photographed[geom]] /= self.view.gain
         return shade(
             colour,
@@ -292,7 +299,7 @@ class _Stage:
 
 
 def _edges(surface: NDArray, point: NDArray, normal: NDArray, depth: NDArray) -> NDArray:
-    """Return the pixels [h, w] with a neighbor that shows another surface or a crease."""
+    """Return a mask of the pixels [h, w] with a neighbor that shows another surface or a crease."""
     edge = np.zeros(surface.shape, bool)
     for axis in (0, 1):
         every = (slice(None),) * axis
@@ -331,7 +338,7 @@ def _smooth_edges(
     best = np.full(len(row), np.inf)
     lit, open_ = key[row, column].copy(), sky[row, column].copy()
     h, w = surface.shape
-    # Shadows are those of the nearest neighboring pixel on the same surface.
+    # Each ray takes the shadows of the nearest neighboring pixel on the same surface.
     for i in (0, -1, 1):
         for j in (0, -1, 1):
             r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)

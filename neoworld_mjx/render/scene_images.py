@@ -33,9 +33,11 @@ def render_scene(
 
     Args:
         scene: the scene.
-        camera: the camera; None uses the scene's, or a view that frames the movable objects.
-        width: width in pixels; defaults to the camera's, or 480.
-        height: height in pixels; defaults to the camera's aspect ratio, or 2/3 of the width.
+        camera: the camera; if None, the camera of the scene or, if the scene has none, a view that
+            frames all objects except the environment.
+        width: width [px]; by default the width of the camera, or 480 without one.
+        height: height [px]; by default it follows from the aspect ratio of the camera, or is 2/3 of
+            the width without one.
         supersample: rays per pixel and axis at edges.
     """
     camera = camera or scene.camera
@@ -47,7 +49,7 @@ def render_scene(
         points = [
             poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items
         ]
-        # Cameras of photographs look from the side of -x.
+        # Look from the -x side, as cameras of photographs do.
         camera = View.framing(
             np.vstack(points), width=columns, height=rows, azimuth=np.radians(215)
         )
@@ -67,10 +69,11 @@ def render_object(
 
     Args:
         spec: the object.
-        joint_state: joint values [rad or m]; unnamed joints are at 0.
-        camera: the camera in the object's frame; None views the front from above right.
-        width: width in pixels.
-        height: height in pixels.
+        joint_state: joint values [rad or m]; joints that are not listed are at 0.
+        camera: the camera in the object's frame; if None, view the front from above and from the
+            object's right side (-y).
+        width: width [px].
+        height: height [px].
         supersample: rays per pixel and axis at edges.
     """
     obj = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
@@ -83,7 +86,7 @@ def render_object(
 
 
 def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
-    """Return the vertices of the visible surface in the object's frame [n, 3] m."""
+    """Return the vertices of the visible surface in the object's frame [m], shape [n, 3]."""
     return visible_surface(spec, joint_state)[0]
 
 
@@ -92,15 +95,18 @@ def visible_surface(
     joint_state: Mapping[str, float] | None = None,
     some: Collection[str] | None = None,
 ) -> tuple[NDArray, NDArray]:
-    """Return the visible surface: vertices [n, 3] m in the object's frame, and triangles [t, 3].
+    """Return the visible surface of an object, or of some of its parts.
 
-    An object without visible geoms has the corners of its bounding box and no triangles.
+    If an object has no visible geoms, return the corners of its bounding box and no triangles.
 
     Args:
         spec: the object.
-        joint_state: joint values [rad or m]; unnamed joints are at 0.
-        some: names of the parts that count; None for all. Without visible geoms among them there
-            are no vertices.
+        joint_state: joint values [rad or m]; joints that are not listed are at 0.
+        some: names of the parts; if None, all parts. If these parts have no visible geoms, return
+            no vertices.
+
+    Returns:
+        Vertices in the object's frame [m], shape [n, 3], and triangles, shape [t, 3].
     """
     from trimesh.util import append_faces
 
@@ -125,7 +131,7 @@ def visible_surface(
 def to_png(image: RenderedImage | NDArray) -> bytes:
     """Encode a rendered image's color, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
 
-    The same array gives the same bytes.
+    Equal arrays give equal bytes.
     """
     array = image.color if isinstance(image, RenderedImage) else np.asarray(image)
     if array.dtype != np.uint8:

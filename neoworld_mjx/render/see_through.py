@@ -1,6 +1,6 @@
 """Composite transparent surfaces, such as glass, from back to front.
 
-Only the front of each transparent geom is drawn, without refraction.
+Only the front of each transparent geom is rendered, without refraction.
 """
 
 from collections.abc import Callable
@@ -14,12 +14,12 @@ from .ray_caster import Hits, RayCaster
 
 @dataclass(frozen=True)
 class Layers:
-    """Hits on transparent geoms in front of opaque ones, sorted by ray and from back to front."""
+    """Hits on transparent geoms in front of opaque ones, sorted by ray, then from back to front."""
 
     row: NDArray
-    """Index of the ray of each hit [m]."""
+    """Index of the ray of each hit, shape [hit]."""
     hits: Hits
-    """The hits, [m] rows."""
+    """The hits; their rows correspond to the entries of `row`."""
 
     @classmethod
     def cast(
@@ -31,7 +31,7 @@ class Layers:
         *,
         smooth: bool = True,
     ) -> "Layers":
-        """Cast rays [n, 3] through the transparent geoms nearer than `reach` [n]."""
+        """Return the hits of rays [n, 3] on transparent geoms at distances below `reach` [n]."""
         parts = caster.layers(eye, rays, smooth=smooth)
         row = np.concatenate([np.zeros(0, np.int64), *(rows for rows, _ in parts)])
         hits = Hits(
@@ -45,12 +45,12 @@ class Layers:
         return cls(row[order], hits.rows(order))
 
     def over(self, light: NDArray, paint: Callable[[NDArray, NDArray], NDArray]) -> NDArray:
-        """Return light [n, 3] after it passes through all layers.
+        """Return the light [n, 3] along each ray after it passes through all layers.
 
         Args:
-            light: light from opaque surfaces along each ray [n, 3].
-            paint: function of the indices of hits [k] and the light behind them [k, 3]; returns
-                the light in front of them [k, 3].
+            light: light from opaque surfaces along each ray, shape [n, 3].
+            paint: function that receives the indices of hits [k] and the light behind these hits
+                [k, 3], and returns the light in front of them [k, 3].
         """
         if not len(self.row):
             return light
@@ -64,5 +64,5 @@ class Layers:
         return light
 
     def nearest(self) -> NDArray:
-        """Return the index of the nearest hit of each ray that has one."""
+        """Return the index of the nearest hit of each ray that hits a transparent geom."""
         return np.flatnonzero(np.append(self.row[1:] != self.row[:-1], len(self.row) > 0))

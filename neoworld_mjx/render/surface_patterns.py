@@ -1,7 +1,7 @@
 """Procedural surface patterns: grain, boards, tiles, bricks, veins, speckles, weave, brushed.
 
-Each is a function of points in the object's frame, so it moves with the object. Details smaller
-than a pixel fade into their mean.
+Each pattern is a function of points in the object's frame, so it moves with the object. Details
+smaller than a pixel fade into their mean.
 """
 
 import numpy as np
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from ..spec import SurfacePattern
 
 DARKER = {"brushed": 0.8, "veins": 0.72, "weave": 0.75, "speckles": 0.7}
-"""Second color relative to the first, in linear light, for patterns that state none."""
+"""Ratio of the second to the first color, in linear light, for patterns without a second color."""
 JOINT_DARKER = 0.4
 GAPS = 0.42
-"""Mean fraction of a weave that its gaps cover."""
+"""Mean fraction of a surface that the gaps of a weave cover."""
 MAX_DETAIL = 0.25
 """Size of a pixel, relative to the period of a pattern, at which the pattern fades to its mean."""
 
@@ -31,10 +31,10 @@ def patterned(
     Args:
         pattern: the pattern.
         colour: linear color of the material [3].
-        second: linear color of joints, veins, ... [3]; None is a darker shade of `colour`.
-        point: points in the object's frame [n, 3] m.
-        normal: normals at the points [n, 3].
-        pixel: size of a pixel at each point [n] m.
+        second: linear color [3] of joints, veins, etc.; if None, a darker shade of `colour`.
+        point: points in the object's frame [m], shape [n, 3].
+        normal: normals at the points, shape [n, 3].
+        pixel: size of a pixel at each point [m], shape [n].
     """
     if second is None:
         second = colour * DARKER.get(pattern.kind, JOINT_DARKER)
@@ -62,7 +62,7 @@ def patterned(
 
 
 def _on_face(p: NDArray, normal: NDArray, along: str) -> tuple[NDArray, NDArray]:
-    """Return coordinates (u, v) [n] m in the plane normal to the axis nearest to the normal."""
+    """Return coordinates (u, v) [m] in the coordinate plane most nearly parallel to the surface."""
     axis = np.argmax(np.abs(normal), axis=1)
     u = np.where(axis == 0, p[:, 1], p[:, 0])
     v = np.where(axis == 2, p[:, 1], p[:, 2])
@@ -92,7 +92,7 @@ def _courses(
     pixel: NDArray,
     spread: float,
 ) -> tuple[NDArray, NDArray]:
-    """Return courses of rectangles of a size [m], shifted by a fraction of their length."""
+    """Return mix and brightness of rows of rectangles, each row shifted by `offset` lengths."""
     row = np.floor(v / size[1])
     along = u / size[0] + offset * row
     column = np.floor(along)
@@ -117,7 +117,10 @@ def _veins(p: NDArray, step: float) -> tuple[NDArray, NDArray]:
 
 
 def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray, NDArray]:
-    """Return rows of loops with gaps between them; a row is half as wide as a loop is long."""
+    """Return mix and brightness of rows of loops with gaps between the loops.
+
+    A row is half as wide as a loop is long.
+    """
     row = np.floor(2.0 * v / step)
     jitter = 0.5 * row + 0.2 * _hashed(row, 0 * row)
     column = np.floor(u / step + jitter)
@@ -130,7 +133,7 @@ def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray
 
 
 def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
-    """Return scratches along u, about 40 times as long as their spacing."""
+    """Return the mix of scratches along u, which are about 40 times as long as their spacing."""
     fine = noise(np.column_stack([u / (40 * step), 2 * v / step, 0 * u]))
     broad = noise(np.column_stack([u / (90 * step), 0.4 * v / step, 0 * u + 3.0]))
     scratched = _faded(0.45 + 0.6 * fine, pixel, step, 0.45) + 0.15 * broad
@@ -138,7 +141,7 @@ def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
 
 
 def _line(position: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:
-    """Return the fraction of a pixel that a line covers at a position in its period [n] m."""
+    """Return the fraction [n] of each pixel that a line covers, given positions in a period [m]."""
     away = np.minimum(position, period - position)
     wide = np.maximum(pixel, 1e-9)
     return np.clip((width / 2 - away) / wide + 0.5, 0.0, 1.0) * np.minimum(1.0, width / wide)
@@ -161,7 +164,7 @@ def _hashed(row: NDArray, column: NDArray) -> NDArray:
 
 
 def wood(p: NDArray) -> NDArray:
-    """Return the relative brightness of wood, rings cut lengthwise, at points [n, 3] m."""
+    """Return the relative brightness of wood, cut lengthwise, at points [m] of shape [n, 3]."""
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
     # The axis of the tree is parallel to x, slightly off the surface, and wanders slowly.
     wander = 0.010 * noise(np.column_stack([x * 3.0, y * 9.0, z * 9.0]))

@@ -1,7 +1,7 @@
-"""Tiles of patterned materials: small images that repeat seamlessly, for other programs.
+"""Tiles of patterned materials: small images that repeat seamlessly, for use in other programs.
 
 A tile shows the same pattern as rendered images, on the plane z = 0 of an object's frame. Patterns
-of courses repeat after a whole number of courses; others are mirrored or blended at their edges.
+of courses repeat after a whole number of courses. Other tiles are mirrored or blended at the edges.
 """
 
 from functools import lru_cache
@@ -20,12 +20,12 @@ from .surface_patterns import patterned
 PIXELS = 256
 """Edge length of a tile [px]."""
 COLOURS = 48
-"""Number of colors of a tile; more are not visible."""
+"""Number of colors of a tile; a larger number makes no visible difference."""
 SAMPLES = 2
 """Samples per pixel and axis of patterns with edges."""
 GRAIN_M = 0.32
 _STEPS: dict[str, tuple[int, int]] = {
-    # Periods along u and v: a whole number of courses if the tile is not mirrored.
+    # Size along u and v in steps of the pattern: a whole number of courses if not mirrored.
     "boards": (9, 8), "tiles": (4, 4), "bricks": (12, 12), "veins": (3, 3),
     "speckles": (24, 24), "weave": (16, 16), "brushed": (40, 40),
 }  # fmt: skip
@@ -34,9 +34,9 @@ _FOLDED = {
 }  # fmt: skip
 """Axes along which a tile is mirrored."""
 _BLENDED = ("veins", "speckles")
-"""Patterns that are blended at their edges, as mirroring would be visible."""
+"""Patterns whose tiles are blended at the edges, because mirroring would be visible."""
 OVERLAP = 0.125
-"""Width of the blended edge relative to the tile."""
+"""Width of the blended edge, relative to the width of the tile."""
 
 
 def tile_size(pattern: SurfacePattern) -> tuple[float, float]:
@@ -50,7 +50,7 @@ def tile_size(pattern: SurfacePattern) -> tuple[float, float]:
 def tile_png(material: Material) -> bytes | None:
     """Return the tile of a patterned material, or the texture of a printed one, as PNG.
 
-    The first row is at the largest v. Returns None for a plain material.
+    The first row of pixels is at the largest v. If the material is plain, return None.
     """
     if material.photo is not None:
         return print_png(material)

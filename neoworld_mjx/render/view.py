@@ -19,15 +19,15 @@ class View(NamedTuple):
     eye: NDArray
     """Center of projection [m], shape [3]."""
     axes: NDArray
-    """Columns [3, 3] in the world: right, down, forward."""
+    """Axes of the camera in the world frame, as columns [3, 3]: right, down, forward."""
     fovy: float
     """Vertical field of view [rad]."""
     width: int
     height: int
     centre: tuple[float, float] | None = None
-    """Principal point (u, v) in pixels; None is the center of the image."""
+    """Principal point (u, v) [px]; if None, the center of the image."""
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Factors of linear red, green and blue."""
+    """Factors by which the linear red, green and blue of rendered images are multiplied."""
 
     @classmethod
     def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> "View":
@@ -35,8 +35,8 @@ class View(NamedTuple):
 
         Args:
             camera: the camera.
-            width: width in pixels; None follows from `height`, or is the camera's.
-            height: height in pixels; None follows from `width` and the camera's aspect ratio.
+            width: width [px]; if None, it follows from `height` or is the width of the camera.
+            height: height [px]; if None, it follows from `width` and the camera's aspect ratio.
         """
         if width is None:
             rows = camera.height_px if height is None else height
@@ -50,7 +50,7 @@ class View(NamedTuple):
     def look_at(
         cls, eye: ArrayLike, target: ArrayLike, *, width: int, height: int, fovy: float = FOVY
     ) -> "View":
-        """Return an upright view from one point [3] m to another."""
+        """Return an upright view from `eye` towards `target`, both in the world frame [m]."""
         origin = np.asarray(eye, float)
         forward = np.asarray(target, float) - origin
         forward = forward / np.linalg.norm(forward)
@@ -74,16 +74,16 @@ class View(NamedTuple):
         fovy: float = FOVY,
         margin: float = 1.22,
     ) -> "View":
-        """Return the closest view from a direction that shows all points.
+        """Return a view from a given direction that shows all points.
 
         Args:
-            points: points in the world [n, 3] m.
-            width: width in pixels.
-            height: height in pixels.
+            points: points in the world frame [m], shape [n, 3].
+            width: width [px].
+            height: height [px].
             azimuth: azimuth of the camera about +z [rad]; 0 looks at the front (+x).
             elevation: elevation of the camera above the horizontal [rad].
             fovy: vertical field of view [rad].
-            margin: factor by which the distance exceeds the smallest one.
+            margin: ratio of the camera's distance to the smallest one at which all points are seen.
         """
         p = np.asarray(points, float)
         centre = (p.min(axis=0) + p.max(axis=0)) / 2
@@ -110,8 +110,9 @@ class View(NamedTuple):
 
         Args:
             camera: the camera.
-            window: the window (x0, y0, x1, y1) in the camera's pixels; it may exceed the image.
-            longer_side: longer side of the new image in pixels.
+            window: the window (x0, y0, x1, y1) in the camera's pixels; it may extend beyond the
+                image.
+            longer_side: longer side of the new image [px].
         """
         x0, y0, x1, y1 = window
         scale = longer_side / max(x1 - x0, y1 - y0)
@@ -126,7 +127,7 @@ class View(NamedTuple):
         return self.height / 2 / math.tan(self.fovy / 2)
 
     def rays(self, pixels: ArrayLike) -> NDArray:
-        """Return unit directions [..., 3] in the world through pixels [..., 2] (u, v)."""
+        """Return unit vectors [..., 3] in the world frame through pixels (u, v) [..., 2]."""
         centre = self.centre or (self.width / 2, self.height / 2)
         local = (np.asarray(pixels, float) - centre) / self.focal
         d = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1) @ self.axes.T

@@ -13,14 +13,15 @@ from .view import FOVY, View
 
 
 def subject_points(scene: SceneSpec, names: Sequence[str] = ()) -> NDArray:
-    """Return the visible vertices [n, 3] m of objects in the world.
+    """Return the visible vertices of objects in the world frame [m], shape [n, 3].
 
     Args:
         scene: the scene.
-        names: names of the objects; empty for all except the environment, or all if none remain.
+        names: names of the objects. If empty, use all objects except the environment or, if the
+            scene has no other objects, the environment.
 
     Raises:
-        SpecError: no object has one of the names.
+        SpecError: the scene has no object with one of the names.
     """
     known = [obj.name for obj in scene.objects]
     for name in names:
@@ -43,14 +44,16 @@ def around(
     height: int,
     fovy: float = FOVY,
 ) -> list[View]:
-    """Return views from several azimuths, at the smallest equal distance that shows all points.
+    """Return views from several azimuths, all at the same distance from the center of the points.
+
+    The distance is the largest of those that `View.framing` chooses for the azimuths.
 
     Args:
-        points: points in the world [n, 3] m.
+        points: points in the world frame [m], shape [n, 3].
         azimuths: azimuths of the cameras about +z [rad]; 0 looks at the front (+x).
         elevation: elevation above the horizontal [rad].
-        width: width in pixels.
-        height: height in pixels.
+        width: width [px].
+        height: height [px].
         fovy: vertical field of view [rad].
     """
     views = [
@@ -65,14 +68,20 @@ def around(
 
 
 def turntable(scene: SceneSpec, views: list[View], *, supersample: int = 2) -> Iterator[NDArray]:
-    """Render a scene from several views, uint8 [h, w, 3] each; the scene is compiled once."""
+    """Render a scene from several views, and yield the images, each uint8 [h, w, 3].
+
+    The scene is compiled only once.
+    """
     posed = compile_posed(scene)
     for view in views:
         yield render(posed, view, supersample=supersample).color
 
 
 def opened(scene: SceneSpec, share: float) -> SceneSpec:
-    """Return the scene with every limited joint at a fraction of its range, from closed to open."""
+    """Return the scene with each limited joint at a fraction of its range, from 0 to the far limit.
+
+    The far limit is the limit with the larger absolute value. Mimic joints follow their leaders.
+    """
     objects = []
     for obj in scene.objects:
         state = dict(obj.joint_state)

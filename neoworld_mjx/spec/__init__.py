@@ -1,4 +1,7 @@
-"""Host-side descriptions that all packages share: validated, JSON both ways, no JAX."""
+"""Descriptions of objects and scenes that all packages share.
+
+Descriptions are validated, convert to and from JSON, and do not use JAX.
+"""
 
 from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera

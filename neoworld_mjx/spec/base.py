@@ -9,12 +9,12 @@ from .dimensions import LENGTH, NO_JOINT, UNSCALED, Motion, Scaling, declared_sc
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
 JointKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[xyz])?$", max_length=50)]
-"""Name of a joint, or of one of the three values of a ball joint."""
+"""Key of a joint value: the name of a joint or, for a ball joint, NAME.x, NAME.y or NAME.z."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False), LENGTH]
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
-"""Rotation (w, x, y, z)."""
+"""Quaternion (w, x, y, z)."""
 Point3 = Annotated[Vec3, LENGTH]
 """A point in the object's frame [m]."""
 Direction3 = Annotated[Vec3, UNSCALED]
@@ -22,7 +22,7 @@ Rotation = Annotated[Quat, UNSCALED]
 
 
 class Spec(BaseModel):
-    """Base of all host-side descriptions: immutable, without unknown keys, convertible to JSON."""
+    """Base of all descriptions: immutable and convertible to JSON; unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -31,17 +31,18 @@ _Scalable = TypeVar("_Scalable", bound="ScalableSpec")
 
 
 class ScalableSpec(Spec):
-    """Base of an object's description and its parts: every numeric field declares its scaling.
+    """Base of the descriptions that make up an object: every numeric field declares its scaling.
 
-    Defining a subclass with a numeric field whose annotation lacks a `Scaling` raises a TypeError.
+    Defining a subclass raises a TypeError if the annotation of a numeric field lacks a `Scaling`.
     """
 
     scalings: ClassVar[dict[str, Scaling | None]] = {}
-    """Scaling of each field; None for fields without numbers, whose parts declare their own."""
+    """Scaling of each field; None for a field that holds no numbers itself. Nested descriptions
+    declare the scalings of their fields."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Collect the scaling of every field."""
+        """Collect the scalings of all fields."""
         super().__pydantic_init_subclass__(**kwargs)
         cls.scalings = {}
         for name, field in cls.model_fields.items():
@@ -51,7 +52,7 @@ class ScalableSpec(Spec):
                 raise TypeError(f"{cls.__name__}.{name} {error}") from None
 
     def scaled(self: _Scalable, s: float, motion: Motion = NO_JOINT) -> _Scalable:
-        """Return a copy with every number multiplied by its field's power of `s`."""
+        """Return a copy with each number multiplied by the power of `s` that its field declares."""
         update: dict[str, object] = {}
         for name, scaling in self.scalings.items():
             value = getattr(self, name)

@@ -1,4 +1,4 @@
-"""Base of all shapes, with their convex pieces, surface, volume and signed distance."""
+"""Base of all shapes: convex pieces, surface, volume and signed distance."""
 
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -23,9 +23,8 @@ Sectors = Annotated[int, Field(ge=MIN_SECTORS, le=MAX_SECTORS), UNSCALED]
 class BaseShape(ScalableSpec):
     """Base of all shapes.
 
-    A shape defines its convex pieces and its surface. Volume and distance are computed from the
-    surface, or exactly where a shape has a formula; both describe the true solid, not its
-    colliders.
+    A shape defines its convex pieces and its surface. Volume and distance follow from the surface,
+    or from a formula if the shape has one. Both describe the true solid, not its colliders.
     """
 
     def build_pieces(self) -> list[Piece]:
@@ -45,14 +44,14 @@ class BaseShape(ScalableSpec):
         raise NotImplementedError
 
     def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the closed outward surface, in the shape's frame.
+        """Return the closed surface in the shape's frame; normals point outwards.
 
-        Rendering and exported visuals use the surface, one watertight mesh; physics uses the
-        pieces, which may be coarser.
+        Rendering and exported visuals use the surface, which is one watertight mesh. Physics uses
+        the pieces, which may be coarser.
 
         Returns:
-            vertices [v, 3] m, float64, and triangles [f, 3], int64, counter-clockwise from outside.
-            The arrays are shared and read-only.
+            Vertices [m], float64 [v, 3], and triangles, int64 [f, 3], counterclockwise as seen from
+            outside. The arrays are shared and read-only.
         """
         return _shared_surface(self)  # pyright: ignore[reportArgumentType] frozen models have a hash
 
@@ -61,19 +60,19 @@ class BaseShape(ScalableSpec):
         return enclosed_volume(*self.surface())
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return the distances [n] m of points [n, 3] m to the surface, negative inside."""
+        """Return the distances [m] of points [m] to the surface, negative inside, shape [n]."""
         return distance_to_triangles(rows(points), *self.surface())
 
 
 class Primitive(BaseShape):
-    """Base of the shapes that MuJoCo has a geom type for."""
+    """Base of shapes that correspond to a geom type of MuJoCo."""
 
     def primitive(self) -> Piece:
         """Return the shape as a piece."""
         raise NotImplementedError
 
     def build_pieces(self) -> list[Piece]:
-        """Return the primitive."""
+        """Return the primitive as the only piece."""
         return [self.primitive()]
 
     def volume(self) -> float:

@@ -16,8 +16,9 @@ Gain = Annotated[float, Field(ge=0.1, le=10)]
 class Camera(Spec):
     """A camera above the world origin that looks along +x, pitched down.
 
-    World: x ahead, y to the left, z up, z = 0 at the floor, or at the top of the main support when
-    no floor is seen. Pixels: u to the right, v down, (0, 0) the outer corner of the first pixel.
+    World frame: x points ahead, y to the left and z up. z = 0 is the floor or, if no floor is
+    visible, the top of the main support. Pixels: u points to the right and v down; (0, 0) is the
+    outer corner of the first pixel.
     """
 
     width: Annotated[int, Field(ge=1)]
@@ -29,11 +30,12 @@ class Camera(Spec):
     pitch: Annotated[float, Field(ge=-math.pi / 2, le=math.pi / 2)]
     """Downward angle of the view from the horizontal [rad]."""
     roll: Number = 0.0
-    """Clockwise rotation about the view direction, as seen from behind the camera [rad]."""
+    """Clockwise rotation of the camera about the view direction, seen from behind [rad]."""
     gain: tuple[Gain, Gain, Gain] = Field(
         default=(1.0, 1.0, 1.0), exclude_if=lambda value: value == (1.0, 1.0, 1.0)
     )
-    """Exposure and white balance: factors of linear red, green and blue in rendered images."""
+    """Exposure and white balance: factors by which the linear red, green and blue of rendered
+    images are multiplied."""
 
     @property
     def focal(self) -> float:
@@ -41,7 +43,7 @@ class Camera(Spec):
         return self.height_px / 2 / math.tan(self.fovy / 2)
 
     def axes(self) -> NDArray:
-        """Return the camera's axes as columns [3, 3] in the world: right, down, forward."""
+        """Return the camera's axes in the world frame as columns [3, 3]: right, down, forward."""
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)
         forward = np.array([cp, 0.0, -sp])
         right, down = np.array([0.0, -1.0, 0.0]), np.array([-sp, 0.0, -cp])
@@ -49,17 +51,19 @@ class Camera(Spec):
         return np.column_stack([c * right + s * down, c * down - s * right, forward])
 
     def position(self) -> NDArray:
-        """Return the centre of projection [m], shape [3]."""
+        """Return the center of projection in the world frame [m], shape [3]."""
         return np.array([0.0, 0.0, self.height])
 
     def pose(self) -> Pose:
-        """Return MuJoCo's camera pose in the world: x right, y up, looking along -z."""
+        """Return the pose of the camera in MuJoCo's convention: x right, y up, looking along -z."""
         return Pose(self.position(), from_matrix(self.axes() * [1.0, -1.0, -1.0]))
 
     def project(self, points: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Project world points [..., 3] m to pixels [..., 2] and depth along the view [...] m.
+        """Project points in the world frame [m], shape [..., 3], into the image.
 
-        Points at or behind the camera have depth <= 0 and meaningless pixels.
+        Returns:
+            Pixels [..., 2] and depths along the view [m], shape [...]. Points at or behind the
+            camera have depths <= 0 and meaningless pixels.
         """
         local = (np.asarray(points, float) - self.position()) @ self.axes()
         depth = local[..., 2]
@@ -68,7 +72,7 @@ class Camera(Spec):
         return local[..., :2] / safe * self.focal + centre, depth
 
     def rays(self, pixels: ArrayLike) -> NDArray:
-        """Return unit view directions [..., 3] in the world through pixels [..., 2]."""
+        """Return unit vectors [..., 3] in the world frame through pixels [..., 2]."""
         centre = np.array([self.width / 2, self.height_px / 2])
         local = (np.asarray(pixels, float) - centre) / self.focal
         d = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1) @ self.axes().T

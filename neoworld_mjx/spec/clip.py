@@ -1,4 +1,4 @@
-"""Convex polyhedra and their cuts by planes, for exact convex decompositions."""
+"""Convex polyhedra, and cuts of polyhedra by planes, for exact convex decompositions."""
 
 from typing import NamedTuple
 
@@ -13,9 +13,9 @@ class Poly(NamedTuple):
     """A convex polyhedron."""
 
     corners: NDArray
-    """Vertices [v, 3] m."""
+    """Vertices [m], shape [v, 3]."""
     faces: tuple[tuple[int, ...], ...]
-    """Loops of corners, one per face, in either orientation."""
+    """Indices of the corners around each face, in either orientation."""
 
     def volume(self) -> float:
         """Return the volume [m^3]."""
@@ -33,10 +33,10 @@ def poly(piece: Piece, pose: Pose) -> tuple[Poly, NDArray]:
 
     Args:
         piece: the piece.
-        pose: its total pose, including the piece's own.
+        pose: the total pose, which includes the pose of the piece in the frame of its shape.
 
     Returns:
-        The polyhedron, and its half-spaces n.x <= d, [f, 4].
+        The polyhedron, and its half-spaces n.x <= d as rows (n, d), shape [f, 4].
     """
     half = planes(piece)
     if piece.kind == "box":
@@ -54,12 +54,13 @@ def poly(piece: Piece, pose: Pose) -> tuple[Poly, NDArray]:
 
 
 def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly | None]:
-    """Cut a polyhedron by a plane (n, d) of n.x = d.
+    """Cut a polyhedron by the plane n.x = d, given as (n, d).
 
-    Points within `slack` [m] of the plane count as on it, so that no sliver is thinner.
+    Points within `slack` [m] of the plane count as points on the plane, so no part is thinner than
+    `slack`.
 
     Returns:
-        The parts with n.x <= d and n.x > d; None for an empty part.
+        The part with n.x <= d and the part with n.x > d; None for an empty part.
     """
     height = solid.corners @ plane[:3] - plane[3]
     if height.max() <= slack:
@@ -70,7 +71,7 @@ def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly 
 
 
 def _side(solid: Poly, height: NDArray, slack: float, normal: NDArray) -> Poly:
-    """Return the part below height 0."""
+    """Return the part of a polyhedron at negative heights, given the heights of its corners."""
     side_of = np.where(height > slack, 1, np.where(height < -slack, -1, 0)).tolist()
     points: list[NDArray] = []
     index: dict[tuple[int, int], int] = {}
@@ -111,7 +112,7 @@ def _side(solid: Poly, height: NDArray, slack: float, normal: NDArray) -> Poly:
 
 
 def _around(corners: NDArray, members: NDArray, normal: NDArray) -> tuple[int, ...]:
-    """Order the corners of one face around it."""
+    """Return the indices of a face's corners, in order around the face."""
     p = corners[members]
     if len(p) < 3:
         return ()

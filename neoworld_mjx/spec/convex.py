@@ -1,7 +1,7 @@
 """Convex pieces: hulls, mass properties and extents.
 
-A piece becomes one collision geom of MuJoCo. `size` follows MuJoCo's geom_size: half edges of a
-box, (radius, half length) of a capsule or cylinder, semi-axes of an ellipsoid.
+A piece becomes one collision geom of MuJoCo. `size` follows MuJoCo's geom_size: half edge lengths
+of a box, (radius, half length) of a capsule or cylinder, semi-axes of an ellipsoid.
 """
 
 from dataclasses import dataclass
@@ -19,35 +19,35 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex solid with its pose in the shape's frame."""
+    """A convex solid, and its pose in the frame of the shape."""
 
     kind: Kind
     size: tuple[float, ...] = (0.0, 0.0, 0.0)
     pos: Vector = (0.0, 0.0, 0.0)
     quat: tuple[float, float, float, float] = IDENTITY
     vertices: tuple[Vector, ...] = ()
-    """Corners of a "mesh" piece [m]; empty for the others."""
+    """Corners of a "mesh" piece [m]; empty for all other kinds."""
 
 
 def polytope(points: NDArray) -> Piece:
-    """Build a "mesh" piece from points [n, 3]; repeated points and inner points are dropped."""
+    """Return the convex hull of points [n, 3] as a "mesh" piece, without inner points."""
     # Equivalent to np.unique along rows, in a tenth of the time.
     vertices, _ = hull(tuple(sorted(set(map(tuple, np.asarray(points, float).tolist())))))
     return Piece("mesh", vertices=tuple(map(tuple, vertices.tolist())))
 
 
 def prism(outline: NDArray, height: float) -> Piece:
-    """Build the prism of a convex outline [n, 2] from z = -height/2 to height/2."""
+    """Return the prism of a convex outline [n, 2] from z = -height/2 to z = height/2."""
     top = np.column_stack([outline, np.full(len(outline), height / 2)])
     return polytope(np.vstack([top, top * [1, 1, -1]]))
 
 
 @lru_cache(maxsize=2048)
 def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
-    """Return the convex hull: vertices [v, 3] and outward triangles [f, 3].
+    """Return the vertices [v, 3] and outward triangles [f, 3] of a convex hull.
 
     Raises:
-        ValueError: the points are flat or too few.
+        ValueError: there are fewer than four points, or the points lie in a plane.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -56,7 +56,7 @@ def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
     if len(p) < 4 or span <= 0:
         raise ValueError(f"a convex piece needs 4 points in general position, got {len(p)}")
     try:
-        # Unit size makes qhull's absolute tolerances relative.
+        # At unit size, the absolute tolerances of qhull act as relative ones.
         qhull = ConvexHull((p - p.mean(axis=0)) / span)
     except QhullError:
         raise ValueError("a convex piece is flat") from None
@@ -72,9 +72,9 @@ def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
 
 
 def planes(piece: Piece) -> NDArray:
-    """Return the outward half-spaces n.x <= d of a "box" or "mesh" piece, shape [f, 4] (n, d).
+    """Return the half-spaces n.x <= d of a "box" or "mesh" piece as rows (n, d), shape [f, 4].
 
-    Coplanar hull triangles are merged, so a box has six rows.
+    Normals point outwards. Coplanar triangles of a hull give one row, so a box has six rows.
     """
     if piece.kind == "box":
         n = np.vstack([np.eye(3), -np.eye(3)])
@@ -84,7 +84,7 @@ def planes(piece: Piece) -> NDArray:
 
 @lru_cache(maxsize=2048)
 def _hull_planes(points: tuple[Vector, ...]) -> NDArray:
-    """Return the half-spaces of a convex hull, shape [f, 4]; the array is read-only."""
+    """Return the half-spaces of a convex hull as a read-only array [f, 4]."""
     v, faces = hull(points)
     n = cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
     area = np.linalg.norm(n, axis=1)
@@ -97,15 +97,18 @@ def _hull_planes(points: tuple[Vector, ...]) -> NDArray:
             keep.append(int(i))
     keep.sort()
     n = n[keep]
-    # Offsets are the supports of the corners, so that no corner lies outside by rounding.
+    # Offsets are maxima over all corners, so that rounding leaves no corner outside.
     half = np.column_stack([n, (v @ n.T).max(axis=0)]) if len(first) else np.zeros((0, 4))
     half.flags.writeable = False
     return half
 
 
 def mass_properties(piece: Piece) -> tuple[float, NDArray, NDArray]:
-    """Return volume [m^3], centre [3] and inertia about it [3, 3] at density 1 [m^5], in the
-    shape's frame.
+    """Return the volume, center of mass and inertia of a piece at density 1.
+
+    Returns:
+        The volume [m^3], the center of mass in the shape's frame [m], shape [3], and the inertia
+        about the center of mass along the axes of the shape's frame [m^5], shape [3, 3].
     """
     s = np.array(piece.size)
     if piece.kind == "box":
@@ -154,7 +157,7 @@ def _mesh_properties(piece: Piece) -> tuple[float, NDArray, NDArray]:
 
 
 def extent(piece: Piece, direction: NDArray) -> float:
-    """Return the support max(x . direction) of a piece along a unit vector in its frame."""
+    """Return the support max(x . direction) of a piece along a unit vector in the piece's frame."""
     s, d = np.array(piece.size), np.asarray(direction, float)
     if piece.kind == "box":
         return float(np.abs(d) @ s)
@@ -170,11 +173,11 @@ def extent(piece: Piece, direction: NDArray) -> float:
 
 
 def box_around(piece: Piece, pose: Pose) -> tuple[NDArray, NDArray]:
-    """Return the exact bounds (low [3], high [3]) [m] of a piece at a total pose."""
+    """Return the exact bounds (low [3], high [3]) [m] of a piece at a given total pose."""
     turn = matrix(pose.quat)
     if piece.kind == "mesh":
         points = np.array(piece.vertices) @ turn.T
         return pose.pos + points.min(axis=0), pose.pos + points.max(axis=0)
-    # All other kinds are symmetric, so one support per axis suffices.
+    # All other kinds are symmetric about their center, so one support per axis suffices.
     half = np.array([extent(piece, row) for row in turn])
     return pose.pos - half, pose.pos + half

@@ -1,9 +1,10 @@
-"""Algorithm of constructive solid geometry: an exact convex decomposition, and a boolean surface.
+"""Constructive solid geometry: an exact convex decomposition, and a boolean surface.
 
-Colliders result from cutting convex pieces along the face planes of the others, so they leave the
-material that a difference removes empty. Round operands become polyhedra with `sectors` facets,
-whose corners lie on the true surface: colliders stay within r (1 - cos(pi / sectors)) of it. The
-visual surface comes from manifold3d, with finer facets. The shape itself is `shapes.CSG`.
+The convex pieces of an operand are cut along the planes of the other operands' faces, so colliders
+leave the material that a difference removes empty. Round operands become polyhedra with `sectors`
+facets, whose corners lie on the true surface. Along a circle of radius r, colliders stay within
+r (1 - cos(pi / sectors)) of the surface. The visual surface comes from manifold3d and has finer
+facets. The class of the shape is `shapes.CSG`.
 """
 
 import itertools
@@ -20,16 +21,16 @@ from .pose import Pose, pose
 Operation = Literal["union", "difference", "intersection"]
 MAX_PIECES, MAX_CUTS, MAX_OPERAND_TRIANGLES, MAX_BODIES = 600, 4000, 60_000, 64
 BOX_TEST_COST = 0.02
-"""Cost of comparing two bounding boxes, relative to a cut."""
+"""Cost of comparing two bounding boxes, relative to the cost of a cut."""
 SLACK = 1e-6
-"""Least thickness of a piece, relative to the size of the operands."""
+"""Smallest thickness of a piece, relative to the size of the operands."""
 LEAST_VOLUME = 1e-9
-"""Least volume of a piece, relative to the cube of the size of the operands."""
+"""Smallest volume of a piece, relative to the cube of the size of the operands."""
 
 
 @runtime_checkable
 class PlacedShape(Protocol):
-    """A shape with its pose; hashable, since results are cached."""
+    """A shape with its pose. It must be hashable, because results are cached."""
 
     @property
     def shape(self) -> Any:
@@ -42,7 +43,7 @@ class PlacedShape(Protocol):
 
 
 class _Convex(NamedTuple):
-    """A convex solid with its bounding box."""
+    """A convex solid and its bounding box."""
 
     solid: Poly
     low: NDArray
@@ -54,14 +55,14 @@ _Tool = tuple[_Convex, NDArray]
 
 
 class _Cutter:
-    """Cutter of convex solids, with a limit on the number of cuts; it drops negligible parts."""
+    """Cuts convex solids, limits the number of cuts, and drops parts of negligible volume."""
 
     def __init__(self, size: float) -> None:
         self.slack, self.negligible = SLACK * size, LEAST_VOLUME * size**3
         self.cuts_left = float(MAX_CUTS)
 
     def subtract(self, solids: list[_Convex], tool: _Tool) -> list[_Convex]:
-        """Return the parts of convex solids that lie outside a convex one."""
+        """Return the parts of convex solids that lie outside a convex tool."""
         body, half = tool
         result: list[_Convex] = []
         for one in solids:
@@ -117,8 +118,8 @@ class _Cutter:
 
 
 _TOO_MANY = (
-    f"csg would fall into over {MAX_PIECES} convex pieces, or take over {MAX_CUTS} cuts: use fewer "
-    f"operands, or fewer sectors"
+    f"csg needs more than {MAX_PIECES} convex pieces, or more than {MAX_CUTS} cuts: use fewer "
+    f"operands or fewer sectors"
 )
 
 
@@ -135,10 +136,10 @@ def _convex(solid: Poly) -> _Convex:
 def decomposed(
     operation: Operation, operands: tuple[PlacedShape, ...], sectors: int
 ) -> tuple[Piece, ...]:
-    """Return the convex pieces of a boolean of shapes; they do not overlap.
+    """Return the convex pieces of a boolean combination of shapes; the pieces do not overlap.
 
     Raises:
-        ValueError: there would be more than MAX_PIECES, or more than MAX_CUTS cuts.
+        ValueError: the result needs more than MAX_PIECES pieces or more than MAX_CUTS cuts.
     """
     tools: list[list[_Tool]] = []
     for operand in operands:
@@ -153,8 +154,8 @@ def decomposed(
             result = cutter.common(result, group)
             continue
         if operation == "union":
-            # Only the part of a later operand outside the earlier ones is added, so pieces never
-            # overlap.
+            # Add only the part of this operand that lies outside the earlier ones, so that pieces
+            # never overlap.
             added = [body for body, _ in group]
             for body in result:
                 half = poly(polytope(body.solid.corners), pose())[1]
@@ -168,7 +169,7 @@ def decomposed(
 
 
 def convex_operands(operand: PlacedShape, sectors: int) -> list[_Tool]:
-    """Return an operand's convex pieces as polyhedra with their half-spaces [f, 4]."""
+    """Return an operand's convex pieces as polyhedra, each with its half-spaces [f, 4]."""
     pieces = operand.shape.pieces()
     _check_count(pieces)
     tools = []
@@ -188,7 +189,7 @@ def _faceted_piece(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
 
 
 def faceted(piece: Piece, sectors: int) -> NDArray:
-    """Return corners [n, 3] on the surface of a round piece, in its own frame [m]."""
+    """Return points on the surface of a round piece, in the piece's frame [m], shape [n, 3]."""
     angle = 2 * np.pi * np.arange(sectors) / sectors
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sectors)])
     if piece.kind == "cylinder":
@@ -210,7 +211,7 @@ def faceted(piece: Piece, sectors: int) -> NDArray:
 def boolean_surface(
     operation: Operation, operands: tuple[PlacedShape, ...]
 ) -> tuple[NDArray, NDArray]:
-    """Return the vertices [v, 3] m and triangles [f, 3] of manifold3d's boolean."""
+    """Return the vertices [m], shape [v, 3], and triangles [f, 3] that manifold3d computes."""
     mesh = _manifold(operation, operands).to_mesh64()
     vertices = np.array(mesh.vert_properties, float)[:, :3]
     return vertices, np.array(mesh.tri_verts, np.int64)
@@ -218,8 +219,8 @@ def boolean_surface(
 
 @lru_cache(maxsize=256)
 def count_bodies(operation: Operation, operands: tuple[PlacedShape, ...]) -> int:
-    """Count the connected components of a boolean of shapes."""
-    # A closed cavity is a body of negative volume.
+    """Return the number of connected components of a boolean combination of shapes."""
+    # manifold3d also returns closed cavities, as bodies of negative volume.
     bodies = _manifold(operation, operands).decompose()
     if len(bodies) < 2:
         return len(bodies)
@@ -227,7 +228,7 @@ def count_bodies(operation: Operation, operands: tuple[PlacedShape, ...]) -> int
     solid = [body for body in bodies if body.volume() > 1e-7 * whole]
     if len(solid) > MAX_BODIES:
         return len(solid)
-    # Faces that should touch may miss each other by rounding.
+    # Rounding may leave gaps between faces that should touch.
     near = SLACK * whole ** (1 / 3)
     group = list(range(len(solid)))
     for i, k in itertools.combinations(group, 2):

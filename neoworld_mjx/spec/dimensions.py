@@ -1,9 +1,9 @@
 """Physical dimensions of fields, and their scaling with the size of an object.
 
-Gravity and densities are constant, so time scales with sqrt(s) (Froude similarity): a quantity of
-dimension mass^a length^b time^c scales with s^(a m + b + c / 2), where m is 3 for a mass derived
-from volume and density, and 0 for an authored one. Every numeric field of a `ScalableSpec` declares
-its `Scaling` in its annotation.
+Gravity and densities are constant, so time scales with sqrt(s) (Froude similarity). A quantity of
+dimension mass^a length^b time^c scales with s^(a m + b + c / 2). The mass exponent m is 3 for a
+mass derived from volume and density, and 0 for an authored mass. Every numeric field of a
+`ScalableSpec` declares a `Scaling` in its annotation.
 """
 
 from collections.abc import Iterable
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 DERIVED_MASS, AUTHORED_MASS = 3.0, 0.0
-"""Exponents of s for masses."""
+"""Mass exponents m: powers of s with which masses scale."""
 
 
 class Dimension(NamedTuple):
-    """Exponents of mass, length and time in a quantity's unit."""
+    """Exponents of mass, length and time in the unit of a quantity."""
 
     mass: int = 0
     length: int = 0
@@ -23,14 +23,14 @@ class Dimension(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Properties of a joint that determine the scaling of its quantities; no joint by default."""
+    """Properties of a joint that determine how its quantities scale; the default is no joint."""
 
     mass: float = AUTHORED_MASS
-    """Exponent of s of the mass of the joint's child."""
+    """Mass exponent of the joint's child."""
     slides: bool = False
-    """True for a prismatic joint."""
+    """Whether the joint is prismatic."""
     leader_slides: bool = False
-    """True if the joint that it follows is prismatic."""
+    """Whether the leader, the joint that this joint mimics, is prismatic."""
 
 
 NO_JOINT = Motion()
@@ -38,17 +38,17 @@ NO_JOINT = Motion()
 
 @dataclass(frozen=True)
 class Scaling:
-    """Dimension of a field; metadata for `Annotated`."""
+    """Dimension of a field, given as metadata of `Annotated`."""
 
     turning: Dimension
-    """For turning joints, and for quantities without a joint."""
+    """Dimension for turning joints, and for quantities without a joint."""
     sliding: Dimension | None = None
-    """For prismatic joints; None if the same."""
+    """Dimension for prismatic joints; if None, `turning` applies to them."""
     per_leader: "Scaling | None" = None
-    """Quantity of the followed joint by which this one is divided."""
+    """Scaling of the leader's quantity by which this quantity is divided."""
 
     def exponent(self, motion: Motion = NO_JOINT) -> float:
-        """Return the exponent of s of the field."""
+        """Return the power of s with which the field scales."""
         dimension = self.sliding if motion.slides and self.sliding is not None else self.turning
         power = dimension.mass * motion.mass + dimension.length + dimension.time / 2
         if self.per_leader is not None:
@@ -58,25 +58,26 @@ class Scaling:
 
 
 UNSCALED = Scaling(Dimension())
-"""Ratios, directions, colours, counts, densities, authored masses; parts described at size 1."""
+"""Scaling of ratios, directions, colors, counts, densities and authored masses, and of operands
+that are described at size 1."""
 LENGTH = Scaling(Dimension(length=1))
 INERTIA = Scaling(Dimension(mass=1, length=2))
 POSITION = Scaling(Dimension(), sliding=Dimension(length=1))
 SPEED = Scaling(Dimension(time=-1), sliding=Dimension(length=1, time=-1))
 EFFORT = Scaling(Dimension(1, 2, -2), sliding=Dimension(1, 1, -2))
-"""Torque, or force."""
+"""Scaling of a torque or, for prismatic joints, of a force."""
 STIFFNESS = Scaling(Dimension(1, 2, -2), sliding=Dimension(1, 0, -2))
 DAMPING = Scaling(Dimension(1, 2, -1), sliding=Dimension(1, 0, -1))
 ARMATURE = Scaling(Dimension(1, 2, 0), sliding=Dimension(1, 0, 0))
 RATIO = Scaling(POSITION.turning, sliding=POSITION.sliding, per_leader=POSITION)
-"""Position of a joint per position of the one that it follows."""
+"""Scaling of the position of a joint divided by the position of its leader."""
 
 
 def declared_scaling(annotation: Any, metadata: Iterable[object] = ()) -> Scaling | None:
-    """Return the scaling in a field's annotation; None for a field that holds no numbers itself.
+    """Return the scaling that a field's annotation declares, or None for a field without numbers.
 
     Raises:
-        TypeError: a number has no `Scaling`, or numbers of one field have different ones.
+        TypeError: a number has no `Scaling`, or the numbers of the field have different ones.
     """
     scalings = _scalings(annotation, metadata)
     if None in scalings:

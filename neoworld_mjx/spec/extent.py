@@ -1,4 +1,4 @@
-"""Convex pieces of parts, and bounds of objects at a joint state."""
+"""Convex pieces of parts, and bounds of objects at given joint states."""
 
 from functools import lru_cache
 
@@ -13,7 +13,11 @@ from .pose import IDENTITY, Pose, pose
 
 
 def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
-    """List a part's convex pieces of `role` or "both", with their poses in the object's frame."""
+    """Return the convex pieces of a part's geoms with the given role or the role "both".
+
+    Returns:
+        The geom, the piece, and the pose of the piece in the object's frame, for each piece.
+    """
     return list(_placed_pieces(part, role))  # pyright: ignore[reportArgumentType] it has a hash
 
 
@@ -37,9 +41,9 @@ def bounds(
 
     Args:
         spec: the object.
-        joint_state: joint values; at rest by default.
-        tilt: rotation of the whole object.
-        role: "collision" or "visual" geoms.
+        joint_state: joint values [rad or m]; all joints are at zero by default.
+        tilt: rotation of the whole object about its origin.
+        role: role of the geoms that count, "collision" or "visual".
     """
     moved = link_poses(spec, joint_state or {})
     base = pose((0, 0, 0), tilt)
@@ -52,7 +56,7 @@ def bounds(
 
 
 def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
-    """Return the object with all positions shifted by `offset` [3] m."""
+    """Return the object with all positions shifted by `offset` [m], shape [3]."""
 
     def move(point: Vec3) -> Vec3:
         return tuple((np.array(point) + offset).tolist())
@@ -78,11 +82,11 @@ def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
 
 
 def recentred(spec: ObjectSpec) -> ObjectSpec:
-    """Return the object with its origin at the centre of the bounding box's bottom face."""
+    """Return the object with its origin at the center of the bounding box's bottom face."""
     low, high = bounds(spec)
     return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
 
 
 def part_bounds(spec: ObjectSpec, part: PartSpec) -> tuple[NDArray, NDArray]:
-    """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
+    """Return the bounds (low [3], high [3]) [m] of a part's colliders with all joints at zero."""
     return bounds(spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()}))

@@ -1,4 +1,4 @@
-"""Extrusion of any outline with holes, and the box with rounded edges."""
+"""Extrusion of an arbitrary outline with holes, and a box with rounded edges."""
 
 import math
 from functools import lru_cache
@@ -20,8 +20,8 @@ Loop = tuple[Point2, ...]
 class Extrusion(BaseShape):
     """An outline of (x, y) points with holes, extruded along z from -height/2 to height/2.
 
-    The outline need not be convex: a bracket, a letter, a panel with cut-outs. Pieces are convex
-    prisms that tile it exactly.
+    The outline need not be convex; examples are a bracket, a letter, and a panel with cut-outs. The
+    pieces are convex prisms that tile the shape exactly.
     """
 
     type: Literal["extrusion"] = "extrusion"
@@ -33,7 +33,7 @@ class Extrusion(BaseShape):
     def _simple(self) -> "Extrusion":
         loops = [np.array(loop) for loop in (self.outline, *self.holes)]
         if sum(len(loop) for loop in loops) > 512:
-            raise ValueError("an extrusion may have 512 points in all")
+            raise ValueError("an extrusion may have at most 512 points in all")
         kinds = ("outline", *(f"holes[{k}]" for k in range(len(self.holes))))
         for loop, kind in zip(loops, kinds, strict=True):
             if len(loop) < 3 or abs(polygon_area(loop)) < 1e-12:
@@ -56,7 +56,7 @@ class Extrusion(BaseShape):
         return self
 
     def tiles(self) -> tuple[Loop, ...]:
-        """Return convex polygons, counter-clockwise, that tile the outline without its holes."""
+        """Return counterclockwise convex polygons that tile the outline without the holes."""
         return _tiles(self.outline, self.holes)
 
     def build_pieces(self) -> list[Piece]:
@@ -64,7 +64,7 @@ class Extrusion(BaseShape):
         return [prism(np.array(tile), self.height) for tile in self.tiles()]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Triangulate both ends and join them."""
+        """Triangulate both ends, and join them by the side faces."""
         loops = _wound(self.outline, self.holes)
         flat = np.vstack(loops)
         n, h = len(flat), self.height / 2
@@ -86,14 +86,14 @@ class Extrusion(BaseShape):
         return (areas[0] - sum(areas[1:])) * self.height
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
         return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
 
 
 class RoundedBox(BaseShape):
-    """A box with full edge lengths, centred, its edges and corners rounded."""
+    """A centered box with rounded edges and corners; `size` holds full edge lengths."""
 
     type: Literal["rounded_box"] = "rounded_box"
     size: tuple[Length, Length, Length]
@@ -106,11 +106,11 @@ class RoundedBox(BaseShape):
         return self
 
     def build_pieces(self) -> list[Piece]:
-        """Return one convex piece; its corners lie on the rounded surface."""
+        """Return one convex piece, whose corners lie on the rounded surface."""
         return [polytope(self._points(2))]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Return the hull of more points than the collider has."""
+        """Return the convex hull of a finer set of points than that of the collider."""
         return hull(tuple(map(tuple, np.unique(self._points(6), axis=0).tolist())))
 
     def volume(self) -> float:
@@ -121,12 +121,12 @@ class RoundedBox(BaseShape):
         return slabs + math.pi * r**2 * (a + b + c) + 4 / 3 * math.pi * r**3
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return box_distance(rows(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)
-        # Mirrored sines and cosines, so that opposite corners match exactly.
+        # Sines are reversed cosines, so that opposite corners match exactly.
         c = np.cos(angle)
         c[-1] = 0.0
         s = c[::-1]
@@ -145,7 +145,7 @@ def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
     loops = _wound(outline, holes)
     flat = np.vstack(loops)
     polygons = [list(map(int, t)) for t in _triangles(loops)]
-    # Edges whose two polygons cannot be merged, until one of these changes.
+    # Edges whose two polygons cannot be merged unless one of the two polygons changes.
     refused: set[tuple[int, int]] = set()
     merged = True
     while merged:
@@ -186,14 +186,14 @@ def _convex(p: NDArray) -> bool:
 
 
 def _triangles(loops: list[NDArray]) -> NDArray:
-    """Triangulate an outline with holes: corners [f, 3], indexed over all loops."""
+    """Triangulate an outline with holes; return point indices [f, 3], counted over all loops."""
     import manifold3d
 
     return np.asarray(manifold3d.triangulate(loops))
 
 
 def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
-    """Return the loops [n, 2]: outline counter-clockwise, holes clockwise."""
+    """Return the outline counterclockwise, and the holes clockwise, as arrays [n, 2]."""
     wound = []
     for k, loop in enumerate((outline, *holes)):
         p = np.array(loop, float)
@@ -202,9 +202,10 @@ def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
 
 
 def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
-    """Return two edges that cross or touch, other than neighbours at their common corner, or None.
+    """Return the indices of two edges that cross or touch, or None if there are none.
 
-    An edge has the index of its first point, counted over all loops.
+    Neighboring edges may touch at their common corner. The index of an edge is the index of its
+    first point, counted over all loops.
     """
     a = np.vstack(loops)
     b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
@@ -221,7 +222,7 @@ def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
     )
     p, q, r, s = a[:, None], b[:, None], a[None], b[None]
     apart = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
-    # Parallel edges on one line are apart when their spans are.
+    # Edges on one line are apart if their spans are apart.
     spans = (np.maximum(p, q) < np.minimum(r, s)) | (np.maximum(r, s) < np.minimum(p, q))
     apart |= spans.any(axis=-1)
     near = np.zeros((n, n), bool)

@@ -1,4 +1,4 @@
-"""Finish of materials: metallic, roughness and pattern, explicit or derived from the name."""
+"""Finish of materials: metallic value, roughness and pattern, given or derived from the name."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -35,25 +35,25 @@ _PATTERNS: dict[str, PatternKind] = {
 UNKNOWN_ROUGHNESS = 0.5
 """Roughness of a material with an unknown name."""
 _MIN_AFFIX = 4
-"""Least length of a name that may be a prefix or suffix of a word, as in hardwood."""
+"""Smallest length of a substance that may be the start or end of a word, as in hardwood."""
 
 
 class Finish(NamedTuple):
-    """Appearance of a surface, apart from its colour and opacity."""
+    """Appearance of a surface, apart from color and opacity."""
 
     metallic: float
-    """From 0 to 1."""
+    """Metallic value from 0 to 1."""
     roughness: float
-    """From 0 to 1."""
+    """Roughness from 0 to 1."""
     pattern: SurfacePattern | None
-    """None if plain."""
+    """Pattern; None if the surface is plain."""
 
 
 def finish(material: Material) -> Finish:
-    """Return the finish of a material: its explicit values, and others derived from its name.
+    """Return the finish of a material; values that are not given are derived from its name.
 
-    The words of a name, separated by "_", identify the substance: "steel_b0b0b0", "dark_oak". The
-    longest match applies.
+    The words of a name, separated by "_", identify the substance, as in "steel_b0b0b0" and
+    "dark_oak". If several substances match, the longest one applies.
     """
     substance = _substance(material.name.lower())
     metallic, roughness = 0.0, UNKNOWN_ROUGHNESS

@@ -1,4 +1,4 @@
-"""Isotropic scale of an object that fits it to its parsed 3D box."""
+"""Isotropic scale that fits an object to its parsed 3D box."""
 
 from typing import NamedTuple
 
@@ -13,26 +13,26 @@ from .tree import PartState, TreeNode
 
 
 class BoxFit(NamedTuple):
-    """Scale of an object whose joints are as far open as in the photograph."""
+    """Scale that fits an object, with joints as far open as in the photograph, to its 3D box."""
 
     spec: ObjectSpec
     """The object before scaling."""
     state: dict[str, float]
     """Joint values [rad or m] before scaling; see `parsed_state`."""
     unmatched: list[PartState]
-    """Parsed parts that no joint of the object matches."""
+    """Parsed movable parts that match no joint of the object."""
     low: NDArray
-    """Lower corner of the object's bounds before scaling [3] m."""
+    """Lower corner of the object's bounds before scaling [m], shape [3]."""
     high: NDArray
-    """Upper corner [3] m."""
+    """Upper corner of the object's bounds before scaling [m], shape [3]."""
     ratio: NDArray
-    """Edge lengths of the box over those of the object [3]."""
+    """Edge lengths of the box divided by the edge lengths of the object's bounds, shape [3]."""
     factor: float
     """Isotropic scale factor."""
 
     @property
     def bottom_center(self) -> NDArray:
-        """Center of the bottom face of the bounds before scaling [3] m."""
+        """Center of the bottom face of the bounds before scaling [m], shape [3]."""
         return np.array([*((self.low[:2] + self.high[:2]) / 2), self.low[2]])
 
     def scaled(self) -> tuple[ObjectSpec, dict[str, float]]:
@@ -43,8 +43,8 @@ class BoxFit(NamedTuple):
 def fit_to_box(spec: ObjectSpec, node: TreeNode) -> BoxFit:
     """Return the isotropic scale that fits an object to the 3D box of its node.
 
-    The factor is the geometric mean of the ratios of the three edges, which is the least-squares
-    fit in log space.
+    The factor is the geometric mean of the ratios of the three edges, that is, the least-squares
+    fit of the logarithms.
     """
     state, unmatched = parsed_state(spec, node)
     low, high = bounds(spec, state)

@@ -1,10 +1,13 @@
-"""Order and cycles of forests, given as a map from each name to its parent's."""
+"""Order and cycles of forests; a forest is a map from each name to the name of its parent."""
 
 from collections.abc import Mapping
 
 
 def parents_first(parents: Mapping[str, str | None]) -> list[str]:
-    """Return the names of an acyclic forest: parents first, otherwise in the given order."""
+    """Return the names of an acyclic forest, parents before children.
+
+    Otherwise, names keep the order of `parents`.
+    """
     ordered: dict[str | None, None] = {None: None}
     while len(ordered) <= len(parents):
         for name, parent in parents.items():
@@ -14,7 +17,10 @@ def parents_first(parents: Mapping[str, str | None]) -> list[str]:
 
 
 def name_on_cycle(parents: Mapping[str, str | None]) -> str | None:
-    """Return a name that is its own ancestor, or None; missing names have no parent."""
+    """Return a name on a cycle (a name that is its own ancestor), or None if there is no cycle.
+
+    Names that are not in `parents` have no parent.
+    """
     for start in parents:
         visited, name = {start}, parents[start]
         while name is not None:

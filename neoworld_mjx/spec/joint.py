@@ -20,7 +20,7 @@ def _is_empty(value: object) -> bool:
 
 
 class Mimic(ScalableSpec):
-    """A joint that follows another: q = multiplier * q_other + offset."""
+    """Relation of a joint to the joint that it follows: q = multiplier * q_other + offset."""
 
     joint: Name
     multiplier: Annotated[Number, RATIO] = 1.0
@@ -28,24 +28,27 @@ class Mimic(ScalableSpec):
 
 
 class Intent(ScalableSpec):
-    """Intended motion of a joint, which checks compare with the actual one; physics ignores it."""
+    """Intended motion of a joint. Checks compare it with the actual motion; physics ignores it."""
 
     type: JointType | None = None
     opens: Direction3 | None = None
-    """Initial direction of the child's motion when the joint leaves 0 in the positive sense."""
+    """Initial direction in which the child moves when the joint value increases from 0."""
     travel: Annotated[Positive, POSITION] | None = None
-    """Least useful range [rad or m]."""
+    """Smallest useful range [rad or m]."""
 
 
 class JointSpec(ScalableSpec):
-    """A joint from `parent` to `child`, with anchor and axis in the object's frame at rest.
+    """A joint from `parent` to `child`.
 
-    Units are rad, N m for turning joints and m, N for sliding ones. Positive motion turns or moves
-    the child by the right-hand rule about, or along, `axis`; by convention positive opens.
+    The anchor `pos` and the `axis` are in the object's frame with all joints at zero. Units are rad
+    and N m for turning joints, and m and N for sliding joints. Positive motion turns the child
+    about `axis` by the right-hand rule, or moves the child along `axis`. By convention, positive
+    motion opens.
 
-    A ball joint turns about `pos` in any direction, by at most `upper` away from rest; 0 is no
-    limit. It does not use axis, lower limit, effort, velocity and mimic. Its position is a rotation
-    vector in the object's axes, given as three values `<joint>.x`, `.y` and `.z` [rad].
+    A ball joint turns about `pos` in any direction. Its rotation angle is at most `upper`; if
+    `upper` is 0, the angle is unlimited. A ball joint does not use the axis, lower limit, effort,
+    velocity and mimic. Its position is a rotation vector along the object's axes, given as three
+    values `<joint>.x`, `<joint>.y` and `<joint>.z` [rad].
     """
 
     name: Name
@@ -65,8 +68,8 @@ class JointSpec(ScalableSpec):
     velocity: Annotated[Positive, SPEED] | None = None
     mimic: Mimic | None = None
     after: tuple[Name, ...] = Field(default=(), exclude_if=_is_empty)
-    """Joints that must be fully open whenever this one is away from 0, such as the door in front of
-    a rack. Checks test this; physics ignores it."""
+    """Prerequisites: joints that must be fully open whenever this joint is away from 0, such as the
+    door in front of a rack. Checks test the condition; physics ignores it."""
     intent: Intent | None = Field(default=None, exclude_if=_is_empty)
 
     @field_validator("axis")
@@ -83,7 +86,7 @@ class JointSpec(ScalableSpec):
         if self.type == "ball":
             if self.lower != 0.0 or not 0.0 <= self.upper <= math.pi:
                 raise ValueError(
-                    f"joint {self.name}: a ball turns from 0 to at most pi (upper 0: no limit), "
+                    f"joint {self.name}: a ball turns from 0 to at most pi (0 for no limit), "
                     f"got {self.lower} to {self.upper}"
                 )
             if (self.mimic, self.effort, self.velocity) != (None, None, None):
@@ -92,13 +95,14 @@ class JointSpec(ScalableSpec):
 
 
 def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None:
-    """Validate the joints in `after`.
+    """Validate the prerequisites of a joint, listed in `after`.
 
     Raises:
-        ValueError: one is unknown, has no limits, or is the joint itself.
+        ValueError: the joint is fixed or mimics another joint, or a prerequisite is unknown, has no
+            limits, mimics another joint, or has the joint itself as a prerequisite.
     """
     if joint.after and (joint.type == "fixed" or joint.mimic is not None):
-        raise ValueError(f"joint {joint.name}: what is fixed or follows another cannot wait")
+        raise ValueError(f"joint {joint.name}: a fixed or mimic joint cannot use after")
     waiting, visited = list(joint.after), set()
     while waiting:
         name = waiting.pop()
@@ -116,6 +120,6 @@ def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None
 
 
 def require_known(subject: str, name: str, valid: Collection[str]) -> None:
-    """Raise a ValueError that begins with `subject` if a name is not among the valid ones."""
+    """Raise a ValueError that begins with `subject` if `name` is not one of the valid names."""
     if name not in valid:
         raise ValueError(f"{subject}: {choices(name, sorted(valid))}")

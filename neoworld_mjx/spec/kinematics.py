@@ -1,4 +1,4 @@
-"""Kinematics of an object: positions of joints and links, and parts that move together."""
+"""Kinematics of an object: joint positions, link poses, and parts that move together."""
 
 from collections.abc import Mapping
 
@@ -13,10 +13,14 @@ _AT_REST = pose()
 
 
 def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, Pose]:
-    """Return the displacement of each part from rest at `joint_state` [rad or m].
+    """Return the displacement of each part from its pose with all joints at zero.
 
-    Joints not named are at 0; a mimic joint follows its leader. Displacements are transforms in the
-    object's frame.
+    Displacements are transforms in the object's frame.
+
+    Args:
+        spec: the object.
+        joint_state: joint values [rad or m]. Joints that are not listed are at 0; a mimic joint
+            follows its leader.
     """
     values = {joint.name: joint_position(spec, joint, joint_state) for joint in spec.joints}
     moved: dict[str, Pose] = {}
@@ -31,7 +35,7 @@ def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, 
 
 
 def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]) -> float:
-    """Return the position of a joint, following mimics [rad or m]."""
+    """Return the position of a joint [rad or m]; a mimic joint follows its leader."""
     visited = set()
     factor, offset = 1.0, 0.0
     while joint.mimic is not None and joint.name not in visited:
@@ -49,7 +53,7 @@ def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
 
 
 def joint_keys(joint: JointSpec) -> tuple[str, ...]:
-    """Return a joint's keys in a joint state: NAME; of a ball joint NAME.x, NAME.y and NAME.z."""
+    """Return a joint's keys in a joint state: NAME or, for a ball, NAME.x, NAME.y and NAME.z."""
     if joint.type == "ball":
         return tuple(f"{joint.name}.{axis}" for axis in "xyz")
     return (joint.name,)
@@ -58,14 +62,20 @@ def joint_keys(joint: JointSpec) -> tuple[str, ...]:
 def joint_position(
     spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]
 ) -> float | Vec3:
-    """Return the position of a joint, following mimics: one value, or a ball's rotation vector."""
+    """Return the position of a joint [rad or m]: one value or, for a ball, a rotation vector.
+
+    A mimic joint follows its leader.
+    """
     if joint.type == "ball":
         return ball_vector(joint, joint_state)
     return joint_value(spec, joint, joint_state)
 
 
 def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
-    """Return the displacement of the child by a joint at `value`, in the object's rest frame."""
+    """Return the displacement of a joint's child at joint position `value`, in the object's frame.
+
+    Other joints are at zero.
+    """
     if isinstance(value, tuple):
         angle = float(np.linalg.norm(value))
         turn = from_axis_angle(value, angle) if angle > 0.0 else None
@@ -81,7 +91,7 @@ def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
 
 
 def welded(spec: ObjectSpec) -> dict[str, str]:
-    """Map each part to the root of its group of parts connected by fixed joints."""
+    """Map each part to the root of the group of parts to which fixed joints connect it."""
     group: dict[str, str] = {}
     for part, joint in spec.ordered:
         rigid = joint is not None and joint.type == "fixed"
@@ -90,7 +100,7 @@ def welded(spec: ObjectSpec) -> dict[str, str]:
 
 
 def followers(spec: ObjectSpec, joint: JointSpec) -> set[str]:
-    """Return the names of the joints that follow a joint (mimic), directly or not."""
+    """Return the names of the joints that mimic a joint, directly or through other joints."""
     leaders = {joint.name}
     for _ in spec.joints:
         leaders |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in leaders}
@@ -108,6 +118,6 @@ def moving_parts(spec: ObjectSpec, joint: JointSpec) -> set[str]:
 
 
 def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
-    """Return the object with the joint of the same name replaced."""
+    """Return the object with the joint of the same name replaced by `joint`."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})

@@ -1,4 +1,4 @@
-"""Lathe: a profile revolved about z, solid or as a shell with an even wall."""
+"""Lathe: a profile revolved about z, either a solid or a shell with a wall of even thickness."""
 
 import math
 from typing import Annotated, Literal
@@ -16,19 +16,21 @@ from .pose import ArrayLike
 from .triangles import SECTORS, revolved
 
 FACETS = 64
-"""Largest number of facets of a piece of joined bands, as in pieces of other shapes."""
+"""Largest number of facets of a piece of joined bands."""
 
 
 class Lathe(BaseShape):
     """A profile of (r, z) points revolved about z.
 
-    With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
-    wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
-    profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid and for
-    the part of a shell below its flat inner floor, wedges for each band above. Their corners lie on
-    the true surface of revolution, so along a circle of radius r they stay within
-    e = r (1 - cos(pi / sectors)) of it. Neighbouring bands are joined into one piece if its section
-    exceeds theirs by at most e / 2 and a quarter of the wall.
+    With `thickness`, the profile is the outer face of a shell, such as a cup, a bowl or a saucer.
+    The profile runs from the foot to the rim, and the wall lies to its left, that is, inwards and
+    upwards. Without `thickness`, the profile bounds a solid, and z must not decrease.
+
+    A solid, and the part of a shell below a flat inner floor, consist of frusta. Each band of a
+    shell above the floor consists of wedges. The corners of these convex pieces lie on the true
+    surface of revolution. Along a circle of radius r, pieces stay within
+    e = r (1 - cos(pi / sectors)) of the surface. Neighboring bands are joined into one piece if the
+    section of the piece exceeds the bands by at most e / 2 and at most a quarter of the wall.
     """
 
     type: Literal["lathe"] = "lathe"
@@ -36,7 +38,8 @@ class Lathe(BaseShape):
     thickness: Length | None = None
     sectors: Sectors = 16
     oval: Annotated[float, Field(ge=0.05, le=20.0, allow_inf_nan=False), UNSCALED] = 1.0
-    """Size along y over size along x: the whole shape, wall included, is stretched along y."""
+    """Ratio of the size along y to the size along x. The shape, including the wall, is stretched
+    along y."""
 
     @model_validator(mode="after")
     def _sane(self) -> "Lathe":
@@ -60,7 +63,7 @@ class Lathe(BaseShape):
         return self
 
     def inner(self) -> NDArray:
-        """Return the inner face of the shell, the offset profile, shape [len(profile), 2]."""
+        """Return the offset profile, the inner face of the shell, shape [len(profile), 2]."""
         p = np.array(self.profile)
         d = np.diff(p, axis=0)
         n = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1, keepdims=True)
@@ -73,7 +76,7 @@ class Lathe(BaseShape):
         return q
 
     def build_pieces(self) -> list[Piece]:
-        """Return frusta (solid) or a disc and wedges (shell)."""
+        """Return frusta for a solid, or wedges and bottom pieces for a shell."""
         turn = 2 * np.pi / self.sectors
         pieces = []
         for piece, repeats in self.distinct_pieces():
@@ -87,7 +90,7 @@ class Lathe(BaseShape):
         return pieces
 
     def distinct_pieces(self) -> list[tuple[Piece, int]]:
-        """Return the pieces up to rotations about z, with the number of repeats of each.
+        """Return the pieces up to rotation about z, each with the number of times it is repeated.
 
         A repeated piece is the wedge that spans the angles from 0 to 2 pi / sectors.
         """
@@ -98,15 +101,15 @@ class Lathe(BaseShape):
         q = self.inner()
         floor = self.floor()
         if floor is not None:
-            # Heights within rounding of the floor's are set to it, so that a scaled copy, which
-            # differs in the last bits, has the same pieces.
+            # Set heights within rounding error of the floor to the floor, so that a scaled copy,
+            # which differs in the last bits, has the same pieces.
             for points in (p, q):
                 points[np.abs(points[:, 1] - floor[1]) < self._rounding(), 1] = floor[1]
         quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
         pieces = []
         if floor is not None:
-            # One stack of frusta below the inner floor, so that a shell stands on a single piece
-            # instead of every wedge.
+            # Below the inner floor, use one stack of frusta, so that the shell stands on a single
+            # piece instead of on every wedge.
             pieces = self._frusta(np.array([*(c for c in p[1:] if c[1] < floor[1]), floor]))
             quads = [_above(quad, floor[1]) for quad in quads[1:]]
         elif p[0, 0] == 0 and p[0, 1] == p[1, 1]:
@@ -119,7 +122,7 @@ class Lathe(BaseShape):
         return pieces
 
     def _frusta(self, chain: NDArray) -> list[tuple[Piece, int]]:
-        """Return the solid below a chain of (r, z) corners whose z does not decrease."""
+        """Return the pieces of the solid inside a chain of (r, z) corners; z must not decrease."""
         angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
         bands = [
             np.array([a, b, [0.0, b[1]], [0.0, a[1]]])
@@ -131,7 +134,7 @@ class Lathe(BaseShape):
         return [(polytope(np.vstack(stack)), 1) for stack in stacks]
 
     def _joined(self, bands: list[NDArray], limit: int) -> list[NDArray]:
-        """Join up to `limit` neighbouring convex (r, z) polygons each; return their corners."""
+        """Join runs of up to `limit` neighboring convex (r, z) polygons; return their corners."""
         runs: list[list[NDArray]] = []
         for band in bands:
             if runs:
@@ -145,7 +148,11 @@ class Lathe(BaseShape):
         return [np.vstack(run) for run in runs]
 
     def floor(self) -> NDArray | None:
-        """Return the outer face's (r, z) at the height of a flat inner floor, None without one."""
+        """Return the outer face's (r, z) at the height of the flat inner floor, or None.
+
+        Return None if there is no flat inner floor, or if the outer face does not rise steadily
+        from the foot to the height of the floor.
+        """
         p = np.array(self.profile)
         if self.thickness is None or p[0, 0] > 0 or p[0, 1] != p[1, 1]:
             return None
@@ -158,7 +165,7 @@ class Lathe(BaseShape):
         return np.array([a[0] + share * (b[0] - a[0]), top])
 
     def _rounding(self) -> float:
-        """Return a negligible height [m] relative to the wall."""
+        """Return a height [m] that is negligible compared with the wall thickness."""
         return 1e-6 * (self.thickness or 0.0)
 
     def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
@@ -167,8 +174,9 @@ class Lathe(BaseShape):
         return np.column_stack([r * np.cos(angles), y, np.full(len(angles), z)])
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Revolve the section, more finely than the colliders."""
-        # A multiple of the colliders' sectors, so that their corners lie on the surface's.
+        """Revolve the section, with more sectors than the colliders have."""
+        # Use a multiple of the colliders' sectors, so that corners of the colliders are corners of
+        # the surface.
         sectors = self.sectors * math.ceil(SECTORS / self.sectors)
         vertices, faces = revolved(self.section(), sectors, closed=self.is_ring())
         return vertices * [1.0, self.oval, 1.0], faces
@@ -182,25 +190,25 @@ class Lathe(BaseShape):
         return 2 * math.pi * abs(float(moment)) * self.oval
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return distances, exact unless the shape is oval."""
+        """Return signed distances; they are exact unless the shape is oval."""
         if self.oval != 1.0:
             return super().signed_distance(points)
         p, chain = rows(points), self.section()
         flat = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
         if self.is_ring():
             return loops_distance(flat, [chain])
-        # The edge along the axis closes the outline, but is not part of the surface.
+        # The edge along the axis closes the outline but is not part of the surface.
         inside = inside_edges(flat, chain, np.roll(chain, -1, axis=0))
         return edges_distance(flat, chain[:-1], chain[1:]) * np.where(inside, -1.0, 1.0)
 
     def is_ring(self) -> bool:
-        """Return whether the section is a loop apart from the axis."""
+        """Return whether the section is a closed loop that does not touch the axis."""
         return self.thickness is not None and self.profile[0][0] > 0
 
     def section(self) -> NDArray:
-        """Return the chain of (r, z) corners [n, 2] m that bounds the section.
+        """Return the chain of (r, z) corners that bounds the section [m], shape [n, 2].
 
-        It begins and ends on the axis, or is a loop for a ring.
+        The chain begins and ends on the axis. For a ring, it is a closed loop.
         """
         profile = np.array(self.profile)
         if self.thickness is None:
@@ -240,7 +248,7 @@ def _above(polygon: NDArray, z: float) -> NDArray:
 
 
 def _first(flags: NDArray) -> int | None:
-    """Return the index of the first True, None if there is none."""
+    """Return the index of the first True, or None if all flags are False."""
     return int(np.argmax(flags)) if flags.any() else None
 
 

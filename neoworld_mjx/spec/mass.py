@@ -1,4 +1,4 @@
-"""Mass properties of parts: authored, or summed over collision pieces."""
+"""Mass properties of parts, authored or summed over collision pieces."""
 
 from functools import lru_cache
 from typing import Any
@@ -18,18 +18,18 @@ class Inertial(Spec):
     """Mass properties of a part in the object's frame."""
 
     mass: float
-    """[kg]"""
+    """Mass [kg]."""
     pos: Vec3
-    """Centre of mass [m]."""
+    """Center of mass [m]."""
     quat: Quat
-    """Principal axes."""
+    """Orientation of the principal axes, (w, x, y, z)."""
     diagonal: Vec3
-    """Principal moments [kg m^2]."""
+    """Principal moments of inertia about the center of mass [kg m^2]."""
 
 
 LEAST_KG, LEAST_KG_M2 = 1e-9, 1e-14
-"""Least mass and principal moment of a part; MuJoCo rejects values below 1e-15, and the search may
-shrink objects."""
+"""Smallest mass and principal moment of a part. MuJoCo rejects values below 1e-15; the margin is
+for objects that the search shrinks."""
 
 
 def is_too_light(inertial: Inertial) -> bool:
@@ -41,7 +41,7 @@ def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
     """Return a part's mass properties: authored, or summed over its collision pieces."""
     used = {geom.material for geom in part.geoms}
     densities = {material.name: material.density for material in spec.materials}
-    # Without the other parts, as each look into the cache compares all of its key.
+    # The key of the cache contains only this part, because a lookup compares the whole key.
     return _cached(part, tuple(sorted((name, densities[name]) for name in used)))
 
 
@@ -81,8 +81,8 @@ _cached: Any = lru_cache(maxsize=512)(_summed)
 
 def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     size = float(np.trace(tensor)) or 1.0
-    # Rounded, so that a scaled copy, whose tensor differs in the last bits, has the same axes even
-    # for symmetric objects.
+    # Round, so that a scaled copy, whose tensor differs in the last bits, has the same axes even if
+    # the object is symmetric.
     unit = np.round(tensor / size, 10)
     if np.allclose(unit, np.diag(np.diag(unit)), atol=1e-9):
         return np.diag(tensor).copy(), IDENTITY
@@ -96,9 +96,10 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
 
 
 def inertia_about(joint: JointSpec, child: Inertial) -> float:
-    """Return the inertia of a joint's child about the axis [kg m^2], or its mass [kg] for a slide.
+    """Return the inertia [kg m^2] that a joint moves or, for a prismatic joint, the mass [kg].
 
-    The inertia for a ball joint is that about the child's principal axis of largest moment.
+    The inertia is that of the child about the joint's axis. For a ball joint, the moment about the
+    center of mass is the child's largest principal moment.
     """
     if joint.type == "prismatic":
         return child.mass

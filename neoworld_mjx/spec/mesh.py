@@ -1,4 +1,4 @@
-"""A triangle mesh, from imported files, with its convex pieces."""
+"""A triangle mesh from an imported file, with its convex pieces."""
 
 from typing import Annotated, Literal
 
@@ -13,14 +13,16 @@ from .dimensions import UNSCALED
 
 MAX_VERTICES, MAX_HULLS = 200_000, 512
 UNKNOWN, HELPER = "unknown", "helper"
-"""Prefixes of the material names of imported objects: UNKNOWN for materials whose file states no
-density, HELPER for the small spheres that replace links without geometry."""
+"""Prefixes of material names of imported objects. UNKNOWN marks a material whose density the file
+does not state; HELPER marks the material of the small sphere that replaces a link without geometry.
+"""
 
 
 class Mesh(BaseShape):
-    """Visible triangles, with convex hulls that collide and carry the mass.
+    """Visible triangles, and convex hulls that collide and determine the mass.
 
-    Without hulls the convex hull of all vertices is the collider. The surface need not be closed.
+    If there are no hulls, the collider is the convex hull of all vertices. The surface need not be
+    closed.
     """
 
     type: Literal["mesh"] = "mesh"

@@ -1,8 +1,8 @@
-"""The description of one object as parts, joints and materials; the output of object programs.
+"""The description of one object as parts, joints and materials, which object programs return.
 
-All coordinates are in the object's frame at rest (all joints at 0): origin at the centre of the
-bounding box's bottom face, +x its front, +z up. Part geometry, joint anchors and axes share this
-frame.
+All coordinates, including part geometry, joint anchors and joint axes, are in the object's frame
+with all joints at zero. The origin is the center of the bounding box's bottom face; +x points to
+the front, and +z points up.
 """
 
 from typing import Annotated, Literal
@@ -29,7 +29,7 @@ from .shapes import Shape
 from .surface_pattern import Share, SurfacePattern
 
 OPAQUE_ALPHA = 0.99
-"""Least opacity of an opaque material."""
+"""Smallest opacity of an opaque material."""
 
 Role = Literal["both", "visual", "collision"]
 
@@ -39,26 +39,27 @@ class Material(ScalableSpec):
 
     name: Name
     density: Annotated[float, Field(gt=0, le=30000), UNSCALED]
-    """[kg/m^3]"""
+    """Density [kg/m^3]."""
     friction: Annotated[float, Field(ge=0, le=10), UNSCALED] = 0.5
     """Sliding friction coefficient."""
     rgba: Annotated[tuple[Share, Share, Share, Share], UNSCALED] = (0.7, 0.7, 0.7, 1.0)
     pattern: SurfacePattern | None = Field(default=None, exclude_if=lambda value: value is None)
-    """None derives the pattern from the name (`finish`): grain for wood, plain for most others."""
+    """Pattern; if None, `finish` derives the pattern from the name (grain for wood, and plain for
+    most other materials)."""
     metallic: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None derives it from the name."""
+    """Metallic value from 0 to 1; if None, it is derived from the name."""
     roughness: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None derives it from the name."""
+    """Roughness from 0 to 1; if None, it is derived from the name."""
     photo: PhotoPrint | None = Field(default=None, exclude_if=lambda value: value is None)
     """Print of the photograph, which replaces the pattern."""
 
     @property
     def see_through(self) -> bool:
-        """True if the material is not opaque."""
+        """Whether the material is transparent."""
         return self.rgba[3] < OPAQUE_ALPHA
 
 
@@ -71,7 +72,7 @@ class GeomSpec(ScalableSpec):
     quat: Rotation = IDENTITY
     material: Name
     role: Role = "both"
-    """Visual, collision, or both; only "both" and "collision" geoms have mass."""
+    """Whether the geom is visible, collides, or both. Only geoms that collide have mass."""
 
     @field_validator("quat")
     @classmethod
@@ -86,18 +87,19 @@ class GeomSpec(ScalableSpec):
 class AuthoredInertia(ScalableSpec):
     """Centre of mass and inertia of a part, in place of those that follow from its volume."""
 
-    # The docstring is part of a schema sent to models (verify.critic), and tapes depend on it.
-    # Checks report numbers that no body can have. The mass is authored, so moments scale with s^2.
+    # The docstring is part of a request schema (verify.critic), to which recorded responses (tapes)
+    # are bound. Checks report moments that no rigid body can have. The mass is authored, so moments
+    # scale with s^2.
 
     pos: Point3
-    """Centre of mass in the object's frame at rest [m]."""
+    """Center of mass in the object's frame with all joints at zero [m]."""
     moments: Annotated[Vec3, INERTIA]
-    """ixx, iyy, izz about it, along the object's axes [kg m^2]."""
+    """Moments ixx, iyy, izz about the center of mass, along the object's axes [kg m^2]."""
     products: Annotated[Vec3, INERTIA] = (0.0, 0.0, 0.0)
-    """ixy, ixz, iyz [kg m^2]."""
+    """Products ixy, ixz, iyz about the center of mass [kg m^2]."""
 
     def tensor(self) -> NDArray:
-        """Return the inertia about the centre of mass [3, 3] kg m^2."""
+        """Return the inertia tensor about the center of mass [kg m^2], shape [3, 3]."""
         (a, b, c), (d, e, f) = self.moments, self.products
         return np.array([[a, d, e], [d, b, f], [e, f, c]])
 
@@ -108,9 +110,11 @@ class PartSpec(ScalableSpec):
     name: Name
     geoms: tuple[GeomSpec, ...] = Field(min_length=1)
     mass: Annotated[float, Field(gt=0), UNSCALED] | None = None
-    """Authored mass [kg], which rescaling keeps; None derives it from volume and density."""
+    """Authored mass [kg], which does not change with scale; if None, the mass is derived from
+    volume and density."""
     inertia: AuthoredInertia | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Authored centre of mass and inertia, with an authored mass; None derives them from volume."""
+    """Authored center of mass and inertia, which require an authored mass; if None, both are
+    derived from the geoms."""
 
     @model_validator(mode="after")
     def _whole(self) -> "PartSpec":
@@ -151,7 +155,7 @@ class ObjectSpec(ScalableSpec):
             for geom in part.geoms:
                 require_known(f"geom {geom.name}: material", geom.material, materials)
             if all(geom.role == "visual" for geom in part.geoms):
-                raise ValueError(f"part {part.name} has no geom that collides")
+                raise ValueError(f"part {part.name} has no collision geom")
         by_name = {joint.name: joint for joint in self.joints}
         parents: dict[str, str] = {}
         for joint in self.joints:
@@ -185,7 +189,10 @@ class ObjectSpec(ScalableSpec):
 
     @property
     def ordered(self) -> tuple[tuple[PartSpec, JointSpec | None], ...]:
-        """Parts with the joint of each, parents before children, otherwise in the given order."""
+        """Parts, each with the joint to its parent, or None for the root.
+
+        Parents come before their children. Otherwise, parts keep the given order.
+        """
         parts = {part.name: part for part in self.parts}
         joints = {joint.child: joint for joint in self.joints}
         parents = {name: joints[name].parent if name in joints else None for name in parts}
@@ -204,7 +211,7 @@ class ObjectSpec(ScalableSpec):
         return next(joint for joint in self.joints if joint.name == name)
 
     def joint_motion_scaling(self, joint: JointSpec) -> Motion:
-        """Return the properties that determine the scaling of a joint's quantities."""
+        """Return the properties that determine how a joint's quantities scale."""
         leader = joint if joint.mimic is None else self.joint(joint.mimic.joint)
         return Motion(
             mass=mass_exponent(self.part(joint.child)),
@@ -218,12 +225,12 @@ class ObjectSpec(ScalableSpec):
         return super().scaled(s, motion).model_copy(update={"joints": joints})
 
     def to_json(self) -> str:
-        """Serialize deterministically."""
+        """Return the object as JSON; equal objects give equal strings."""
         return self.model_dump_json(indent=1) + "\n"
 
 
 def mass_exponent(part: PartSpec) -> float:
-    """Return the exponent of s of the part's mass."""
+    """Return the mass exponent of a part: the power of s with which its mass scales."""
     return DERIVED_MASS if part.mass is None else AUTHORED_MASS
 
 

@@ -1,4 +1,4 @@
-"""Opening of joints: parsed openings, prerequisite joints, and the direction of opening."""
+"""Opening of joints: parsed openings, prerequisites, and the direction of opening."""
 
 import numpy as np
 
@@ -10,7 +10,10 @@ from .tree import PartState, TreeNode
 
 
 def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
-    """Return the joint of a parsed part: by name, or the only one of its kind."""
+    """Return the joint that matches a parsed part by name or, otherwise, the only one of its kind.
+
+    Return None if no joint matches, or if several joints have this kind.
+    """
     # A ball joint has no open position.
     moving = [j for j in spec.joints if j.type not in ("fixed", "ball") and j.mimic is None]
     for joint in moving:
@@ -21,10 +24,10 @@ def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
 
 
 def opening_value(joint: JointSpec, opening: float) -> float:
-    """Return the position of a joint opened by a share of its range [rad or m].
+    """Return the position [rad or m] of a joint that is open by a fraction of its range.
 
-    The closed position is 0, or the limit nearest to 0; the open position is the limit farthest
-    from it. The range of a continuous joint is one revolution.
+    The closed position is the position within the limits that is nearest to 0. The open position is
+    the limit farthest from the closed position. The range of a continuous joint is one revolution.
     """
     if joint.type == "continuous":
         return float(2 * np.pi * opening)
@@ -34,16 +37,16 @@ def opening_value(joint: JointSpec, opening: float) -> float:
 
 
 def opening_share(joint: JointSpec, value: float) -> float:
-    """Return the share of its range, from 0 to 1, by which a joint is open at a position.
+    """Return the fraction of its range, from 0 to 1, by which a joint at a position is open.
 
-    The inverse of `opening_value`, clipped to the range.
+    This is the inverse of `opening_value`, clipped to the range.
     """
     span = opening_value(joint, 1.0) - opening_value(joint, 0.0)
     return float(np.clip((value - opening_value(joint, 0.0)) / span, 0.0, 1.0)) if span else 0.0
 
 
 def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], list[PartState]]:
-    """Return the parsed joint values [rad or m], and the parsed parts without a joint."""
+    """Return the parsed joint values [rad or m], and the parsed parts that match no joint."""
     state: dict[str, float] = {}
     unmatched = []
     for part in node.articulation:
@@ -56,7 +59,7 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
 
 
 def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
-    """Return the positions [rad or m] of the prerequisites of a joint, recursively."""
+    """Return the open positions [rad or m] of all direct and indirect prerequisites of a joint."""
     by_name = {other.name: other for other in spec.joints}
     state: dict[str, float] = {}
     waiting = list(joint.after)
@@ -71,12 +74,13 @@ def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
 def with_prerequisites(
     spec: ObjectSpec, state: dict[str, float], *, opening: bool
 ) -> dict[str, float]:
-    """Return a state in which every joint away from 0 has its prerequisites open.
+    """Return a state in which the prerequisites of every joint away from 0 are open.
 
     Args:
         spec: the object.
         state: joint values [rad or m].
-        opening: True opens missing prerequisites; False returns the joint to 0.
+        opening: if True, open the prerequisites of such a joint; if False, move the joint to 0
+            unless its prerequisites are open.
     """
     state = dict(state)
     waiting = [joint for joint in spec.joints if joint.after]
@@ -92,14 +96,16 @@ def with_prerequisites(
 
 
 MIN_TRAVEL = 0.15
-"""Least displacement of a part's centre, relative to its farthest point, that has a direction."""
+"""Smallest displacement of a turning part's center that defines a direction, relative to the
+displacement of a point whose distance from the axis is half the diagonal of the bounding box."""
 
 
 def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
-    """Return the cosine between a child's initial displacement and its intended direction.
+    """Return the cosine between the initial displacement of a joint's child and `intent.opens`.
 
-    The displacement is that of its bounding box's centre over the first tenth of its range; None if
-    the axis passes through that centre.
+    The displacement is that of the center of the child's bounding box if the joint moves by a tenth
+    of its range, but at most by 0.1 rad or 0.1 m. Return None if the joint's axis passes near this
+    center.
     """
     low, high = part_bounds(spec, spec.part(joint.child))
     width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower

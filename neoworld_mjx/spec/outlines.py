@@ -6,17 +6,23 @@ from numpy.typing import NDArray
 from .triangles import DISTANCE_CHUNK
 
 LID_POINTS = 17
-"""Number of points along each edge of a hull at which its distance to the polygons is measured."""
+"""Number of points along each edge of a hull at which the distance to the polygons is measured."""
 
 
 def box_distance(p: NDArray, half: NDArray) -> NDArray:
-    """Return the distances [n] of points [n, 3] to a centred box of half edges [3]."""
+    """Return the distances [n] of points [n, 3] to a centered box with half edge lengths [3]."""
     q = np.abs(p) - half
     return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
 
 
 def extruded_distance(flat: NDArray, z: NDArray, half: float) -> NDArray:
-    """Combine distances to an outline in the plane with those to the two ends at z = +-half."""
+    """Return distances to an extrusion, given distances to its outline in the plane.
+
+    Args:
+        flat: signed distances of the points to the outline [n].
+        z: heights of the points [n].
+        half: half the height of the extrusion, whose ends are at z = +-half.
+    """
     over = np.abs(z) - half
     outside = np.hypot(np.maximum(flat, 0.0), np.maximum(over, 0.0))
     return outside + np.minimum(np.maximum(flat, over), 0.0)
@@ -30,7 +36,7 @@ def loops_distance(p: NDArray, loops: list[NDArray]) -> NDArray:
 
 
 def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Return the distances [n] of points [n, 2] to edges from a to b, both [e, 2]."""
+    """Return the distances [n] of points [n, 2] to the nearest of the edges from a to b [e, 2]."""
     edge = b - a
     length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
     best = np.full(len(p), np.inf)
@@ -44,7 +50,10 @@ def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
 
 
 def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Return a mask of points [n, 2] inside closed edges, by the parity of edges to their right."""
+    """Return a mask [n] of the points [n, 2] that lie inside closed loops of edges.
+
+    A point lies inside if the number of edges to its right is odd.
+    """
     x, y = p[:, :1], p[:, 1:]
     crosses = (a[:, 1] > y) != (b[:, 1] > y)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -53,7 +62,7 @@ def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
 
 
 def hull_excess(polygons: list[NDArray]) -> float:
-    """Return the largest distance between neighbouring polygons [n, 2] and their convex hull."""
+    """Return the largest distance between neighboring polygons [n, 2] and their convex hull."""
     from scipy.spatial import ConvexHull
 
     corners = np.vstack(polygons)
@@ -67,6 +76,6 @@ def hull_excess(polygons: list[NDArray]) -> float:
 
 
 def polygon_area(p: NDArray) -> float:
-    """Return the area of a polygon [n, 2], positive if it runs counter-clockwise."""
+    """Return the area of a polygon [n, 2], positive if its corners run counterclockwise."""
     q = np.roll(p, -1, axis=0)
     return float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2)

@@ -15,19 +15,22 @@ Row = Annotated[Vec3, PER_LENGTH]
 class PhotoPrint(ScalableSpec):
     """A window of the photograph, projected onto the surfaces that its camera saw.
 
-    A point p of the object's frame at rest [m] lies at (turn p + shift) = (u w, v w, w): u to the
-    right and v down in the window, both from 0 to 1, and w its depth. The camera saw the point if w
-    equals the window's depth there. The colours include the lighting of the photograph.
+    A point p in the object's frame with all joints at zero [m] has the window coordinates u and v
+    and the depth w, where turn p + shift = (u w, v w, w). In the window, u points to the right and
+    v points down, both from 0 to 1. The camera saw the point if w equals the depth of the window at
+    (u, v). The colors include the lighting of the photograph.
     """
 
     image: Encoded
-    """Window of the photograph: PNG in base64; inpainted where others occluded the object."""
+    """Window of the photograph, as base64 of a PNG; inpainted where other objects occluded the
+    object."""
     depth: Encoded
-    """Depths: PNG of 16 bits in base64; 0 where not visible, otherwise near to far."""
+    """Depths, as base64 of a 16-bit PNG: 0 where the object is not visible, otherwise 1 (near) to
+    65535 (far)."""
     near: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
-    """Depth that the value 1 encodes [m of the photographed scene]."""
+    """Depth that the value 1 encodes [m], in the photographed scene; scaling does not change it."""
     far: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
-    """Depth that the value 65535 encodes."""
+    """Depth that the value 65535 encodes [m]."""
     turn: tuple[Row, Row, Row]
-    """[1/m]"""
+    """Matrix of the projection, by rows [1/m]."""
     shift: Annotated[Vec3, UNSCALED]

@@ -1,4 +1,7 @@
-"""Rotations and rigid poses in NumPy: quaternions are (w, x, y, z), float64, shape [..., 4]."""
+"""Rotations and rigid poses in NumPy.
+
+Quaternions are (w, x, y, z), float64, shape [..., 4].
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -7,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 ArrayLike = NDArray | Sequence[Any] | float
-"""Input of np.asarray; NumPy's own ArrayLike cannot be checked at run time."""
+"""Input of `np.asarray`. The ArrayLike of NumPy cannot be checked at run time."""
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 SINGLE_ROUNDING = 2e-7
-"""Angle [rad] that single precision does not resolve."""
+"""Largest angle [rad] that single precision does not resolve."""
 
 
 class Pose(NamedTuple):
@@ -20,30 +23,30 @@ class Pose(NamedTuple):
     pos: NDArray
     """Translation [m], shape [3]."""
     quat: NDArray
-    """Unit quaternion, w first, shape [4]."""
+    """Unit quaternion (w, x, y, z), shape [4]."""
 
     def apply(self, points: ArrayLike) -> NDArray:
         """Transform points [m], shape [..., 3]."""
         return rotate(self.quat, points) + self.pos
 
     def then(self, inner: "Pose") -> "Pose":
-        """Return the composition that applies `inner` first."""
+        """Return the composition of both transforms, which applies `inner` first."""
         return Pose(self.apply(inner.pos), quat_mul(self.quat, inner.quat))
 
     def inverse(self) -> "Pose":
-        """Invert the transform."""
+        """Return the inverse transform."""
         back = conjugate(self.quat)
         return Pose(-rotate(back, self.pos), back)
 
 
 def pose(pos: ArrayLike = (0.0, 0.0, 0.0), quat: ArrayLike = IDENTITY) -> Pose:
-    """Build a pose from a position [m] and a quaternion, which is normalized."""
+    """Return a pose from a position [m] and a quaternion, which is normalized."""
     q = np.asarray(quat, float)
     return Pose(np.asarray(pos, float), q / np.linalg.norm(q))
 
 
 def quat_mul(a: Any, b: Any, xp: Any = np) -> Any:
-    """Multiply quaternions [..., 4]; the rotation `b` acts first.
+    """Multiply quaternions [..., 4]; the product applies the rotation `b` first.
 
     Args:
         a: quaternions.
@@ -59,7 +62,7 @@ def quat_mul(a: Any, b: Any, xp: Any = np) -> Any:
 
 
 def _product(a: list[Any], b: list[Any]) -> list[Any]:
-    """Multiply quaternions given as four arrays, or as four floats, which is six times as fast."""
+    """Multiply quaternions given as four arrays, or as four floats (six times as fast)."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return [
@@ -71,7 +74,7 @@ def _product(a: list[Any], b: list[Any]) -> list[Any]:
 
 
 def conjugate(quat: ArrayLike) -> NDArray:
-    """Invert a unit quaternion."""
+    """Return the inverse of unit quaternions [..., 4]."""
     return np.asarray(quat, float) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
@@ -85,7 +88,7 @@ def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:
-    """Return the cross product of vectors [..., 3]; np.cross is ten times slower for one pair."""
+    """Return the cross product of vectors [..., 3], ten times faster than np.cross for one pair."""
     if a.ndim == b.ndim == 1:
         (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
         return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
@@ -102,7 +105,7 @@ def matrix(quat: ArrayLike) -> NDArray:
 def from_matrix(rotation: ArrayLike) -> NDArray:
     """Convert a rotation matrix [3, 3] to a quaternion [4] with w >= 0."""
     r = np.asarray(rotation, float)
-    # The column with the largest diagonal is the numerically safe one (Shepperd's method).
+    # The row with the largest diagonal entry is numerically safe (Shepperd's method).
     four = np.array(
         [
             1 + r[0, 0] + r[1, 1] + r[2, 2],
@@ -136,13 +139,13 @@ def from_yaw(yaw: float) -> NDArray:
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> NDArray:
-    """Convert URDF's fixed-axis roll, pitch, yaw [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Convert fixed-axis roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     q = quat_mul(from_axis_angle((0, 1, 0), pitch), from_axis_angle((1, 0, 0), roll))
     return quat_mul(from_yaw(yaw), q)
 
 
 def to_rpy(quat: ArrayLike) -> NDArray:
-    """Invert `from_rpy`: roll, pitch, yaw [rad]; at pitch = +-90 degrees yaw is 0."""
+    """Return roll, pitch, yaw [rad], the inverse of `from_rpy`; at pitch +-90 degrees, yaw is 0."""
     r = matrix(quat)
     pitch = np.arcsin(np.clip(-r[2, 0], -1.0, 1.0))
     if abs(r[2, 0]) > 1 - 1e-12:
@@ -157,28 +160,28 @@ def yaw_of(quat: ArrayLike) -> float:
 
 
 def angle_between(a: Any, b: Any, xp: Any = np) -> Any:
-    """Return the angle [rad] of the rotation from unit quaternion(s) a to b, in [0, pi].
+    """Return the angle in [0, pi] [rad] of the rotation from unit quaternion(s) a to b.
 
-    Accurate at every angle; the sign of either quaternion does not matter.
+    The result is accurate at every angle. The signs of the quaternions do not matter.
 
     Args:
         a: quaternions [..., 4].
         b: quaternions [..., 4]; leading axes broadcast.
-        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays, whose
-            angles below SINGLE_ROUNDING are 0.
+        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays. With
+            `jax.numpy`, angles below SINGLE_ROUNDING are 0.
     """
     if xp is np:
         a, b = np.asarray(a, float), np.asarray(b, float)
     turn = a[..., :1] * b[..., 1:] - b[..., :1] * a[..., 1:] - xp.cross(a[..., 1:], b[..., 1:])
-    # Of equal quaternions, fused products leave a rotation about an arbitrary axis.
+    # If the quaternions are equal, fused multiply-adds leave a tiny rotation about some axis.
     sine = length(turn, xp, least=0.0 if xp is np else SINGLE_ROUNDING / 2)
     return 2 * xp.arctan2(sine, xp.abs(xp.sum(a * b, axis=-1)))
 
 
 def length(v: Any, xp: Any = np, *, least: float = 0.0) -> Any:
-    """Return the lengths of vectors [..., n]; those of at most `least` are 0, with gradient 0.
+    """Return the lengths of vectors [..., n]; lengths of at most `least` are 0 with gradient 0.
 
-    `jnp.linalg.norm` has the gradient NaN at zero.
+    In contrast, the gradient of `jnp.linalg.norm` at zero is NaN.
     """
     square = xp.sum(v * v, axis=-1)
     # NaN must stay NaN.
@@ -187,7 +190,7 @@ def length(v: Any, xp: Any = np, *, least: float = 0.0) -> Any:
 
 
 def tilt_between(a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Return the tilt [rad] from orientations a to b [..., 4], without their relative yaw."""
+    """Return the tilt [rad] of the rotation from a to b [..., 4], that is, without its yaw."""
     turn = quat_mul(b, conjugate(a))
     return 2 * np.arctan2(
         np.hypot(turn[..., 1], turn[..., 2]), np.hypot(turn[..., 0], turn[..., 3])

@@ -1,4 +1,4 @@
-"""Primitive shapes: box, ball, capsule, cylinder, ellipsoid, convex prism and hollow box."""
+"""Primitive shapes: box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box."""
 
 from typing import Literal
 
@@ -18,33 +18,33 @@ Edges = tuple[Length, Length, Length]
 
 
 class Box(Primitive):
-    """A box, centred, with full edge lengths along x, y, z."""
+    """A centered box with full edge lengths along x, y and z."""
 
     type: Literal["box"] = "box"
     size: Edges
 
     def primitive(self) -> Piece:
-        """Return the box."""
+        """Return the box as a piece."""
         return Piece("box", tuple(v / 2 for v in self.size))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Build 12 triangles."""
+        """Return the 12 triangles of the box."""
         x, y, z = self.size
         return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return box_distance(rows(points), np.array(self.size) / 2)
 
 
 class Sphere(Primitive):
-    """A ball, centred."""
+    """A centered sphere."""
 
     type: Literal["sphere"] = "sphere"
     radius: Length
 
     def primitive(self) -> Piece:
-        """Return the sphere."""
+        """Return the sphere as a piece."""
         return Piece("sphere", (self.radius, 0.0, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -52,19 +52,19 @@ class Sphere(Primitive):
         return revolved(meridian(self.radius, 0.0), BALL_SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return np.linalg.norm(rows(points), axis=1) - self.radius
 
 
 class Capsule(Primitive):
-    """A capsule along z, centred; `length` is that of the cylinder between the two half balls."""
+    """A centered capsule along z; `length` excludes the two hemispheres."""
 
     type: Literal["capsule"] = "capsule"
     radius: Length
     length: Length
 
     def primitive(self) -> Piece:
-        """Return the capsule itself."""
+        """Return the capsule as a piece."""
         return Piece("capsule", (self.radius, self.length / 2, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -72,21 +72,21 @@ class Capsule(Primitive):
         return revolved(meridian(self.radius, self.length / 2), BALL_SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         along = np.maximum(np.abs(p[:, 2]) - self.length / 2, 0.0)
         return np.hypot(np.hypot(p[:, 0], p[:, 1]), along) - self.radius
 
 
 class Cylinder(Primitive):
-    """A cylinder along z, centred."""
+    """A centered cylinder along z."""
 
     type: Literal["cylinder"] = "cylinder"
     radius: Length
     height: Length
 
     def primitive(self) -> Piece:
-        """Return the cylinder itself."""
+        """Return the cylinder as a piece."""
         return Piece("cylinder", (self.radius, self.height / 2, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -95,34 +95,34 @@ class Cylinder(Primitive):
         return revolved(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         flat = np.hypot(p[:, 0], p[:, 1]) - self.radius
         return extruded_distance(flat, p[:, 2], self.height / 2)
 
 
 class Ellipsoid(Primitive):
-    """An ellipsoid, centred, with semi-axes along x, y, z."""
+    """A centered ellipsoid with semi-axes along x, y and z."""
 
     type: Literal["ellipsoid"] = "ellipsoid"
     radii: tuple[Length, Length, Length]
 
     def primitive(self) -> Piece:
-        """Return the ellipsoid itself."""
+        """Return the ellipsoid as a piece."""
         return Piece("ellipsoid", self.radii)
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Stretch a ball."""
+        """Stretch a sphere."""
         vertices, faces = revolved(meridian(1.0, 0.0), BALL_SECTORS)
         return vertices * np.array(self.radii), faces
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         return _ellipsoid_distance(rows(points), np.array(self.radii))
 
 
 class Prism(BaseShape):
-    """A convex outline in x, y extruded along z from -height/2 to height/2."""
+    """A convex outline of (x, y) points, extruded along z from -height/2 to height/2."""
 
     type: Literal["prism"] = "prism"
     outline: tuple[Point2, ...] = Field(min_length=3, max_length=64)
@@ -143,7 +143,7 @@ class Prism(BaseShape):
         return self
 
     def build_pieces(self) -> list[Piece]:
-        """Return the prism itself."""
+        """Return the prism as the only piece."""
         return [prism(np.array(self.outline), self.height)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -155,14 +155,14 @@ class Prism(BaseShape):
         return abs(polygon_area(np.array(self.outline))) * self.height
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact distances."""
+        """Return exact signed distances."""
         p = rows(points)
         flat = loops_distance(p[:, :2], [np.array(self.outline, float)])
         return extruded_distance(flat, p[:, 2], self.height / 2)
 
 
 class HollowBox(BaseShape):
-    """A box with walls of one thickness and the named faces left open, centred; a drawer or bin."""
+    """A centered box with walls of equal thickness on all faces except `open`, such as a drawer."""
 
     type: Literal["hollow_box"] = "hollow_box"
     size: Edges
@@ -199,7 +199,7 @@ class HollowBox(BaseShape):
         return walls
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Return the faces of filled cells, on the grid of the walls."""
+        """Return the outer faces of the filled cells of a grid that the walls define."""
         grid, cavity = [], []
         for axis, letter in enumerate("xyz"):
             half = self.size[axis] / 2
@@ -241,7 +241,7 @@ class HollowBox(BaseShape):
 
 
 def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
-    """Return signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
+    """Compute signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
     order = np.argsort(-radii, kind="stable")
     r = radii[order]
     y = np.maximum(np.abs(p[:, order]), 1e-9 * r)

@@ -1,4 +1,4 @@
-"""Appearance of environment supports: outline from above, and surface."""
+"""Appearance of environment supports: the outline from above, and the surface."""
 
 from typing import Annotated, Literal
 
@@ -12,14 +12,14 @@ from .outlines import polygon_area
 from .surface_pattern import RGB, SurfacePattern
 
 ROUND_CORNERS = 32
-"""Corners of the polygon that approximates an ellipse."""
+"""Number of corners of the polygon that approximates an ellipse."""
 MOST_CORNERS = 24
 LEAST_AREA = 0.05
-"""Least area of a polygon, relative to its box."""
+"""Smallest area of a polygon, relative to the area of its box."""
 LEAST_EDGE = 0.005
-"""Least length of an edge, in units of the box."""
+"""Smallest length of an edge, in units of the box."""
 OUTLINE_SLACK = 0.02
-"""Largest distance between a polygon's extent and its box, in units of the box."""
+"""Largest distance between the bounds of a polygon and its box, in units of the box."""
 
 Coordinate = Annotated[float, Field(ge=-0.5 - OUTLINE_SLACK, le=0.5 + OUTLINE_SLACK)]
 
@@ -27,12 +27,12 @@ Coordinate = Annotated[float, Field(ge=-0.5 - OUTLINE_SLACK, le=0.5 + OUTLINE_SL
 class SupportOutline(Spec):
     """Outline of a support seen from above, in units of its box.
 
-    x and y run from -0.5 to 0.5 of the box's length and width, along the support's own axes.
+    x and y run from -0.5 to 0.5 along the length and the width of the box, in the support's frame.
     """
 
     shape: Literal["rectangle", "round", "polygon"] = "rectangle"
     points: tuple[tuple[Coordinate, Coordinate], ...] = Field(default=(), max_length=MOST_CORNERS)
-    """Corners of a polygon in order; empty for the other shapes."""
+    """Corners of a polygon in order; empty for all other shapes."""
 
     @model_validator(mode="after")
     def _simple(self) -> "SupportOutline":
@@ -86,10 +86,11 @@ RECTANGLE = SupportOutline()
 
 
 class SupportSurface(Spec):
-    """Material, pattern and colour of a support."""
+    """Material, pattern and color of a support."""
 
     material: Name
-    """A named material of programs."""
+    """Name of a material that programs can use by name."""
     pattern: SurfacePattern
     rgb: RGB | None = None
-    """Parsed colour; the photograph's colour applies where it shows the support alone."""
+    """Parsed color. The color measured in the photograph takes precedence if enough of the support
+    is visible."""

@@ -1,7 +1,7 @@
-"""Isotropic scaling of objects, with the exponents of every physical quantity.
+"""Isotropic scaling of objects, and the exponents of all physical quantities.
 
-Each field of a description declares its dimension (`dimensions.py`); with the mass exponent m (3
-for a derived mass, 0 for an authored one) the exponents of s are
+Each field of a description declares its dimension (`dimensions.py`). Given the mass exponent m (3
+for a derived mass, 0 for an authored mass), the exponents of s are
 
     quantity                     turning joint       sliding joint
     position, limits             0                   1
@@ -11,8 +11,8 @@ for a derived mass, 0 for an authored one) the exponents of s are
     friction loss, effort        m + 1  (torque)     m      (force)
     velocity limit               -1/2                1/2
 
-where torque = mass g length and force = mass g. Lengths scale with s, inertia with s^(m + 2). A
-joint has the mass exponent of its child part.
+where torque = mass g length and force = mass g. Lengths scale with s, and inertia scales with
+s^(m + 2). The mass exponent of a joint is that of the joint's child part.
 """
 
 from collections.abc import Mapping
@@ -34,13 +34,13 @@ def scale(spec: ObjectSpec, s: float) -> ObjectSpec:
 
 
 def scaled_state(spec: ObjectSpec, state: Mapping[str, float], s: float) -> dict[str, float]:
-    """Return the joint values [rad or m] of an object scaled by `s`."""
+    """Return the joint values [rad or m] of an object after scaling by `s`."""
     slides = {joint.name for joint in spec.joints if joint.type == "prismatic"}
     return {name: value * (s if name in slides else 1.0) for name, value in state.items()}
 
 
 def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
-    """Return the exponent of the scale factor s with which each `JointSpec` field scales."""
+    """Return the power of the scale factor s with which each numeric `JointSpec` field scales."""
     motion = Motion(mass=mass_exponent(child), slides=joint.type == "prismatic")
     return {
         name: scaling.exponent(motion)
@@ -50,7 +50,7 @@ def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
 
 
 def mimic_exponents(joint: JointSpec, leader: JointSpec) -> tuple[float, float]:
-    """Return the exponents of s of a mimic's multiplier and offset."""
+    """Return the powers of s with which a mimic's multiplier and offset scale."""
     motion = Motion(slides=joint.type == "prismatic", leader_slides=leader.type == "prismatic")
     powers = (Mimic.scalings[name] for name in ("multiplier", "offset"))
     multiplier, offset = (0.0 if p is None else p.exponent(motion) for p in powers)

@@ -1,8 +1,8 @@
 """The description of a scene of objects (Step 4), and the application of layouts.
 
-A pose is (x, y, yaw) in the parent's frame plus a snapped height; children move with their parent.
-The frame of a parent has its origin and yaw, but not its tilt; with `parent_link` it also follows
-the link's displacement at the parent's joint state.
+A pose is (x, y, yaw) in the parent's frame plus a snapped height, so children move with their
+parent. The parent's frame has the origin and the yaw of the parent, but not the tilt. With
+`parent_link`, the frame also follows the displacement of this link at the parent's joint state.
 """
 
 import json
@@ -25,31 +25,31 @@ from .surface_pattern import Share
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"
-"""Entry of a written scene: origin [m] and rotation (w, x, y, z) of every object in the world."""
+"""Key in a written scene: origin [m] and rotation (w, x, y, z) of each object in the world."""
 SEMANTICS = "semantics"
-"""Entry of a written scene: label, category, parts and purposes of joints of every object."""
+"""Key in a written scene: label, category, parts and purposes of joints of each object."""
 
 
 Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class PoseUncertainty(Spec):
-    """Standard deviations of an object's place after its alignment with the photograph."""
+    """Standard deviations of an object's pose and size after alignment with the photograph."""
 
     along: Deviation
-    """Horizontal position along the camera's view [m]."""
+    """Standard deviation of the horizontal position along the camera's view [m]."""
     across: Deviation
-    """Horizontal position across the camera's view [m]."""
+    """Standard deviation of the horizontal position across the camera's view [m]."""
     yaw: Deviation
-    """Heading [rad]."""
+    """Standard deviation of the heading [rad]."""
     log_scale: Deviation
-    """Logarithm of the size."""
+    """Standard deviation of the logarithm of the size."""
     joints: dict[JointKey, Deviation] = Field(default={}, exclude_if=lambda value: not value)
-    """Positions of joints that are seen open [rad or m]."""
+    """Standard deviations of the positions of joints that the photograph shows open [rad or m]."""
 
 
 class SceneObject(Spec):
-    """An object with its place in the scene."""
+    """An object, and its pose in the scene."""
 
     name: Name
     spec: ObjectSpec
@@ -57,9 +57,9 @@ class SceneObject(Spec):
     parent_link: Name | None = None
     relation: Relation = "on"
     leans_on: Name | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Object against which it leans; None for the nearest one ahead."""
+    """Object against which this object leans; if None, the nearest object in its direction."""
     environment: bool = False
-    """True for a static support, which is not optimized."""
+    """Whether the object is a static support of the environment, which is not optimized."""
     fixed_base: bool = False
     xy: tuple[Number, Number] = (0.0, 0.0)
     """Position in the parent's frame [m]."""
@@ -69,31 +69,32 @@ class SceneObject(Spec):
     """Heading in the parent's frame [rad]."""
     base_tilt: Quat = IDENTITY
     joint_state: dict[JointKey, Number] = {}
-    """Joint values [rad or m]; joints not named are at 0. A ball has name.x, name.y, name.z."""
+    """Joint values [rad or m]; joints that are not listed are at 0. A ball joint has the keys
+    NAME.x, NAME.y and NAME.z."""
     box2d: Box2D | None = None
     """Box in the photograph."""
     occluded: bool = False
-    """True if `box2d` bounds only a part of the object."""
+    """Whether `box2d` bounds only a part of the object."""
     depth: Number | None = None
-    """Parsed distance of its centre along the view [m]."""
+    """Parsed depth of the object's center along the view [m]."""
     parsed_size: Vec3 | None = None
     """Edge lengths of the parsed 3D box [m]."""
     scale_residual: Vec3 | None = None
-    """Object size over parsed size per axis, minus 1, after isotropic rescaling."""
+    """Object size divided by parsed size, minus 1, per axis, after isotropic rescaling."""
     uncertainty: PoseUncertainty | None = None
-    """Uncertainty of the place that the photograph leaves; None if it was not aligned."""
+    """Uncertainty that remains after alignment with the photograph; None if not aligned."""
 
     @property
     def static(self) -> bool:
-        """True for environment supports and fastened objects, whose base cannot move."""
+        """Whether the base of the object cannot move: an environment support, or a fixed base."""
         return self.environment or self.fixed_base
 
 
 class Backdrop(Spec):
-    """An upright plane behind the scene, as its photograph shows it; it collides with nothing."""
+    """A vertical plane behind the scene, as in the photograph; it collides with nothing."""
 
     x: Number
-    """Distance from the world's origin along +x, the horizontal direction of the camera [m]."""
+    """Distance of the plane from the world's origin along +x, which the camera faces [m]."""
     rgb: tuple[Share, Share, Share]
     """Display color (sRGB) in the photograph."""
 
@@ -153,7 +154,10 @@ class SceneSpec(Spec):
         return [obj.name for obj in self.objects].index(name)
 
     def to_json(self) -> str:
-        """Serialize deterministically, with world poses and semantics for other programs."""
+        """Return the scene as JSON, with world poses and semantics for other programs.
+
+        Equal scenes give equal strings.
+        """
         poses = {
             name: {"pos": world.pos.tolist(), "quat": world.quat.tolist()}
             for name, world in world_poses(self).items()
@@ -167,7 +171,10 @@ class SceneSpec(Spec):
 
 
 def single_object_scene(item: SceneObject | ObjectSpec) -> SceneSpec:
-    """Return a scene of one object, with its name; an ObjectSpec is placed at the origin."""
+    """Return a scene of one object, with the object's name.
+
+    An `ObjectSpec` is placed at the origin; a `SceneObject` keeps its pose.
+    """
     placed = SceneObject(name=item.name, spec=item) if isinstance(item, ObjectSpec) else item
     return SceneSpec(name=item.name, objects=(placed,))
 
@@ -176,23 +183,29 @@ def read_scene(path: Path) -> SceneSpec:
     """Read the scene of a run folder, or a scene.json.
 
     Raises:
-        SpecError: there is no such file, or it is not a scene.
+        SpecError: the file does not exist or does not contain a scene.
     """
     path = Path(path)
     file = path / "scene.json" if path.is_dir() else path
     if not path.exists():
         raise SpecError(f"cannot read {path}: no such file or folder")
     if path.is_dir() and not file.exists():
-        raise SpecError(f"{path} is no run folder with a scene: it holds no scene.json")
+        raise SpecError(f"{path} is no run folder with a scene: it contains no scene.json")
     if file.suffix != ".json":
         raise SpecError(f"{path}: expected a run folder or a scene.json")
     return read_model(file, SceneSpec, SpecError, "a scene")
 
 
 def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
-    """Return the world frame of the children of a parent, or of one of its parts.
+    """Return the frame of the children of a parent or, with `link`, of one of the parent's parts.
 
-    `parent_pose` is the world pose of the parent's object frame, tilt included.
+    Args:
+        parent: the parent.
+        parent_pose: pose of the parent's object frame in the world, including its tilt.
+        link: name of the part that supports the children; if None, the whole parent.
+
+    Returns:
+        The frame in the world; its z axis is vertical.
     """
     frame = pose(parent_pose.pos, from_yaw(yaw_of(parent_pose.quat)))
     if link is None:
@@ -202,7 +215,7 @@ def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> P
 
 
 def world_poses(scene: SceneSpec) -> dict[str, Pose]:
-    """Return every object's pose in the world: origin [m] and rotation, tilt included."""
+    """Return the pose of each object in the world frame, including its tilt, by name."""
     poses: dict[str, Pose] = {}
     for obj in scene.objects:
         frame = pose()
@@ -215,12 +228,12 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
 
 
 def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
-    """Move a scene by a rigid transform of the world; its camera stays as it is.
+    """Move all objects of a scene by a rigid transform of the world frame; keep the camera.
 
     Args:
         scene: the scene.
-        by: the transform [m]; one that is not about the vertical tilts what has no parent, and
-            needs a scene without parents.
+        by: the transform [m]. A transform that rotates about another axis than the vertical tilts
+            the objects, and is possible only if no object has a parent.
 
     Raises:
         SpecError: the transform tilts a scene with parents.
@@ -252,18 +265,18 @@ def rearranged(
     log_scale: Annotated[np.ndarray, "[object]"],
     z: Annotated[np.ndarray, "[object]"],
 ) -> SceneSpec:
-    """Write a layout into a scene (scale, yaw, translation in that order).
+    """Apply a layout to a scene: scale, then yaw, then translation.
 
     Args:
         scene: the composed scene.
-        xy: offset of each object in its parent's frame, before the parent is scaled [m].
+        xy: offset of each object in its parent's frame, before the parent's scaling [m].
         yaw: offset of each object's yaw [rad].
-        log_scale: log of each object's isotropic scale factor.
+        log_scale: logarithm of each object's isotropic scale factor.
         z: snapped height of each object above its parent's origin [m].
 
     Returns:
-        A scene whose zero layout is the given one. Offsets scale with the parent; sizes of children
-        do not.
+        The scene at the given layout. Positions of children scale with their parent; sizes of
+        children do not.
     """
     size = np.exp(np.asarray(log_scale, float))
     objects = []

@@ -1,4 +1,4 @@
-"""Semantics of objects: their category, and the purposes of their joints."""
+"""Semantics of objects: the category of an object, and the purposes of its joints."""
 
 import re
 from typing import Any
@@ -16,7 +16,7 @@ _AFTER_HEAD = re.compile(r"\b(with|of|on|in|for|from|that|to|and|by|without)\b|[
 
 
 def category(spec: ObjectSpec) -> str:
-    """Return the head noun of an object's label, or of its name if it has none.
+    """Return the head noun of an object's label or, if the label has none, of its name.
 
     For example, "chest" for "oak chest with a drawer".
     """
@@ -27,7 +27,11 @@ def category(spec: ObjectSpec) -> str:
 
 
 def purpose(spec: ObjectSpec, joint: JointSpec) -> str:
-    """Return a joint's purpose, such as "drawer" or "knob", from its names or its type."""
+    """Return the purpose of a joint, such as "drawer" or "knob".
+
+    The purpose follows from the names of the joint's child, the joint, or the child's geoms. If no
+    name contains a known purpose, it follows from the type of the joint.
+    """
     if joint.type == "fixed":
         return "fixed"
     geoms = (geom.name for geom in spec.part(joint.child).geoms)
@@ -42,7 +46,7 @@ def purpose(spec: ObjectSpec, joint: JointSpec) -> str:
 
 
 def semantics_of(spec: ObjectSpec) -> dict[str, Any]:
-    """Return an object's label, category, parts and the purposes of its joints, for JSON."""
+    """Return an object's label, category, part names and joint purposes as a dict for JSON."""
     return {
         "label": spec.label,
         "category": category(spec),

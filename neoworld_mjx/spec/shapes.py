@@ -1,8 +1,8 @@
-"""The union of all shapes, and the shape that combines others.
+"""The union type of all shapes, and the shape that combines other shapes.
 
-The convex pieces of a shape do not overlap, so volume and inertia are sums over them; they are also
-the colliders, so cavities stay open. Lengths are in metres; each class states its frame. A new
-shape is a subclass of `BaseShape` in its own module and an entry in `Shape`.
+The convex pieces of a shape do not overlap, so volume and inertia are sums over the pieces. The
+pieces are also the colliders, so cavities stay open. Lengths are in meters; each class states its
+frame. To add a shape, define a subclass of `BaseShape` in a module and add the class to `Shape`.
 """
 
 from typing import Annotated, Literal
@@ -45,10 +45,10 @@ class Operand(ScalableSpec):
 
 
 class CSG(BaseShape):
-    """A boolean of solids: their union, the first minus the others, or their intersection.
+    """A boolean combination of solids: union, difference (first minus others) or intersection.
 
-    Operands are stored at size 1 and `factor` scales the result, so that a scaled copy has the same
-    decomposition.
+    The operands do not change with scale; `factor` scales the result. A scaled copy therefore has
+    the same decomposition.
     """
 
     type: Literal["csg"] = "csg"
@@ -60,14 +60,14 @@ class CSG(BaseShape):
     @model_validator(mode="after")
     def _solid(self) -> "CSG":
         if _depth(self) > MAX_DEPTH:
-            raise ValueError(f"csg shapes may lie at most {MAX_DEPTH} deep in each other")
+            raise ValueError(f"csg shapes may be nested at most {MAX_DEPTH} deep")
         if not decomposed(self.operation, self.operands, self.sectors):
             raise ValueError(f"csg {self.operation} leaves nothing")
         bodies = count_bodies(self.operation, self.operands)
         if bodies > 1:
             raise ValueError(
-                f"csg {self.operation} falls into {bodies} solids that do not hang together; make "
-                f"each a shape of its own"
+                f"csg {self.operation} consists of {bodies} separate solids; make each a separate "
+                f"shape"
             )
         return self
 
@@ -83,7 +83,7 @@ class CSG(BaseShape):
         ]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Return the surface of manifold3d's boolean."""
+        """Return the surface that manifold3d computes."""
         vertices, faces = boolean_surface(self.operation, self.operands)
         return vertices * self.factor, np.array(faces)
 

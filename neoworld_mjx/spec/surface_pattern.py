@@ -1,4 +1,4 @@
-"""Pattern of a surface: boards, tiles, veins of stone, a weave, brushed metal."""
+"""Pattern of a surface, such as boards, tiles, veins of stone, a weave, or brushed metal."""
 
 from typing import Annotated, Literal, get_args
 
@@ -31,20 +31,20 @@ STEPS_M: dict[PatternKind, float] = {
 
 
 class SurfacePattern(ScalableSpec):
-    """Pattern of a material; physics ignores it."""
+    """Pattern of a material. Physics ignores patterns."""
 
     kind: PatternKind
     rgb: Annotated[RGB, UNSCALED] | None = None
-    """Colour of joints, veins, speckles, scratches or the weave's gaps; None darkens the material's
-    colour."""
+    """Color of joints, veins, speckles, scratches or gaps of the weave; if None, a darker shade of
+    the material's color."""
     step: Annotated[float, Field(gt=0, le=10), LENGTH] | None = None
-    """Width of a board, edge of a tile, height of a brick, distance of veins, speckles, scratches
-    or threads [m]; None uses the default."""
+    """Width of a board, edge of a tile, height of a brick, or spacing of veins, speckles, scratches
+    or threads [m]; if None, the value in STEPS_M."""
     along: Literal["x", "y"] = "x"
-    """Direction of boards and courses: a face's first axis ("x") or its second ("y"). The axes are
-    x and y on top, y and z on front and back, x and z on the sides."""
+    """Direction of boards and courses: the first ("x") or the second ("y") axis of a face. The axes
+    are x and y on top, y and z on front and back, and x and z on the sides."""
 
     @property
     def length(self) -> float:
-        """The step, or its default [m]."""
+        """The step or, if None, the default step of the kind [m]."""
         return self.step or STEPS_M[self.kind]

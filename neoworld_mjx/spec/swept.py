@@ -1,4 +1,4 @@
-"""Sweep: a rod, tube-like handle, bail, hook, stem or ring along a path."""
+"""Sweep: a section swept along a path, such as a rod, handle, bail, hook, stem or ring."""
 
 from typing import Annotated, Literal
 
@@ -14,13 +14,15 @@ from .pose import from_axis_angle, rotate
 
 
 class Sweep(BaseShape):
-    """An elliptic section swept along straight segments with mitred joints.
+    """An elliptic section swept along straight segments with mitered joints.
 
-    The section's `width` lies across the plane in which the path first bends (across the horizontal
-    for a straight path), its `thickness` in that plane; both are full diameters, one value for all
-    points of the path or one for each. Every segment is one convex piece, and neighbours share the
-    mitred face between them. The section is a polygon inside the ellipse, so pieces stay within
-    d/2 (1 - cos(pi / sectors)) of it.
+    The section's `thickness` lies in the plane in which the path first bends, and its `width` is
+    perpendicular to this plane. On a straight path, `width` is horizontal. Both are full diameters,
+    given as one value for all points of the path or as one value for each point.
+
+    Each segment is one convex piece, and neighboring pieces share the mitered face between them.
+    The section is a polygon inside the ellipse, so pieces stay within d/2 (1 - cos(pi / sectors))
+    of the ellipse, where d is its diameter.
     """
 
     type: Literal["sweep"] = "sweep"
@@ -57,7 +59,7 @@ class Sweep(BaseShape):
             index = k if self.closed else k + 1
             raise ValueError(
                 f"sweep path turns by {degrees:.0f} degrees at path[{index}], "
-                "at most 120 are allowed: put a point between"
+                "at most 120 are allowed: insert a point"
             )
         rings, normals = self.rings(self.sectors)
         last = len(rings) if self.closed else len(rings) - 1
@@ -72,10 +74,11 @@ class Sweep(BaseShape):
         return self
 
     def rings(self, sectors: int) -> tuple[NDArray, NDArray]:
-        """Return the mitred sections.
+        """Return the mitered section at each point of the path.
 
         Returns:
-            corners [point, sectors, 3] m and the normals [point, 3] of the planes they lie in.
+            The corners of the sections [m], shape [point, sectors, 3], and the normals of the
+            sections' planes, shape [point, 3].
         """
         path = np.array(self.path)
         steps = np.roll(path, -1, axis=0) - path if self.closed else np.diff(path, axis=0)
@@ -109,7 +112,7 @@ class Sweep(BaseShape):
         return [polytope(np.vstack([rings[i], rings[(i + 1) % len(rings)]])) for i in range(last)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Join finer sections, and close the ends."""
+        """Join sections with more corners than the colliders have, and close the ends."""
         sectors = self.sectors * -(-24 // self.sectors)
         rings, _ = self.rings(sectors)
         count = len(rings)
@@ -128,12 +131,12 @@ class Sweep(BaseShape):
 
 
 def _first_side(unit: NDArray) -> NDArray:
-    """Return the normal of the first bend's plane; of a straight path, a horizontal normal."""
+    """Return the normal of the first bend's plane or, for a straight path, a horizontal normal."""
     for a, b in zip(unit[:-1], unit[1:], strict=True):
         k = np.cross(a, b)
         if np.linalg.norm(k) > 1e-6:
             k = k / np.linalg.norm(k)
-            # Project onto the plane across the first segment, which may precede the bend.
+            # Make the normal perpendicular to the first segment, which may precede the bend.
             k = k - (k @ unit[0]) * unit[0]
             if np.linalg.norm(k) > 1e-6:
                 return k / np.linalg.norm(k)
@@ -146,7 +149,7 @@ def _first_side(unit: NDArray) -> NDArray:
 
 
 def _transported(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
-    """Transport a direction around a bend without twist."""
+    """Rotate a direction with the path around a bend, without twist."""
     k = np.cross(before, after)
     size = np.linalg.norm(k)
     if size < 1e-12:

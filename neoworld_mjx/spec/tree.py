@@ -17,7 +17,7 @@ Relation = Literal["on", "in", "attached", "leaning"]
 
 
 class Box2D(Spec):
-    """A box in original pixels: x to the right, y down; x1 and y1 are outer edges."""
+    """A box in pixels of the original image: x to the right, y down; x1 and y1 are outer edges."""
 
     x0: Number
     y0: Number
@@ -36,19 +36,20 @@ class Box2D(Spec):
 
 
 class Box3D(Spec):
-    """An upright box in the world: the object's bounding box when it stands untilted."""
+    """An upright box in the world: the bounding box of an object before it is tilted."""
 
     position: Vec3
-    """Centre of the bottom face [m]."""
+    """Center of the bottom face [m]."""
     size: tuple[Length, Length, Length]
-    """Edge lengths [m] along the object's own x (front to back), y and z."""
+    """Edge lengths [m] along the x (front to back), y and z axes of the object."""
     yaw: Number = 0.0
     """Direction [rad] of the object's front (+x) about +z."""
 
     def corners(self, tilt: Quat = IDENTITY) -> NDArray:
-        """Return the eight corners [8, 3] m in the world, of the box turned by `tilt` first.
+        """Return the eight corners in the world frame [m], shape [8, 3].
 
-        A tilted box is raised so that its lowest corner stands at `position`'s height.
+        `tilt` rotates the box before `yaw` does. A tilted box is raised, so that its lowest corner
+        is at the height of `position`.
         """
         unit = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
         local = rotate(tilt, unit * np.array(self.size))
@@ -62,27 +63,27 @@ class PartState(Spec):
     part: Name
     type: Literal["revolute", "continuous", "prismatic"]
     opening: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """0 closed, 1 fully open."""
+    """Opening from 0 (closed) to 1 (fully open)."""
 
 
 Spread = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Cues(Spec):
-    """Uncertainty of a node's parsed values, and cues that constrain them."""
+    """Uncertainties of a node's parsed values, and cues that constrain the values."""
 
     contact: tuple[Number, Number] | None = None
-    """Original pixel (x to the right, y down) of the visible contact with the support that is
-    nearest to the camera; None if no contact is visible."""
+    """Pixel of the original image (x to the right, y down) at which the visible contact with the
+    support is nearest to the camera; None if no contact is visible."""
     cut_sides: tuple[Literal["left", "top", "right", "bottom"], ...] | None = None
-    """Sides of `box2d` beyond which the object continues, occluded or outside the image; None if
-    not stated."""
+    """Sides of `box2d` beyond which the object continues, either occluded or outside the image;
+    None if not stated."""
     known_size: tuple[Literal["x", "y", "z"], ...] = ()
-    """Edges of `box3d` with a standard size, independent of the photograph."""
+    """Edges of `box3d` that have a standard size, which is known without the photograph."""
     position_sd: Spread | None = None
-    """Standard deviation of the horizontal position, as estimated by the parse [m]."""
+    """Standard deviation of the horizontal position [m], as estimated by the parse."""
     size_sd: Spread | None = None
-    """Relative standard deviation of the size."""
+    """Standard deviation of the size, relative to the size."""
     yaw_sd: Spread | None = None
     """Standard deviation of the yaw [rad]."""
 
@@ -94,59 +95,60 @@ class TreeNode(Spec):
     label: str
     """Kind of object, in a few words."""
     description: str = ""
-    """Shape, material and colours, for the object program."""
+    """Shape, material and colors, for the object program."""
     parent: Name | None = None
-    """Supporting node; None for the world."""
+    """Node that supports this node; None for the world."""
     relation: Relation = "on"
     leans_on: Name | None = Field(default=None, exclude_if=lambda value: value is None)
     """Node against which a leaning object leans; None if not stated."""
     parent_link: Name | None = None
-    """Supporting movable part of the parent, such as an open drawer."""
+    """Movable part of the parent that supports this node, such as an open drawer."""
     environment: bool = False
-    """True for a static support of the environment (table, floor, shelf, wall)."""
+    """Whether the node is a static support of the environment (table, floor, shelf, wall)."""
     fixed_base: bool = False
-    """True if built in or mounted; see `fastened`."""
+    """Whether the object is built in or mounted; see `fastened`."""
     occluded: bool = False
     occluded_by: tuple[Name, ...] = ()
     box2d: Box2D
-    """Tight box of the visible part."""
+    """Tight box around the visible part of the object."""
     box3d: Box3D
     base_tilt: Quat = IDENTITY
-    """Rotation before yaw, for objects that lean or lie."""
+    """Rotation that is applied before the yaw, for objects that lean or lie."""
     articulation: tuple[PartState, ...] = ()
     held_by: str | None = None
-    """Means by which a removable object is attached; None if fastened."""
+    """Means by which a removable object is attached; None if the object is fastened."""
     cues: Cues = Cues()
     outline: SupportOutline = RECTANGLE
     """Outline of an environment support within `box3d`, seen from above."""
     furniture: bool = False
-    """True for an environment support with an object program."""
+    """Whether the node is an environment support with an object program."""
     surface: SupportSurface | None = None
-    """Surface of an environment support; None derives it from the description, without pattern."""
+    """Surface of an environment support; if None, it follows from the description, without
+    pattern."""
 
     @property
     def slab(self) -> bool:
-        """True for an environment support without a program: a box with a flat top."""
+        """Whether the node is an environment support without a program: a box with a flat top."""
         return self.environment and not self.furniture
 
     @property
     def fastened(self) -> bool:
-        """True if fixed to its parent, or attached permanently."""
+        """Whether the object is fixed to its parent, or attached permanently."""
         return self.fixed_base or (self.relation == "attached" and self.held_by is None)
 
 
 class SceneTree(Spec):
-    """The hierarchy of a scene with its camera."""
+    """The hierarchy of a scene, and its camera."""
 
     camera: Camera
     camera_measured: tuple[Literal["pitch", "height", "fovy", "roll"], ...] = ()
     """Camera parameters that the parse measured in the image; the others are rough estimates."""
     pitch_sd: float | None = Field(default=None, ge=0, le=1, exclude_if=lambda value: value is None)
-    """Stated standard deviation of the camera's pitch [rad]."""
+    """Standard deviation of the camera's pitch [rad], as stated by the parse."""
     height_sd: float | None = Field(
         default=None, ge=0, le=1, exclude_if=lambda value: value is None
     )
-    """The same of its height, as a fraction of it."""
+    """Standard deviation of the camera's height, relative to the height, as stated by the parse."""
     nodes: tuple[TreeNode, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -173,7 +175,7 @@ class SceneTree(Spec):
             }
             for attribute in (name for name, has in given.items() if has and not node.environment):
                 raise ValueError(
-                    f"node {node.name} has {attribute}, which only environment supports have"
+                    f"node {node.name} has {attribute}, which only an environment support may have"
                 )
             parent = next((p for p in self.nodes if p.name == node.parent), None)
             if node.environment and parent is not None and not parent.environment:
@@ -194,9 +196,9 @@ class SceneTree(Spec):
         return next(node for node in self.nodes if node.name == name)
 
     def top_down(self) -> tuple[TreeNode, ...]:
-        """Return the nodes, parents before children, otherwise in the given order."""
+        """Return the nodes, parents before children; otherwise, nodes keep the given order."""
         return tuple(map(self.node, parents_first({n.name: n.parent for n in self.nodes})))
 
     def to_json(self) -> str:
-        """Serialize deterministically."""
+        """Return the tree as JSON; equal trees give equal strings."""
         return self.model_dump_json(indent=1) + "\n"

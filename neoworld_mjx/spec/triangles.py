@@ -1,4 +1,4 @@
-"""Closed triangle meshes: revolution and extrusion, normals, volume and distance."""
+"""Closed triangle meshes: revolution, extrusion, normals, volume and distance."""
 
 import math
 
@@ -6,20 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 SECTORS = 64
-"""Least number of facets around a round shape."""
+"""Smallest number of facets around a round shape."""
 BALL_SECTORS, RINGS = 32, 16
-"""Numbers of facets around a sphere and from pole to pole; low, since only exports show them."""
+"""Numbers of facets around a sphere and from pole to pole; low, since only exports show facets."""
 CREASE = math.radians(40.0)
-"""Largest angle [rad] between faces with smooth shading."""
+"""Largest angle between faces across which shading is smooth [rad]."""
 DISTANCE_CHUNK = 400_000
-"""Number of pairs of points and triangles (or edges) processed at once."""
+"""Number of pairs of a point and a triangle (or an edge) that are processed at once."""
 
 
 def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) -> NDArray:
-    """Return unit normals per triangle corner [f, 3, 3].
+    """Return a unit normal for each corner of each triangle, shape [f, 3, 3].
 
-    A corner's normal is the area-weighted mean over the faces around its vertex whose normals are
-    within `crease` [rad] of its face's normal; so cylinders shade smoothly and rims stay sharp.
+    The normal at a corner of a triangle is the area-weighted mean over those faces around the
+    vertex whose normals are within `crease` [rad] of the triangle's normal. Cylinders therefore
+    shade smoothly, and rims stay sharp.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.cross(b - a, c - a)
@@ -30,7 +31,7 @@ def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) ->
     vertex = faces.ravel()[order]
     start = np.searchsorted(vertex, np.arange(len(vertices) + 1))
     count = np.diff(start)
-    # Every ordered pair of corners (one, other) that share a vertex, grouped by `one`.
+    # All ordered pairs of corners (one, other) that share a vertex, grouped by `one`.
     per_corner = count[vertex]
     one = np.repeat(np.arange(len(order)), per_corner)
     offset = np.arange(len(one)) - np.repeat(np.cumsum(per_corner) - per_corner, per_corner)
@@ -46,7 +47,7 @@ def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) ->
 
 
 def enclosed_volume(vertices: NDArray, faces: NDArray) -> float:
-    """Return the volume [m^3] that a closed outward mesh encloses."""
+    """Return the volume [m^3] that a closed mesh with outward normals encloses."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.sum(a * np.cross(b, c)) / 6)
 
@@ -73,7 +74,7 @@ def extruded_outline(outline: NDArray, height: float) -> tuple[NDArray, NDArray]
 
 
 def meridian(radius: float, half_length: float) -> NDArray:
-    """Return the (r, z) chain [n, 2] of a capsule from pole to pole; a sphere at length 0."""
+    """Return the (r, z) chain [n, 2] from pole to pole of a capsule or, at length 0, a sphere."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, RINGS + 1)
     p = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     p[[0, -1], 0] = 0.0
@@ -118,7 +119,7 @@ def revolved(chain: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDA
 
 
 def distance_to_triangles(p: NDArray, vertices: NDArray, faces: NDArray) -> NDArray:
-    """Return the distances [n] m of points [n, 3] to a closed mesh, negative inside."""
+    """Return the distances [m] of points [n, 3] to a closed mesh, negative inside, shape [n]."""
     corners = vertices[faces]
     step = max(1, DISTANCE_CHUNK // len(faces))
     distances = np.empty(len(p))
@@ -130,7 +131,7 @@ def distance_to_triangles(p: NDArray, vertices: NDArray, faces: NDArray) -> NDAr
 
 
 def _to_triangles(p: NDArray, corners: NDArray) -> NDArray:
-    """Return the distance [n] of points [n, 1, 3] to the nearest of triangles [f, 3, 3]."""
+    """Return the distances [n] of points [n, 1, 3] to the nearest of the triangles [f, 3, 3]."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     best = np.full((len(p), len(corners)), np.inf)
@@ -147,7 +148,7 @@ def _to_triangles(p: NDArray, corners: NDArray) -> NDArray:
 
 
 def _winding(p: NDArray, corners: NDArray) -> NDArray:
-    """Return the winding number of a surface around points (Van Oosterom and Strackee, 1983)."""
+    """Return the winding numbers of a surface around points (Van Oosterom and Strackee, 1983)."""
     a, b, c = (corners[:, k] - p for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
     dot = lambda u, v: np.sum(u * v, axis=2)

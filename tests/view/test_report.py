@@ -186,7 +186,7 @@ def test_failed_object_tests_of_a_valid_scene_are_explained_and_bounds_have_a_di
     with RunFolder(finished, Config(), "resume") as run:
         run.record("metrics", passed=True)
     words = _words(write_report(finished).read_text())
-    assert "1 of 1 fail the object tests, in which each is simulated by itself; the" in words
+    assert "1 of 1 fail the object tests, in which each object is simulated alone; the" in words
     assert "joint drive drive:lid 50 % of its range ≥ 90 % of its range" in words
 
 
@@ -596,12 +596,12 @@ def test_a_search_that_tips_an_object_is_stated_and_one_below_the_last_digit_is_
 
 
 def test_objects_that_were_not_tested_do_not_pass(finished):
-    """The report counts as passing only objects that were tested by themselves."""
+    """The report counts as passing only objects that were tested alone."""
     for name in ("cup", "saucer"):
         (finished / "objects" / name).mkdir(exist_ok=True)
     words = _words(write_report(finished).read_text())
-    assert "2 of 3 were not tested by themselves" in words and "All 3 pass" not in words
+    assert "2 of 3 were not tested alone" in words and "All 3 pass" not in words
     (finished / "objects" / "jar" / "verify.json").unlink()
     words = _words(write_report(finished).read_text())
-    assert "3 of 3 were not tested by themselves" in words
+    assert "3 of 3 were not tested alone" in words
     assert "the object tests, in which" not in words

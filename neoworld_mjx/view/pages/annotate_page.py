@@ -1,4 +1,4 @@
-"""Page of `neoworld annotate`: a person marks boxes, labels and the camera of a photograph."""
+"""Page of `neoworld annotate`, on which a person marks boxes, labels and camera of a photograph."""
 
 import math
 import threading
@@ -28,7 +28,7 @@ from .scene_nodes import SceneNodes, look_through
 from .view_target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
-"""Initial camera of an empty page."""
+"""Initial camera of an annotation without objects."""
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 GROUNDS = ("table top", "floor", "counter", "ground")
 NEW = "new object"
@@ -53,9 +53,10 @@ def empty_annotation(photo: Path, config: Config) -> Annotation:
 class Annotator:
     """Editor of an annotation on the page of a server.
 
-    The annotation is the state. Editing a field changes one value of the annotation; a lock
-    serializes the edits. The page writes the fields only when another object is selected, because
-    viser calls back from many threads and an old value must never overwrite a person's input.
+    The annotation is the only state. Editing a field changes one value of the annotation, and a
+    lock serializes the edits. The page writes the fields only when another object is selected,
+    because viser calls back from several threads, and an old value must never overwrite a person's
+    input.
     """
 
     def __init__(
@@ -170,7 +171,7 @@ class Annotator:
         self._log = gui.add_html(message(f"The run folder is {self._out}."))
 
     def _on_edit(self, control: Any, edit: Callable[[Any], None]) -> None:
-        """Call `edit` when a person, rather than the page, changes a control."""
+        """Call `edit` with the new value when a person, but not the page, changes a control."""
 
         def edited(event: Any) -> None:
             if event.client_id is None:
@@ -363,7 +364,10 @@ class Annotator:
 
 
 def _clipped(control: Any) -> Any:
-    """Return the value of a control, clipped to its bounds, as typing 0.05 starts with 0."""
+    """Return the value of a control, clipped to its bounds.
+
+    While a person types 0.05, the value is at first 0, which may lie below the minimum.
+    """
     low, high = getattr(control, "min", None), getattr(control, "max", None)
     if low is None or high is None:
         return control.value
@@ -371,7 +375,7 @@ def _clipped(control: Any) -> Any:
 
 
 def _set_options(chooser: Any, options: tuple[str, ...], value: str) -> None:
-    """Set the options of a dropdown, if they differ, and its value."""
+    """Set the value of a dropdown, and also its options if they have changed."""
     if chooser.options != options:
         chooser.options = options
     chooser.value = value

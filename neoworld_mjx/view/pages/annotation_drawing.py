@@ -17,17 +17,18 @@ if TYPE_CHECKING:
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
 FAR, FARTHEST_M = 40.0, 800.0
-"""Distance of the photograph from the camera: multiple of the camera's height, and limit [m]."""
+"""Distance of the photograph from the camera, as a multiple of the camera's height, and its upper
+limit [m]."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
 def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
-    """Show the photograph behind the scene, aligned with its camera's view.
+    """Show the photograph behind the scene, aligned with the view of the photograph's camera.
 
     Args:
         server: the viser server.
         camera: camera of the photograph.
-        picture: uint8 [h, w, 3].
+        picture: the photograph, uint8 [h, w, 3].
     """
     axes, distance = camera.axes(), _distance(camera)
     height = 2 * distance * math.tan(camera.fovy / 2)
@@ -44,7 +45,7 @@ def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
 
 
 def draw_grid(server: Any, camera: Camera, step: float) -> None:
-    """Draw a grid on the ground with lines `step` m apart."""
+    """Draw a grid on the ground, with lines at distances of `step` [m]."""
     reach = min(40 * step, _distance(camera) / 2)
     ticks = np.arange(-reach, reach + step / 2, step)
     lines = [[[0.0, y, 0.0], [2 * reach, y, 0.0]] for y in ticks]
@@ -61,10 +62,10 @@ def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
         chosen: name of the object to highlight.
 
     Returns:
-        The size of the highlighted object as text; empty if there is none.
+        The size of the highlighted object as a string; empty if no object is highlighted.
 
     Raises:
-        SpecError: the boxes give no valid scene; the 2D boxes are drawn nevertheless.
+        SpecError: the boxes do not define a valid scene. The 2D boxes are drawn anyway.
     """
     from ...annotation.annotated_tree import annotated_tree
 
@@ -87,12 +88,13 @@ def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
 
 
 def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
-    """Draw crosses at pixels of the photograph, and a line between the two ends of each pair.
+    """Draw lines on the photograph, and crosses at their end points.
 
     Args:
         server: the viser server.
         camera: camera of the photograph.
-        ends: end points [2] of successive lines, in pixels.
+        ends: end points of successive lines [px], each of shape [2]. The last line may lack its
+            second end point.
     """
     cross, lines = camera.height_px / 80, []
     for pixel in ends:
@@ -107,7 +109,9 @@ def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
 
 
 def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArray:
-    """Return the pixel [2] of the photograph at a position in a window with its camera's view.
+    """Return the pixel [2] of the photograph at a position in a client's window.
+
+    The client must look through the photograph's camera.
 
     Args:
         view: camera of the client.
@@ -145,7 +149,7 @@ def _distance(camera: Camera) -> float:
 
 
 def draw_photo_box(server: Any, scene: SceneSpec, name: str) -> None:
-    """Draw the 2D box of the named object only; none if it has no box."""
+    """Draw the 2D box of the named object, if it has one, and remove all other boxes."""
     hide_boxes(server)
     for obj in scene.objects:
         if obj.name == name and obj.box2d is not None and scene.camera is not None:

@@ -1,4 +1,4 @@
-"""Simulation of the shown scene in C MuJoCo, at most in real time."""
+"""Simulation of the scene on the page in C MuJoCo, at most as fast as real time."""
 
 import threading
 import time
@@ -22,16 +22,16 @@ class Contacts(NamedTuple):
     """Contacts between different objects."""
 
     points: NDArray
-    """[n, 3] m."""
+    """Contact points in the world frame [m], shape [n, 3]."""
     depths: NDArray
-    """[n] m; negative is a gap."""
+    """Penetration depths [m], shape [n]; negative for gaps."""
     normals: NDArray
-    """[n, 3]."""
+    """Contact normals in the world frame, shape [n, 3]."""
     pairs: tuple[tuple[str, str], ...]
-    """Objects of each contact."""
+    """Names of the two objects of each contact."""
 
     def summary(self) -> str:
-        """Return the number of contacts and the up to four pairs of objects that overlap most."""
+        """Return the number of contacts, and up to four pairs of objects that penetrate deepest."""
         deepest: dict[tuple[str, str], float] = {}
         for depth, pair in zip(self.depths, self.pairs, strict=True):
             deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
@@ -73,7 +73,7 @@ class FreeFall:
 
     @property
     def playing(self) -> bool:
-        """True while the simulation runs."""
+        """Whether the simulation is running."""
         return self._playing.is_set()
 
     @property
@@ -113,7 +113,7 @@ class FreeFall:
                 mujoco.mj_step(self._model, self._data)
 
     def push(self, name: str, velocity: NDArray) -> bool:
-        """Add a velocity [3] m/s to a movable object; return False for a static one."""
+        """Add a velocity [m/s], shape [3], to a movable object; return False if it is static."""
         with self._lock:
             joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
             if joint < 0:
@@ -123,7 +123,7 @@ class FreeFall:
             return True
 
     def poses(self) -> PartPoses:
-        """Return the pose of every part."""
+        """Return the current pose of each part; see `PartPoses`."""
         with self._lock:
             quat = self._data.xquat.copy()
             pos = self._data.xpos.copy()
@@ -159,5 +159,5 @@ class FreeFall:
 
 
 def _origin(joint: JointSpec | None) -> NDArray:
-    """Return a body's origin in its object's frame at rest [m]: the anchor of its joint."""
+    """Return the origin of a part's body in the object's frame [m]: the anchor of its joint."""
     return np.zeros(3) if joint is None else np.array(joint.pos)

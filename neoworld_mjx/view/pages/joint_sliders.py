@@ -1,4 +1,4 @@
-"""A slider for every joint of a scene, in degrees or millimetres."""
+"""Sliders for the joints of a scene, in degrees or millimeters."""
 
 import math
 from collections.abc import Callable
@@ -8,11 +8,12 @@ from ...spec import SceneSpec
 from .scene_editor import joint_range, settable_joints
 
 OnMove = Callable[[str, str, float], None]
-"""Callback with the object, the key of the joint value, and the value [rad or m]."""
+"""Callback that receives the name of an object, the key of a joint value, and the value [rad or m].
+"""
 
 
 class JointSliders:
-    """Joint sliders of the shown scene, in a folder of the page."""
+    """Sliders for the joints of the shown scene, in a folder of the page."""
 
     def __init__(self, server: Any, folder: Any, on_move: OnMove):
         """Create an empty set of sliders for a folder."""
@@ -20,7 +21,7 @@ class JointSliders:
         self._sliders: list[Any] = []
 
     def show(self, scene: SceneSpec) -> None:
-        """Replace the sliders by those of a scene."""
+        """Replace all sliders with sliders for the joints of a scene."""
         for slider in self._sliders:
             slider.remove()
         self._sliders = []
@@ -29,7 +30,7 @@ class JointSliders:
                 for joint, key in settable_joints(obj):
                     prismatic = joint.type == "prismatic"
                     factor, unit = (1000.0, "mm") if prismatic else (math.degrees(1.0), "deg")
-                    # Round the limits inwards to tenths, as the page shows every digit of them.
+                    # Round the limits inwards to tenths, because the page shows all digits.
                     low, high = (factor * v for v in joint_range(joint))
                     low, high = math.ceil(10 * low - 1e-4) / 10, math.floor(10 * high + 1e-4) / 10
                     if not low < high:

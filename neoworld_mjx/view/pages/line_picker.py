@@ -18,12 +18,13 @@ ORDER = (
 
 
 class LinePicker:
-    """Collects the end points of two parallel lines, then of two perpendicular ones, by clicks.
+    """Collects clicks on the ends of two parallel lines, then of two lines perpendicular to them.
 
     Args:
         server: the viser server.
-        show_line: shows the next instruction.
-        done: receives the end points of both pairs, each [2, 2, 2] pixels.
+        show_line: function that shows the next instruction.
+        done: function that receives the end points of both pairs of lines [px], each of shape
+            [2, 2, 2].
     """
 
     def __init__(
@@ -37,7 +38,7 @@ class LinePicker:
         self._click: Callable[[Any], None] | None = None
 
     def begin(self, camera: Camera) -> None:
-        """Use the next eight clicks as end points; discard earlier ones."""
+        """Use the next eight clicks as end points; discard earlier clicks."""
         self.end()
         self._show_prompt()
 

@@ -15,22 +15,22 @@ PORT = 8080
 _HOSTS_OF_THIS_MACHINE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _PAGES_OF_THIS_MACHINE = re.compile(rf"https?://{_HOSTS_OF_THIS_MACHINE.pattern}")
 _MAX_MESSAGE_BYTES = 1 << 20
-"""Maximum size of a message from a page; its controls send a few hundred bytes."""
+"""Maximum size of a message from a page. The controls of a page send a few hundred bytes."""
 _log = logging.getLogger(__name__)
 
 
 def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> Any:
     """Start a viser server.
 
-    On a loopback address, the server refuses WebSocket connections from web pages of other origins
-    in the same browser, and requests that name another host. It closes a connection that sends an
-    invalid or large message, and never opens the tunnel to viser's public server.
+    On a loopback address, the server rejects requests that name another host, and WebSocket
+    connections from web pages of other origins in the same browser. The server closes a connection
+    that sends an invalid or large message. It never opens the tunnel to viser's public server.
 
     Args:
         label: title of the page.
         host: address to listen on; unless it is a loopback address, other machines can edit the
             scene.
-        port: port to listen on; by default 8080, or any free one if it is in use.
+        port: port to listen on; by default 8080 or, if 8080 is in use, any free port.
 
     Raises:
         RunError: viser is not installed, the port is in use, or the host is not an address of this
@@ -75,7 +75,7 @@ def _serve_checked(serve: Any, local: bool, handler: Any, *address: Any, **optio
     def process_request(connection: Any, request: Any) -> Any:
         hosts = request.headers.get_all("Host")
         if local and not (len(hosts) == 1 and _HOSTS_OF_THIS_MACHINE.fullmatch(hosts[0])):
-            return connection.respond(403, "this server is for pages of its own machine\n")
+            return connection.respond(403, "this server accepts only requests to localhost\n")
         return page(connection, request)
 
     async def handle(connection: Any) -> None:
@@ -87,7 +87,7 @@ def _serve_checked(serve: Any, local: bool, handler: Any, *address: Any, **optio
 
     options |= {"process_request": process_request, "max_size": _MAX_MESSAGE_BYTES}
     if local:
-        # None admits clients other than browsers, which send no origin.
+        # None admits clients that are not browsers, which send no origin.
         options["origins"] = [None, _PAGES_OF_THIS_MACHINE]
     return serve(handle, *address, **options)
 
@@ -113,7 +113,7 @@ def _free_port(host: str, port: int | None) -> int:
                 return int(probe.getsockname()[1])
         except OverflowError:
             raise RunError(
-                f"--port {port}: give one from 0 to 65535; 0 takes any free one"
+                f"--port {port}: give a port from 0 to 65535; 0 takes any free port"
             ) from None
         except OSError as error:
             reason = (error.strerror or str(error)).split(" (while")[0]

@@ -23,7 +23,7 @@ from .view_target import ViewTarget
 
 
 def facts(target: ViewTarget, obj: SceneObject) -> str:
-    """Return the properties of an object, the changes by each step, and its checks."""
+    """Return an object's properties, its changes in each step, and its checks, as HTML."""
     low, high = bounds(obj.spec, obj.joint_state)
     masses = [(part.name, inertial(obj.spec, part).mass) for part in obj.spec.parts]
     size = " x ".join(f"{100 * v:.1f}" for v in high - low)
@@ -54,7 +54,7 @@ def signals_of(built: BuildResult) -> str:
 
 
 def crop_of(target: ViewTarget, name: str) -> NDArray | None:
-    """Return the crop of the photograph around an object, uint8 [h, w, 3], if available."""
+    """Return the crop of the photograph around an object, uint8 [h, w, 3]; None if unavailable."""
     if target.run is None or not (target.run / "tree.json").is_file():
         return None
     try:

@@ -11,7 +11,7 @@ STYLE = (
 
 
 def framed(*parts: str) -> str:
-    """Return HTML parts in the style of the pages."""
+    """Return HTML parts as one element in the style of the pages."""
     return f'{STYLE}<div class="nw">{"".join(parts)}</div>'
 
 

@@ -1,4 +1,7 @@
-"""Long jobs of a page, one at a time; the page shows the last log line and the error."""
+"""Long jobs of a page, which run one at a time.
+
+The page shows the last log line of a job or, if the job fails, the error.
+"""
 
 import logging
 import threading
@@ -9,16 +12,16 @@ from ...errors import NeoWorldError
 from .page_html import message
 
 ShowLine = Callable[[str], None]
-"""Shows a line of text on the page."""
+"""Function that shows a line of text on the page."""
 
 
 def run_job(busy: threading.Lock, element: Any, job: Callable[[ShowLine], None]) -> None:
-    """Run a job unless another one is running; show its log and its error.
+    """Run a job unless another job is running.
 
     Args:
         busy: lock that is held while a job runs.
-        element: text element of the page.
-        job: the job; receives a function that shows a line of text.
+        element: text element of the page, which shows the log and the error of the job.
+        job: function that runs the job; it receives a function that shows a line of text.
     """
 
     def show_line(line: str) -> None:

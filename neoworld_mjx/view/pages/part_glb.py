@@ -1,8 +1,8 @@
-"""Export of an object part as one glTF mesh with vertex colors: one draw call on the page.
+"""Export of an object part as one glTF mesh with vertex colors, which needs only one draw call.
 
-A browser without a GPU spends most of a frame on lighting and triangles. In a large scene, the
-vertex colors therefore contain the lighting, and surfaces are simplified by less than the
-photograph's camera resolves.
+A browser without a GPU spends most of the time per frame on lighting and triangles. In a large
+scene, vertex colors therefore include the lighting, and surfaces are simplified, with deviations
+that the photograph's camera does not resolve.
 """
 
 import json
@@ -19,12 +19,12 @@ from ...spec import ObjectSpec, PartSpec, SceneSpec
 from ...spec.pose import rotate
 
 LIT_TRIANGLES = 20_000
-"""Maximum number of triangles of a scene that the browser lights and shows unsimplified."""
+"""Largest number of triangles of a scene that the browser lights and that is not simplified."""
 TOLERANCE = 5e-4
-"""Deviation of simplified surfaces relative to the distance from the camera: a third of a pixel
-in a picture of 640 rows."""
+"""Largest deviation of simplified surfaces, relative to the distance from the camera: a third of a
+pixel in a picture of 640 rows."""
 SKY, SUN, GROUND = 1.2, 3.0, 0.4
-"""Intensities of the page's lights: ambient, from above, and from below."""
+"""Intensities of the page's lights: ambient light, light from above, and light from below."""
 TO_SUN = np.array([-0.19, -0.19, 0.96])
 """Direction of the light from above."""
 SHEEN = 0.015
@@ -37,9 +37,9 @@ class Detail(NamedTuple):
     """Level of detail of a scene's surfaces."""
 
     tolerance: float = 0.0
-    """Deviation of simplified surfaces [m]; 0 keeps every triangle."""
+    """Largest deviation of simplified surfaces [m]; if 0, every triangle is kept."""
     lit: bool = True
-    """True if the browser lights surfaces; otherwise vertex colors contain the lighting."""
+    """Whether the browser lights surfaces; if False, vertex colors include the lighting."""
 
 
 def detail_of(scene: SceneSpec, distance: float) -> Detail:
@@ -54,16 +54,17 @@ def detail_of(scene: SceneSpec, distance: float) -> Detail:
 
 
 def part_glb(spec: ObjectSpec, part: PartSpec, quat: NDArray, detail: Detail) -> bytes | None:
-    """Return the opaque surfaces of a part as binary glTF, in the object's frame at rest.
+    """Return the opaque surfaces of a part as binary glTF.
 
     Args:
         spec: the object.
         part: a part of the object.
-        quat: orientation of the part's rest frame in the world.
+        quat: rotation from the object's frame, with all joints at zero, to the part in the world.
         detail: level of detail.
 
     Returns:
-        None if the part has no opaque surface.
+        The glTF, in the object's frame with all joints at zero; None if the part has no opaque
+        surface.
     """
     meshes = visible_meshes(spec, part, opaque=True, tolerance=detail.tolerance)
     if not meshes:
@@ -82,7 +83,7 @@ def part_glb(spec: ObjectSpec, part: PartSpec, quat: NDArray, detail: Detail) ->
 
 
 def vertex_normals(mesh: PartMesh) -> NDArray:
-    """Return unit normals [v, 3], the area-weighted mean of the adjacent faces."""
+    """Return the unit normals at vertices [v, 3], area-weighted means over the adjacent faces."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     index, count = mesh.faces.ravel(), len(mesh.vertices)
@@ -91,7 +92,7 @@ def vertex_normals(mesh: PartMesh) -> NDArray:
 
 
 def _light(normals: NDArray) -> NDArray:
-    """Return the brightness [n] of white surfaces with normals [n, 3] in the world."""
+    """Return the brightness [n] of white surfaces, given normals [n, 3] in the world frame."""
     sun = np.clip(normals @ (TO_SUN / np.linalg.norm(TO_SUN)), 0.0, None)
     return (SKY + SUN * sun + GROUND * np.clip(-normals[:, 2], 0.0, None)) / np.pi
 

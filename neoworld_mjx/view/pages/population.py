@@ -13,7 +13,7 @@ from ...spec import SceneSpec
 from ..report.convergence import History, best_candidates, over_finite, term_histories
 
 GHOSTS = 24
-"""Maximum number of drawn candidates."""
+"""Maximum number of candidates that are shown."""
 GOOD, POOR = np.array([40, 170, 90]), np.array([215, 120, 60])
 
 
@@ -25,18 +25,18 @@ def ranked_candidates(history: History, iteration: int) -> NDArray:
 
 
 def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int) -> int:
-    """Draw the best candidates of an iteration as transparent objects, green (best) to orange.
+    """Show the best candidates of an iteration as transparent objects, from green (best) to orange.
 
-    Objects that no candidate moves are not drawn.
+    Objects that none of these candidates moves are omitted.
 
     Args:
         server: the viser server.
         scene: the initial scene of the search.
         history: history of the search.
-        iteration: index from 0.
+        iteration: index of the iteration, from 0.
 
     Returns:
-        The number of candidates drawn.
+        The number of candidates that are shown.
 
     Raises:
         RunError: the history belongs to another scene.
@@ -94,21 +94,24 @@ def hide_ghosts(server: Any) -> None:
 
 
 class Ghosts:
-    """Ghosts on a page. Requests may arrive faster than they are drawn: the latest one counts."""
+    """Ghosts on a page.
+
+    If requests arrive faster than ghosts are shown, only the latest request counts.
+    """
 
     def __init__(self, server: Any, show_line: Callable[[str], None]):
-        """Create a page without ghosts.
+        """Start without ghosts.
 
         Args:
             server: the viser server.
-            show_line: shows a line of text.
+            show_line: function that shows a line of text.
         """
         self._server, self._show_line = server, show_line
         self._lock = threading.Lock()
         self._requested = self._shown = 0
 
     def show(self, scene: SceneSpec, history: History | None, iteration: int) -> None:
-        """Show the candidates of an iteration, counted from 1; 0 shows none."""
+        """Show the best candidates of an iteration, counted from 1; if it is 0, show none."""
         self._requested = iteration
         with self._lock:
             requested = self._requested
@@ -129,7 +132,7 @@ class Ghosts:
             )
 
     def forget(self) -> None:
-        """Remove the ghosts after a new search."""
+        """Remove the ghosts, and forget which iteration was shown."""
         with self._lock:
             self._requested = self._shown = 0
             hide_ghosts(self._server)

@@ -14,7 +14,7 @@ MIN_EDGE_PX = 2.0
 
 
 class RectanglePicker:
-    """Tool that takes one rectangle at a time from a client."""
+    """Tool with which a client draws one rectangle at a time."""
 
     def __init__(
         self,
@@ -26,8 +26,9 @@ class RectanglePicker:
 
         Args:
             server: the viser server.
-            camera: returns the photograph's camera, if any; without it, nothing is picked.
-            picked: receives the box, or None if it is too small.
+            camera: function that returns the photograph's camera; if it returns None, `begin` does
+                nothing.
+            picked: function that receives the box, or None if the box is too small.
         """
         self._server, self._camera, self._picked = server, camera, picked
         self._waiting = False

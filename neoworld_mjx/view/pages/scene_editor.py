@@ -1,4 +1,4 @@
-"""Edits of the shown scene by a person: poses, boxes and joint states, as a layout patch."""
+"""Edits of a scene by a person: poses, boxes and joint states, recorded as a layout patch."""
 
 import math
 
@@ -22,14 +22,14 @@ FREE_RANGE = math.pi
 
 
 class SceneEditor:
-    """The edited scene, and the patch that records its edits."""
+    """The edited scene, and the patch that records the edits."""
 
     def __init__(self, scene: SceneSpec, patch: LayoutPatch):
-        """Start with a scene that already includes the patch."""
+        """Start with a scene to which the patch has already been applied."""
         self.scene, self.patch = scene, patch
 
     def handle_pose(self, name: str) -> Pose:
-        """Return the pose of an object's drag handle: its origin and heading in the world frame."""
+        """Return the pose of a drag handle: origin and heading of its object in the world frame."""
         position = world_poses(self.scene)[name].pos
         return pose(
             position, from_yaw(yaw_of(self._support_frame(name).quat) + self.scene.object(name).yaw)
@@ -40,8 +40,8 @@ class SceneEditor:
 
         Args:
             name: name of the object.
-            pos: position of the handle [3] m.
-            quat: orientation of the handle (w, x, y, z), of which only the heading is used.
+            pos: position of the handle in the world frame [m], shape [3].
+            quat: orientation of the handle (w, x, y, z); only its heading is used.
         """
         obj = self.scene.object(name)
         frame = self._support_frame(name)
@@ -57,7 +57,7 @@ class SceneEditor:
         self.patch = self.patch.merged(name, ObjectPlacement(joint_state={key: value}))
 
     def set_box(self, name: str, box: Box2D) -> None:
-        """Set an object's box in the photograph, which the search compares with its projection."""
+        """Set an object's box in the photograph, with which the search compares the projection."""
         self._replace(self.scene.object(name).model_copy(update={"box2d": box}))
         self.patch = self.patch.merged(name, ObjectPlacement(box2d=box))
 
@@ -80,7 +80,7 @@ class SceneEditor:
 
 
 def joint_range(joint: JointSpec) -> tuple[float, float]:
-    """Return the range of a joint's slider [rad or m]."""
+    """Return the lower and upper end of a joint's slider [rad or m]."""
     if joint.type == "ball":
         limit = joint.upper or FREE_RANGE
         return -limit, limit

@@ -12,19 +12,20 @@ from ...spec.pose import Pose, from_matrix
 from .part_glb import detail_of, part_glb
 
 NEAR_M = 0.06
-"""Distance of the photograph's plane in front of the camera [m]."""
+"""Distance from the camera to the plane on which the photograph is shown [m]."""
 TOUCHING, DEEP = (70, 200, 90), (235, 60, 50)
 PENETRATION_M = 1e-3
-"""Depth above which a contact is drawn as a penetration [m]."""
+"""Depth above which a contact is marked as a penetration [m]."""
 TRANSPARENT_OPACITY = 0.3
 """Opacity of objects while contacts are shown."""
 
 PartPoses = dict[tuple[str, str], Pose]
-"""World pose of each part's rest frame, by object and part."""
+"""Pose of each part, by object and part: the transform that maps points of the part from the
+object's frame, with all joints at zero, to the world frame."""
 
 
 def part_poses(scene: SceneSpec) -> PartPoses:
-    """Return the pose of each part for the scene's poses and joint states."""
+    """Return the pose of each part at the scene's poses and joint states."""
     poses = world_poses(scene)
     return {
         (obj.name, part): poses[obj.name].then(moved)
@@ -41,7 +42,7 @@ class SceneNodes:
 
         Args:
             server: the viser server.
-            picked: receives the name of a clicked object.
+            picked: function that receives the name of a clicked object.
         """
         self._server, self._picked = server, picked
         self._frames: dict[tuple[str, str], Any] = {}
@@ -155,19 +156,19 @@ class SceneNodes:
         self._pieces = []
 
     def show_contacts(self, points: NDArray, depths: NDArray, normals: NDArray) -> None:
-        """Mark contacts: green if two pieces touch, red if they overlap.
+        """Mark contacts in green or, if their depth exceeds PENETRATION_M, in red.
 
         Args:
-            points: [n, 3] m.
-            depths: penetration depths [n] m; negative for gaps.
-            normals: [n, 3].
+            points: contact points in the world frame [m], shape [n, 3].
+            depths: penetration depths [m], shape [n]; negative for gaps.
+            normals: contact normals in the world frame, shape [n, 3].
         """
         self.hide_contacts()
         if not len(points):
             return
         colors = np.where((depths > PENETRATION_M)[:, None], DEEP, TOUCHING).astype(np.uint8)
         size = 0.004 * self.extent()
-        # A line makes contacts inside both objects visible.
+        # Lines make contacts visible that lie inside both objects.
         ends = np.stack([points, points + normals * np.maximum(depths, size)[:, None] * 4], axis=1)
         api = self._server.scene
         self._contacts = [
@@ -190,16 +191,16 @@ class SceneNodes:
         self._contacts = []
 
     def extent(self) -> float:
-        """Return the median distance of parts from the camera [m], to scale the contact marks."""
+        """Return the median distance of parts from the camera [m], which scales contact marks."""
         return 1.0 if self.scene is None else _distance(self.scene, self._shown)
 
     def blend(self, camera: Camera, picture: NDArray, share: float) -> None:
-        """Blend the photograph over the scene, aligned with its camera's view.
+        """Blend the photograph over the scene, aligned with the view of the photograph's camera.
 
         Args:
             camera: camera of the photograph.
-            picture: uint8 [h, w, 3].
-            share: 0 shows the scene alone, 1 the photograph alone.
+            picture: the photograph, uint8 [h, w, 3].
+            share: opacity of the photograph, from 0 (scene alone) to 1 (photograph alone).
         """
         alpha = np.full((*picture.shape[:2], 1), round(255 * share), np.uint8)
         height = 2 * NEAR_M * np.tan(camera.fovy / 2)
@@ -220,8 +221,8 @@ class SceneNodes:
     def pickable(self, pickable: bool) -> None:
         """Enable or disable clicks on objects.
 
-        Disable them while a drag handle is shown: clickable objects in front of it would intercept
-        the pointer.
+        Disable clicks while a drag handle is shown, because clickable objects in front of the
+        handle would intercept the pointer.
         """
         self._clickable = pickable
         with self._server.atomic():
@@ -239,7 +240,7 @@ class SceneNodes:
 
 
 def look_through(client: Any, camera: Camera) -> None:
-    """Move a client's view to a photograph's camera; widen it to show the whole picture."""
+    """Move a client's view to a photograph's camera; widen the view to show the whole picture."""
     axes = camera.axes()
     view = client.camera
     window = view.image_width / max(view.image_height, 1)
@@ -255,7 +256,7 @@ def look_through(client: Any, camera: Camera) -> None:
 
 
 def look_at(client: Any, low: NDArray, high: NDArray) -> None:
-    """Move a client's view to see a box, given by two corners [3] m, from the front and above."""
+    """Move a client's view to show a box, given by two corners [m], from the front and above."""
     center = (low + high) / 2
     offset = 1.8 * float(np.linalg.norm(high - low)) * np.array([0.8, -0.45, 0.42])
     with client.atomic():
@@ -291,7 +292,10 @@ def _same(a: Pose, b: Pose) -> bool:
 
 
 def bounds_of(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> tuple[NDArray, NDArray]:
-    """Return the corners of the bounding box of all visible non-environment objects [m]."""
+    """Return the bounds (low [3], high [3]) [m] of all visible surfaces except the environment's.
+
+    If every object belongs to the environment, include the environment.
+    """
     points = [
         poses[obj.name, part.name].apply(mesh.vertices)
         for obj in scene.objects
@@ -304,7 +308,7 @@ def bounds_of(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> tuple[
 
 
 def light_scene(server: Any) -> None:
-    """Set the vertical axis and the lights of a page; shadows would render the scene twice."""
+    """Set the vertical axis and the lights of a page; omit shadows, which double the rendering."""
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(cast_shadow=False)

@@ -1,4 +1,4 @@
-"""Page of `neoworld view`: a scene with its photograph, free fall, search and objects."""
+"""Page of `neoworld view`, which shows a scene, its photograph, free fall, search and objects."""
 
 import logging
 import math
@@ -62,8 +62,10 @@ class SceneViewer:
             path: path of the target; the viewer reads it again after a change.
             target: the contents of `path`.
             config: options for programs, and for the search of a scene without a run.
-            rebuild: builds an object's program in a run folder, and repeats the later steps.
-            search_again: composes a run's scene with a layout patch, and refines it.
+            rebuild: function that builds an object's program in a run folder, and repeats the later
+                steps.
+            search_again: function that composes a run's scene with a layout patch, and refines the
+                scene.
         """
         self._rebuild_object, self._search_again = rebuild, search_again
         self._server, self._path, self._config = server, path, config
@@ -236,7 +238,7 @@ class SceneViewer:
         self._nodes.pose(part_poses(self._editor.scene))
 
     def _simulation(self) -> "FreeFall | None":
-        """Return the simulation of the shown scene, compiled on first use."""
+        """Return the simulation of the shown scene, which is compiled on first use."""
         if self._fall is None:
             from .free_fall import FreeFall
 

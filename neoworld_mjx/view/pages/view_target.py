@@ -28,20 +28,20 @@ class ViewTarget:
 
     title: str
     after: SceneSpec
-    """The scene: the refined one if the run has one."""
+    """The scene; if the run has a refined scene, the refined scene."""
     before: SceneSpec | None = None
-    """The scene before the search, if any."""
+    """The composed scene before the search, if the run also has a refined scene."""
     run: Path | None = None
-    """Run folder of the scene, if any."""
+    """Run folder of the scene, if the scene is part of a run."""
     scene_file: Path | None = None
-    """The scene.json, if it is not part of a run."""
+    """The scene.json, if the scene is not part of a run."""
     program: Path | None = None
-    """The program, if it is not part of a run."""
+    """The program, if the target is a program that is not part of a run."""
     picture: NDArray | None = None
-    """The photograph, uint8 [h, w, 3]."""
+    """The photograph, uint8 [h, w, 3], if it is available."""
 
     def history(self) -> dict[str, Any] | None:
-        """Read the history of the search; return None if there is none.
+        """Read the history of the search; return None if there is no history.
 
         Raises:
             RunError: the file is damaged.
@@ -51,7 +51,7 @@ class ViewTarget:
         return read_arrays(self.run / HISTORY, RunError)
 
     def program_of(self, name: str) -> Path | None:
-        """Return the file of an object's program, if known."""
+        """Return the file of an object's program; None if the object has no program."""
         if self.program is not None:
             return self.program
         object_folder = self.object_folder(name)
@@ -61,7 +61,7 @@ class ViewTarget:
         return next((path for path in paths if path.is_file()), None)
 
     def object_folder(self, name: str) -> Path | None:
-        """Return the folder of an object's files, if it exists."""
+        """Return the folder of an object's files; None if it does not exist."""
         base = self.run or (None if self.scene_file is None else self.scene_file.parent)
         object_folder = None if base is None else base / "objects" / name
         return object_folder if object_folder is not None and object_folder.is_dir() else None
@@ -72,8 +72,8 @@ def open_target(path: Path, config: Config) -> ViewTarget:
 
     Raises:
         SpecError: the path contains none of these, or cannot be read.
-        ProgramError: the program builds no object.
-        RunError: the run folder holds links or damaged files.
+        ProgramError: the program does not build an object.
+        RunError: the run folder contains links or damaged files.
     """
     if path.is_dir():
         refuse_links(path)
@@ -129,7 +129,7 @@ def _run_target(folder: Path) -> ViewTarget:
 
 
 def _picture(folder: Path) -> NDArray | None:
-    """Return the photograph of a run, reduced for the page; None if it is missing."""
+    """Return the photograph of a run, reduced for the page; None if it is missing or damaged."""
     path = folder / "photo.png"
     if not path.is_file():
         return None

@@ -14,21 +14,21 @@ from .page import elements
 TITLE = "Parsed, fitted, refined"
 BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
 LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
-"""Changes below which every digit shown is zero."""
+"""Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
 _SIDES = ("left", "top", "right", "bottom")
 _NOTE = (
-    "Changes of position, size and heading: both fits start from the parse, the search from the "
-    'scene of Step 4; "unchanged" means by less than the last digit shown. A tilt, as of an object '
-    "that settles, is in the angle of the whole rotation. Hidden sides: sides of its 2D box that "
-    "are truncated or occluded."
+    "Changes of position, size and heading. Both fits start from the parse; the search starts from "
+    'the scene of Step 4. "Unchanged" means that all changes are below the last digit shown. If an '
+    "object tilts, for example while it settles, the angle of the whole rotation is given, too. "
+    "Hidden sides are sides of the 2D box that are truncated or occluded."
 )
 
 
 def changes(folder: Path) -> Markup:
-    """Return the section with the parsed box of each object and the changes by fits and search."""
+    """Return the section with each object's parsed box, and its changes by the fits and search."""
     parsed = _parse_fit(folder)
     if not parsed:
-        return elements.section(TITLE, elements.missing("The parse has no fit, or none yet."))
+        return elements.section(TITLE, elements.missing("There is no fit of the parse."))
     moves = all_moves(folder)
     rows = []
     for name, change in parsed.items():
@@ -54,7 +54,7 @@ def changes(folder: Path) -> Markup:
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the formatted changes of each object of a run, by name and step."""
+    """Return the formatted changes of the objects of a run, by object name and step."""
     refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
     moves: dict[str, dict[str, str]] = {}
     for step, fitted in ((BOXES, _parse_fit(folder)), (SHAPES, refit)):
@@ -70,7 +70,7 @@ def all_moves(folder: Path) -> dict[str, dict[str, str]]:
 
 
 def _parse_fit(folder: Path) -> dict[str, Any]:
-    """Return the fit of the accepted parse round, by object."""
+    """Return the fit in the accepted round of the parse, by object name."""
     rounds = (read_json(folder / "parse.json") or {}).get("rounds", [])
     accepted = [entry for entry in rounds if entry.get("kept")]
     return (accepted[0].get("fit") or {}).get("objects", {}) if accepted else {}
@@ -84,7 +84,7 @@ def _fit_change(change: dict[str, Any]) -> str:
 
 
 def _change(distance_m: float, size_ratio: float, yaw_deg: float, turn_deg: float = 0.0) -> str:
-    """Format a change; the whole rotation is named if a tilt makes it differ from that of yaw."""
+    """Format a change; add the angle of the whole rotation if a tilt makes it exceed the yaw."""
     tilted = turn_deg > abs(yaw_deg) + LEAST_DEG
     if (
         distance_m < LEAST_M

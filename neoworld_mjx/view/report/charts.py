@@ -21,11 +21,11 @@ _BOX |= {"left": _LEFT, "right": _RIGHT, "top": _TOP, "bottom": _BOTTOM}
 
 @dataclass(frozen=True)
 class Series:
-    """A line of a chart; non-finite values are omitted."""
+    """A line of a chart. Non-finite values are omitted."""
 
     label: str
     values: NDArray
-    """Shape [x]."""
+    """Values at x = 1, 2, ..., shape [x]."""
     color: str = "var(--c1)"
     dashed: bool = False
 
@@ -54,7 +54,7 @@ def line_chart(
         y_label: quantity and unit of the values.
         x_label: quantity along x.
         band: a shaded area behind the lines.
-        limits: lowest and highest y; by default the range of the values.
+        limits: lowest and highest y; by default, the range of the values, extended to ticks.
     """
     arrays = [line.values for line in lines] + ([band.low, band.high] if band else [])
     finite = np.concatenate([np.asarray(array, float).ravel() for array in arrays])
@@ -89,10 +89,10 @@ def line_chart(
 
 
 def bars(items: Sequence[tuple[str, float]], unit: str) -> Markup:
-    """Draw labelled horizontal bars with their values, as an SVG element.
+    """Draw labeled horizontal bars with their values as an SVG element.
 
     Args:
-        items: label and value >= 0 of each bar.
+        items: label and nonnegative value of each bar.
         unit: unit of the values.
     """
     highest = max((value for _, value in items), default=0.0) or 1.0
@@ -108,7 +108,7 @@ def bars(items: Sequence[tuple[str, float]], unit: str) -> Markup:
 
 
 def nice_ticks(low: float, high: float, steps: int = 4) -> list[float]:
-    """Return round numbers that cover [low, high] in approximately the given number of steps."""
+    """Return round numbers that cover [low, high] with about the given number of steps."""
     raw = (high - low) / steps
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= raw * 0.999)
@@ -117,7 +117,7 @@ def nice_ticks(low: float, high: float, steps: int = 4) -> list[float]:
 
 
 def _line(line: Series, x: NDArray, y: NDArray) -> dict[str, object]:
-    """Return the points of a line, and its runs of consecutive finite values."""
+    """Return the attributes, dots, and runs of consecutive finite values of a line, for the SVG."""
     finite = np.flatnonzero(np.isfinite(y))
     runs = np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1)
     return {

@@ -1,4 +1,4 @@
-"""Convergence of the search of Step 5, drawn from refine/history.npz."""
+"""Charts of the convergence of the search in Step 5, from refine/history.npz."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,41 +22,41 @@ LABELS = {
     "s_sem": ("S_sem", 1.0),
     "prior": ("prior, sigma²", 1.0),
 }
-"""Label with unit of each built-in term, and the factor that converts values to this unit."""
+"""Label with unit for each built-in term, and the factor that converts values to this unit."""
 NOT_DRAWN = -1
-"""Status of an array entry without a candidate."""
+"""Status of an entry of the arrays for which no candidate was sampled."""
 
 History = Mapping[str, NDArray]
 
 
 class TermHistory(NamedTuple):
-    """Values of a reward term for every candidate."""
+    """Values of a reward term for all candidates."""
 
     name: str
     weight: float
-    """NaN if the history does not contain it."""
+    """Weight of the term; NaN if the history does not contain weights."""
     raw: NDArray
-    """Values in the history, [iteration, candidate]."""
+    """Values as stored in the history, shape [iteration, candidate]."""
 
     @property
     def label(self) -> str:
-        """Label with unit and, if known, weight."""
+        """Label with the unit and, if known, the weight."""
         label, _ = LABELS.get(self.name, (self.name, 1.0))
         return f"{label}, weight {self.weight:g}" if np.isfinite(self.weight) else label
 
     @property
     def values(self) -> NDArray:
-        """Values in the unit of the label, [iteration, candidate]."""
+        """Values in the unit of the label, shape [iteration, candidate]."""
         return self.raw * LABELS.get(self.name, ("", 1.0))[1]
 
 
 def convergence(path: Path) -> Markup:
-    """Return the section with rewards, terms and the share of valid candidates over iterations.
+    """Return the section with rewards, terms and the fraction of valid candidates over iterations.
 
     Args:
-        path: history.npz with `absolute`, `valid`, `status` and an array for each of `term_names`,
-            all [iteration, candidate], `term_weights` [term], and `log_scale` [iteration,
-            candidate, object].
+        path: history.npz, with the arrays `absolute`, `valid` and `status` and an array for each
+            name in `term_names`, all of shape [iteration, candidate], `term_weights` [term], and
+            `log_scale` [iteration, candidate, object].
     """
     if not path.exists():
         return elements.section(TITLE, elements.missing("No refine/history.npz yet."))
@@ -86,13 +86,13 @@ def term_histories(history: History) -> list[TermHistory]:
 
 
 def best_candidates(history: History) -> NDArray:
-    """Return the index of the candidate with the highest reward in each iteration [iteration]."""
+    """Return the index of the candidate with the highest reward, for each iteration."""
     absolute = history["absolute"]
     return np.where(np.isfinite(absolute), absolute, -np.inf).argmax(axis=1)
 
 
 def over_finite(values: ArrayLike, function: Callable[[NDArray], Any]) -> NDArray:
-    """Reduce the finite values of each iteration [iteration]; NaN if there are none."""
+    """Reduce the finite values of each iteration to one number, or NaN if there are none."""
     rows = [row[np.isfinite(row)] for row in np.asarray(values, float)]
     return np.array([float(function(row)) if row.size else np.nan for row in rows])
 
@@ -116,7 +116,7 @@ def _reward_chart(absolute: NDArray) -> Markup:
 
 def _valid_chart(history: History) -> Markup:
     if "valid" not in history:
-        return elements.missing("history.npz does not contain which candidates are valid.")
+        return elements.missing("history.npz does not state which candidates are valid.")
     valid = 100.0 * history["valid"].sum(1) / np.maximum(_drawn(history), 1)
     lines = [Series("valid", valid, "var(--c3)")]
     return line_chart(lines, y_label="candidates, %", limits=(0.0, 100.0))
@@ -129,7 +129,7 @@ def _term_chart(term: TermHistory, best: NDArray) -> Markup:
 
 
 def _drawn(history: History) -> NDArray:
-    """Return the numbers of drawn candidates, [iteration]."""
+    """Return the number of sampled candidates in each iteration."""
     status = history.get("status")
     if status is None:
         iterations, population = history["absolute"].shape
@@ -142,7 +142,7 @@ def _table(history: History, terms: list[TermHistory], chosen: NDArray) -> Marku
     best, mean = over_finite(absolute, np.max), over_finite(absolute, np.mean)
     drawn = _drawn(history)
     failed = drawn - np.sum(np.isfinite(absolute), axis=1)
-    heads = ["#iteration", "#best", "#mean", "#drawn", "#valid", "#failed"]
+    heads = ["#iteration", "#best", "#mean", "#sampled", "#valid", "#failed"]
     heads += ["#mean log scale", *(f"#{term.name} of best" for term in terms)]
     rows = []
     for i in range(len(absolute)):

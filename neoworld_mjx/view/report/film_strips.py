@@ -1,4 +1,4 @@
-"""Film strips of free fall: the composed and the refined scene at several times."""
+"""Film strips of the composed and the refined scene in free fall, at several times."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from ...spec import SceneSpec, read_scene
 from .page import elements
 from .pictures import embed_pixels
 
-TITLE = "Free fall_frames"
+TITLE = "Free fall"
 SCENES = (
     ("compose/scene.json", "composed, before the search"),
     ("scene.json", "refined"),
@@ -25,7 +25,7 @@ WIDTH, TIMESTEP_S = 200, 0.004
 
 
 def film_strips(folder: Path, duration: float) -> Markup:
-    """Return the section with the free fall of a run's scenes, as strips of frames.
+    """Return the section that shows the free fall of a run's scenes as strips of frames.
 
     Args:
         folder: the run folder.
@@ -46,9 +46,9 @@ def film_strips(folder: Path, duration: float) -> Markup:
 
 
 def fall_frames(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
-    """Simulate a scene in C MuJoCo; return times [s] and frames, uint8 [h, w, 3].
+    """Simulate a scene in C MuJoCo, and return times [s] and frames, each uint8 [h, w, 3].
 
-    If the simulation diverges, return the frames up to then.
+    If the simulation diverges, return the frames before that.
     """
     model, data = compile_posed(scene)
     model.opt.timestep = TIMESTEP_S
@@ -67,7 +67,7 @@ def fall_frames(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]
 
 
 def _view(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> View:
-    """Return the view of the scene's camera; without one, a view of the whole scene."""
+    """Return the view of the scene's camera or, without a camera, a view of the whole scene."""
     if scene.camera is not None:
         return View.of(scene.camera, WIDTH)
     low = (data.geom_xpos - model.geom_rbound[:, None]).min(axis=0)

@@ -1,4 +1,4 @@
-"""Formatting of a run folder's values: numbers with units, supports, the status of a run."""
+"""Formatting of values in a run folder: numbers with units, supports, and the status of a run."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +10,12 @@ from ...io import read_object
 from ...run_folder import STEPS
 
 OUTLINE_OFF = (
-    "Outline off: median distance of the object's outline from the nearest edge of its colors in "
-    "the photograph, in pixels of an image 640 px wide, at most 24, and above 6 rather too small; "
-    "unknown where its colors do not tell it from what is behind it."
+    "Outline off: median distance between the object's outline and the nearest edge of its colors "
+    "in the photograph, in pixels of an image 640 px wide. Distances are at most 24 px; above 6 px "
+    "they are rather too small. The distance is unknown if the colors of the object do not differ "
+    "from those behind it."
 )
-"""Explanation of the distances of `outline_off`."""
+"""Explanation of the distances that `outline_off` formats."""
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -26,7 +27,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def with_unit(value: Any, unit: Any) -> str:
-    """Format the value of a check; lengths in mm, angles in degrees."""
+    """Format the value of a check with its unit: lengths in mm, angles in degrees."""
     if value is None:
         return ""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -49,12 +50,12 @@ def size_cm(size: Sequence[float]) -> str:
 
 
 def support_of(entry: dict[str, Any]) -> str:
-    """Format the support of a tree node or scene object, such as "on table"."""
+    """Format the relation to the support of a tree node or scene object, such as "on table"."""
     return f"{entry.get('relation', 'on')} {entry['parent']}" if entry.get("parent") else "world"
 
 
 def progress_of(run: dict[str, Any]) -> str:
-    """Return the run's status and its finished steps."""
+    """Return the status of a run, and its finished steps, as a clause."""
     finished = [
         step for step in STEPS if any(name.partition("/")[0] == step for name in run["steps"])
     ]
@@ -62,5 +63,5 @@ def progress_of(run: dict[str, Any]) -> str:
 
 
 def outline_off(value: float | None) -> str:
-    """Format the distance of an outline from the photograph's [px]."""
+    """Format the distance [px] of an outline from that in the photograph; None is unknown."""
     return "unknown" if value is None else f"{value:.1f}"

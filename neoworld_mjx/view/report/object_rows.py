@@ -1,4 +1,4 @@
-"""Rows of a report, one for each object: photograph, render, changes, agreement and checks."""
+"""Rows of a report, one for each object, with pictures, changes, agreement and checks."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +17,7 @@ TITLE = "Objects"
 MARGIN = 0.12
 """Margin around an object in its picture, relative to the longer edge of its box."""
 FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
-"""Stems of the films that an object's folder may contain, and their captions."""
+"""Stems of the film files that an object's folder may contain, and captions of the films."""
 _METRIC_LIMITS = (
     ("depths_m", "max_depth_m", "m", "penetrates {other} by {value} (limit {limit})"),
     ("settled_depths_m", "max_depth_m", "m", "settles {value} deep in {other} (limit {limit})"),
@@ -26,11 +26,11 @@ _METRIC_LIMITS = (
     ("joint_slide_m", "max_drift_m", "m", "{joint} slides by {value} (limit {limit})"),
     ("joint_turn_deg", "max_tilt_deg", "°", "{joint} turns by {value} (limit {limit})"),
 )
-"""Metric by object, option that limits it, unit, and message."""
+"""Metric of each object, option that limits the metric, unit, and message."""
 
 
 def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Markup:
-    """Return the section with a row for each object; failing ones come first and are open.
+    """Return the section with one row per object; rows of failing objects come first and are open.
 
     Args:
         folder: the run folder.
@@ -62,20 +62,20 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
     rows.sort(key=lambda row: row[0])
     failed = sum(not passed for passed, _ in rows)
     outcome = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows) - untested} pass"
-    tests = " the object tests, in which each is simulated by itself"
+    tests = " the object tests, in which each object is simulated alone"
     if failed and run["metrics"].get("passed"):
-        tests += "; the scene is valid, as it supports them"
+        tests += "; the scene is valid, because it supports these objects"
     elif causes:
         tests = " the object tests or the final check of the scene"
     said = "" if untested == len(rows) else f"{outcome}{tests}. "
     if untested:
-        said += f"{untested} of {len(rows)} were not tested by themselves. "
+        said += f"{untested} of {len(rows)} were not tested alone. "
     note = elements.paragraph(f"{said}Open a row to see its checks.", "dim")
     return elements.section(TITLE, note, *(row for _, row in rows))
 
 
 def violated_limits(run: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the violated limits of each object of the refined scene, as messages."""
+    """Return messages about the limits that each object of the refined scene violates, by name."""
     metrics, limits = run["metrics"], run["config"]["refine"]
     causes: dict[str, list[str]] = {}
     for key, bound, unit, message in _METRIC_LIMITS:
@@ -98,7 +98,7 @@ def _facts(
     agreement: Mapping[str, Any],
     causes: list[str],
 ) -> list[tuple[str, object]]:
-    """Return the result of each step for an object, and the overlap of its boxes, with labels."""
+    """Return labeled facts about an object: violated limits, results of steps, overlap of boxes."""
     facts: list[tuple[str, object]] = []
     if causes:
         facts.append(("not valid", elements.span("; ".join(causes), "bad")))
@@ -120,7 +120,10 @@ def _facts(
 def _pictures(
     folder: Path, object_folder: Path, node: Mapping[str, Any], camera: Any
 ) -> list[Markup]:
-    """Return crops of the photograph and of the rendered scene around the object."""
+    """Return crops of the photograph and of the rendered scene around the object.
+
+    If the parse gives no box, return the pictures in the object's folder.
+    """
     box = node.get("box2d")
     if box is None or not isinstance(camera, dict):
         files = [
@@ -146,7 +149,7 @@ def _pictures(
 
 
 def _bound(check: Mapping[str, Any]) -> str:
-    """Format the threshold of a check with its direction."""
+    """Format the threshold of a check with "≥" or "≤"."""
     try:
         least = Check.model_validate(check).least
     except ValidationError:
@@ -156,7 +159,7 @@ def _bound(check: Mapping[str, Any]) -> str:
 
 
 def _measured(check: Mapping[str, Any], key: str) -> str:
-    """Format the value or the threshold of a check with the digits that the terminal shows."""
+    """Format the value or the threshold of a check with the digits that the terminal prints."""
     value = check.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return "" if value is None else str(value)
@@ -164,7 +167,7 @@ def _measured(check: Mapping[str, Any], key: str) -> str:
 
 
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
-    """Return an object's program signals, its checks in verify.json, and its films."""
+    """Return the signals of an object's program, its checks in verify.json, and its films."""
     signals = [
         [
             signal["code"].replace("_", " "),

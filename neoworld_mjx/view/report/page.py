@@ -20,7 +20,7 @@ elements: Any = _ENVIRONMENT.get_template("elements.html").module
 def document(title: str, body: Iterable[Markup], scripts: Iterable[str] = ()) -> str:
     """Return a self-contained page.
 
-    Its content security policy forbids network access and all scripts but the listed ones.
+    The page's content security policy forbids network access and all scripts except `scripts`.
 
     Args:
         title: title of the page.

@@ -1,4 +1,4 @@
-"""Section of a report on the alignment with the photograph: camera, moves and uncertainties."""
+"""Section on the alignment with the photograph: camera, moves and uncertainties."""
 
 import math
 from pathlib import Path
@@ -13,24 +13,25 @@ from .pictures import picture
 
 TITLE = "The photograph"
 UNSEEN = 0.9
-"""Deviation of a heading, over that of its prior, from which the photograph does not show it."""
+"""Ratio of a heading's standard deviation to that of its prior at and above which the photograph
+counts as not showing the heading."""
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
-"""Words for the `evidence` of align.json, which places an object."""
+"""Words for the values of `evidence` in align.json, which determined the pose of an object."""
 _SCENES = ("composed", "aligned")
 _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
 _EVIDENCE = (
-    "Pixels of the aligned scene: green where an object's pixels look like the object, red where "
-    "they look like what is behind it, blue where pixels around it look like it"
+    "Pixels of the aligned scene: green where pixels of an object look like the object, red where "
+    "they look like the background, and blue where pixels around the object look like the object"
 )
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
-    'Known to: one standard deviation; "heading not seen" means that the photograph says nothing '
-    "about the heading. "
+    '"Known to" states standard deviations. "Heading not seen" means that the photograph gives no '
+    "information about the heading. "
 )
 
 
 def photograph_section(folder: Path) -> Markup:
-    """Return the section on the alignment; empty for a run without compose/align.json."""
+    """Return the section on the alignment; empty markup for a run without compose/align.json."""
     path = folder / "compose" / "align.json"
     if not path.is_file():
         return Markup()
@@ -39,7 +40,7 @@ def photograph_section(folder: Path) -> Markup:
         return elements.section(TITLE, elements.missing("compose/align.json cannot be read."))
     objects = aligned["objects"]
     if not objects:
-        note = "Nothing was aligned: the scene has no camera, or no object that may move."
+        note = "Nothing was aligned: the scene has no camera or no movable object."
         return elements.section(TITLE, elements.missing(note))
     outlines = aligned.get("outlines_px") or {}
     heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %"]
@@ -70,7 +71,7 @@ def _openings(objects: dict[str, Any]) -> list[Markup]:
 
 
 def _dimensions(aligned: dict[str, Any]) -> list[Markup]:
-    """Return a table of the programs' dimensions, if the alignment was to change them."""
+    """Return a table with the dimensions of programs that the alignment changed or tried to."""
     rows = [
         [name, freed["phrase"] if freed["edits"] else f"unchanged: {freed['reason']}"]
         for name, freed in aligned.get("dimensions", {}).items()
@@ -92,15 +93,16 @@ def _camera(aligned: dict[str, Any]) -> str:
 
 
 def _looks(folder: Path) -> str:
-    """Return sentences on what the pictures of the scene take from the photograph."""
+    """Return sentences on the exposure and the prints that the scene takes from the photograph."""
     scene = read_json(folder / "compose" / "scene.json") or {}
     text, gain = "", (scene.get("camera") or {}).get("gain")
     if gain is not None:
         red, green, blue = gain
         text += (
-            f" The pictures of the scene have one exposure and white balance, estimated from all "
-            f"objects: {green:.2f} times the light, red by {_signed(100 * (red / green - 1), 0)} % "
-            f"and blue by {_signed(100 * (blue / green - 1), 0)} % relative to green."
+            f" All pictures of the scene have the same exposure and white balance, estimated from "
+            f"all objects: {green:.2f} times the light; relative to green, red differs by "
+            f"{_signed(100 * (red / green - 1), 0)} % and blue by "
+            f"{_signed(100 * (blue / green - 1), 0)} %."
         )
     prints = [
         item["name"]
@@ -113,11 +115,11 @@ def _looks(folder: Path) -> str:
 
 
 def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[str]:
-    """Return the cells of an object; a change has the digits that its deviation leaves it."""
+    """Return the cells of an object; the standard deviation of a change determines its digits."""
     deviations = change["uncertainty"]
     along, across = 1000 * deviations["along"], 1000 * deviations["across"]
     heading, size = math.degrees(deviations["yaw"]), 100 * deviations["log_scale"]
-    # An object on a wall moves in the wall's plane alone: its distance has no deviation.
+    # An object on a wall moves only in the plane of the wall, so its distance has no deviation.
     on_wall = along == 0
     moved = 1000 * math.hypot(*change["shift_m"])
     source = _SOURCES[change["evidence"]]
@@ -143,7 +145,7 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
 
 
 def _digits(deviation: float) -> int:
-    """Return the number of decimals of a value with a standard deviation."""
+    """Return the number of decimals to show for a value with the given standard deviation."""
     return 0 if deviation >= 0.95 else 1
 
 

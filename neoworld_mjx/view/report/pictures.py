@@ -22,7 +22,7 @@ _SMALL_BYTES = 300_000
 
 
 def picture(path: Path, caption: str) -> Markup:
-    """Embed a picture file, reduced if it is large, or a note if it is missing or damaged."""
+    """Embed a picture file, reduced if it is large; embed a note if it is missing or damaged."""
     if not path.is_file():
         return elements.missing_figure("not there yet", caption)
     try:
@@ -38,7 +38,7 @@ def picture(path: Path, caption: str) -> Markup:
 def cropped_picture(
     path: Path, window: tuple[float, float, float, float], caption: str, height: int = 150
 ) -> Markup:
-    """Embed a crop of a picture; return empty markup if the file is missing or damaged.
+    """Embed a crop of a picture file; return empty markup if the file is missing or damaged.
 
     Args:
         path: the picture file.
@@ -60,7 +60,7 @@ def cropped_picture(
 
 
 def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
-    """Embed frames of an animation side by side; return empty markup if the file is missing."""
+    """Embed frames of an animation side by side, or nothing if the file is missing or damaged."""
     try:
         raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
         with open_image(raw, path.name, RunError) as image:

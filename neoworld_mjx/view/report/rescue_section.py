@@ -1,4 +1,4 @@
-"""Section of the report of a rescue: what was given, what moved, and the photograph's outlines."""
+"""Section on a rescue: how objects moved, and how outlines agree with the photograph."""
 
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,15 @@ from .pictures import picture
 TITLE = "Rescue"
 FILE = "rescue.json"
 CHECKED = (
-    "The objects were given with shapes and poses. Checked is the scene as a whole: penetration, "
-    "and motion in free fall (below). Not checked are the objects by themselves: no object test "
-    "ran, and shapes, masses and friction are as given or assumed (notes)."
+    "The shapes and poses of the objects were given. The scene as a whole was checked for "
+    "penetration and for motion in free fall (below). The individual objects were not checked: no "
+    "object test ran, and shapes, masses and friction are as given or assumed (see the notes)."
 )
 _CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
 
 
 def rescue_section(folder: Path) -> Markup:
-    """Return the section; empty for a run that is no rescue."""
+    """Return the section on a rescue; empty markup for any other run."""
     if not (folder / FILE).is_file():
         return Markup()
     rescued = read_json(folder / FILE)
@@ -56,7 +56,7 @@ def rescue_section(folder: Path) -> Markup:
 
 
 def _agreement(outlines: dict[str, Any]) -> str:
-    """Return a sentence on how many objects are nearer to the photograph than they were given."""
+    """Return a sentence on how many outlines are nearer to the photograph's than as given."""
     if not outlines:
         return "No photograph was given, so nothing was compared with one."
     known = [(o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()]

@@ -1,7 +1,8 @@
-"""Write report.html: a run on one page that needs no server and no network.
+"""Write report.html, a report on a run in one page.
 
-The report can be written after any step: it shows the contents of the run folder and names missing
-files. Verdicts and numbers come from run.json and verify.json.
+The page needs no server and no network. The report can be written after any step. It shows the
+contents of the run folder and names missing files. Verdicts and numbers come from run.json and
+verify.json.
 """
 
 import json
@@ -37,12 +38,12 @@ _ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, MemoryError, NeoWorldError),
     *(TemplateError, TypeError, ValueError),
 )
-"""Exceptions that a file with an unexpected structure may raise."""
+"""Exceptions that a section may raise if a file has an unexpected structure."""
 OF_PHOTOGRAPHS = (
     *("Before and after", object_rows.TITLE, "Parse", changes.TITLE, "Models"),
     "Agreement with the photograph",
 )
-"""Sections about steps that a rescue does not have."""
+"""Sections about steps that do not belong to a rescue."""
 
 
 def write_report(folder: Path) -> Path:
@@ -99,7 +100,7 @@ def write_report(folder: Path) -> Path:
 
 
 def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
-    """Draw a section, or a note if a file does not have the expected structure."""
+    """Return a section, or a note if a file does not have the expected structure."""
     try:
         return section()
     except _ERRORS as error:
@@ -108,7 +109,7 @@ def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
 
 
 def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
-    """Return the header: status of the run, and reasons why its scene is not valid."""
+    """Return the header with the status of the run, and reasons if the scene is not valid."""
     status = str(run["status"])
     color = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
     errors = [run["error"]] if run.get("error") else []
@@ -217,7 +218,7 @@ def _pictures(folder: Path) -> Markup:
 
 
 def _scene_3d(folder: Path) -> Markup:
-    """Return the interactive view of the refined scene, or else of the composed one."""
+    """Return the interactive view of the refined scene or, if missing, of the composed scene."""
     for name in ("scene.json", "compose/scene.json"):
         if (folder / name).is_file():
             return scene_3d.scene_3d(read_scene(folder / name))
@@ -243,7 +244,7 @@ def _time(run: dict[str, Any]) -> Markup:
     return elements.section(
         "Time",
         elements.div("bars", charts.bars(computing, "s")),
-        elements.paragraph(f"Besides, waiting for models: {', '.join(waits) or 'none'}."),
+        elements.paragraph(f"In addition, waiting for models: {', '.join(waits) or 'none'}."),
     )
 
 
@@ -290,7 +291,7 @@ def _settings(run: dict[str, Any]) -> Markup:
 
 
 def _differences(default: Any, configured: Any, path: str = "") -> list[tuple[str, Any, Any]]:
-    """Return path, default and value of every option that differs from its default."""
+    """Return the path, default and value of each option that differs from its default."""
     if isinstance(default, dict) and isinstance(configured, dict):
         return [
             difference

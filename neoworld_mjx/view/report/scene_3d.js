@@ -1,4 +1,4 @@
-// Interactive 3D view of a scene in WebGL, without libraries or network. The page holds its data as JSON.
+// Interactive 3D view of a scene in WebGL, without libraries or network. The page contains the scene as JSON.
 "use strict";
 (() => {
   const canvas = document.getElementById("scene-3d");
@@ -201,7 +201,7 @@
   canvas.addEventListener("dblclick", () => frame(shown));
   addEventListener("resize", draw);
 
-  // Controls: a choice of the object to show, and a slider for every joint that mimics no other.
+  // Controls: a selector for the object to show, and a slider for each joint that mimics no other joint.
   const choice = document.createElement("select");
   choice.setAttribute("aria-label", "Shown");
   ["the whole scene", ...scene.objects.map(object => object.name)].forEach((name, k) =>

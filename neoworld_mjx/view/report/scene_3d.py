@@ -1,6 +1,6 @@
-"""Interactive view of a scene in the report: WebGL with a slider for every joint, offline.
+"""Interactive view of a scene in the report, with a slider for each joint, in WebGL and offline.
 
-The page contains the script; its content security policy allows no other.
+The page contains the script, and the content security policy of the page allows no other script.
 """
 
 import base64
@@ -26,7 +26,7 @@ from .page import elements
 
 TITLE = "In three dimensions"
 MAX_TRIANGLES = 400_000
-"""Maximum number of triangles of a page; a larger scene is replaced by a note."""
+"""Maximum number of triangles of a scene; for a larger scene, the page contains only a note."""
 FOVY = math.radians(40)
 _STEPS, _NORMAL = 65535, 127
 
@@ -38,7 +38,7 @@ def script() -> str:
 
 
 def script_hash() -> str:
-    """Return the script's hash in the form of a content security policy."""
+    """Return the hash of the script in the syntax of a content security policy."""
     return f"'sha256-{base64.b64encode(sha256(script().encode()).digest()).decode()}'"
 
 
@@ -52,7 +52,7 @@ def scene_3d(scene: SceneSpec, max_triangles: int = MAX_TRIANGLES) -> Markup:
             "shows it."
         )
         return elements.section(TITLE, elements.missing(note))
-    # Only "<" could end the script element.
+    # Escape "<", the only character that could end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     hint = "Drag: turn. Wheel or pinch: zoom. Shift or two fingers: move. Double click: reset."
     return elements.section(TITLE, elements.scene_3d(hint, text, script()))
@@ -78,7 +78,10 @@ def scene_data(scene: SceneSpec) -> dict[str, Any]:
 
 
 def _viewpoint(points: NDArray, position: NDArray | None) -> dict[str, Any]:
-    """Return a view of points [n, 3] m from a position; by default from the front right, above."""
+    """Return a view of points [n, 3] from the direction of a position, both in the world frame [m].
+
+    By default, look from above, from the front (-x) and from the right (-y).
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     direction = np.array([-0.75, -0.45, 0.5]) if position is None else position - middle

@@ -73,7 +73,7 @@ def scene_section(scene: dict[str, Any]) -> Markup:
 
 
 def agreement(run: dict[str, Any]) -> Markup:
-    """Return the section with the overlap of each object's visible and parsed box, by step."""
+    """Return the section with the overlap of each object's visible and parsed box in each step."""
     title = "Agreement with the photograph"
     measured = run["metrics"].get("box_iou")
     if not measured or not measured["objects"]:
@@ -87,8 +87,8 @@ def agreement(run: dict[str, Any]) -> Markup:
         for name, values in [("mean", measured), *objects]
     ]
     note = (
-        "Intersection over union of the box of the visible pixels and the parsed box, lowest "
-        "first. Parsed: projection of the 3D box, without occlusion."
+        "Intersection over union of the box around the visible pixels and the parsed 2D box, "
+        "lowest first. Parsed cuboid: projection of the parsed 3D box, without occlusion."
     )
     heads = ["object", "#parsed cuboid", "#composed", "#refined"]
     return elements.section(title, elements.table(heads, rows), elements.paragraph(note, "dim"))
@@ -116,7 +116,7 @@ def joints(folder: Path, scene: dict[str, Any]) -> Markup:
 
 
 def _joint_cells(joint: dict[str, Any], state: dict[str, float]) -> list[str]:
-    """Return the cells of a joint after the object's name."""
+    """Return the cells of a joint that follow the object's name."""
     unit, factor = ("mm", 1000.0) if joint["type"] == "prismatic" else ("°", 180 / math.pi)
     ball = joint["type"] == "ball"
     unlimited = joint["type"] == "continuous" or (ball and joint["upper"] == 0)
@@ -169,7 +169,7 @@ def penetrations(run: dict[str, Any]) -> Markup:
         *("object", "#drift composed, mm", "#drift refined, mm"),
         *("#turn composed", "#turn refined"),
     ]
-    none = "No two objects intersect, before or after."
+    none = "No two objects intersect, neither before nor after refinement."
     return elements.section(
         title,
         elements.table(heads, pairs) if pairs else elements.paragraph(none),
