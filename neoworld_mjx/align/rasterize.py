@@ -187,7 +187,7 @@ def _crossing(
 def _covered(
     spans: _Spans, width: int
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the pixels of all spans, with the inverse depth [1/m] and the triangle of each pixel."""
+    """Return the pixels of all spans, their inverse depths [1/m] and their triangles."""
     row, offset = _runs(np.zeros(len(spans.count), int), spans.count)
     pixel = (spans.line * width + spans.start)[row] + offset
     inverse = spans.inverse[row] + spans.slope[row] * offset
