@@ -24,7 +24,7 @@ from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel, compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement.score_worker import drawer
+from neoworld_mjx.refinement.score_worker import scene_renderer
 from neoworld_mjx.refinement.scorer import SemanticScorer
 from neoworld_mjx.spec import Camera, SceneSpec
 from tests.support.messages import MessagesServer, levels_of
@@ -115,7 +115,7 @@ def scoring(
     rounds = [(layouts, model.place(layouts)) for layouts in draws]
     physics = _physics(model, draws[0], physics_s, real)
     geometric = np.random.default_rng(seed).uniform(0.4, 0.9, population)
-    photo = Picture.of("photo", drawer(o)(model.spec))
+    photo = Picture.of("photo", scene_renderer(o)(model.spec))
 
     alone = _timed(lambda: [physics(layouts) for layouts in draws])
 
@@ -128,7 +128,7 @@ def scoring(
                     scorer.submit(t, scorer.best(geometric), layouts, poses)
                     work(layouts)
                     scorer.collect(t)
-                    scorer.fill(t, layouts, geometric)
+                    scorer.s_sem_of(t, layouts, geometric)
                 scorer.await_for([(t, k) for t in range(iterations) for k in range(population)])
 
             with scorer:
@@ -140,7 +140,7 @@ def scoring(
         scored_alone, _, _ = search(server.url, lambda _: None)
     with MessagesServer(**server_options) as server:
         both, scorer, panel = search(server.url, physics)
-    draw = drawer(o)
+    draw = scene_renderer(o)
     summary = scorer.summary()
     misplaced = 0
     for t, (layouts, poses) in enumerate(rounds):

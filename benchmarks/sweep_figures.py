@@ -18,9 +18,9 @@ from neoworld_mjx.sweeps.plan import (
     BASE,
     Ablation,
     Plan,
-    plain,
+    plain_value,
     point_of,
-    read,
+    read_plan,
     shared_config,
 )
 from neoworld_mjx.sweeps.run_rows import Row, read_runs
@@ -89,7 +89,7 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
     if about is None or not about.get("finished"):
         raise ValueError(f"{folder} holds no finished sweep")
     file = ROOT / swept.plan
-    plan = read(file, Ablation) if about["kind"] == "ablation" else read(file, Plan)
+    plan = read_plan(file, Ablation) if about["kind"] == "ablation" else read_plan(file, Plan)
     if about["plan"] != plan.model_dump(mode="json"):
         raise ValueError(f"{folder} holds a sweep of another plan than {swept.plan}")
     base = shared_config(plan).refine
@@ -239,7 +239,7 @@ def _cells(
 
 def _label(values: Mapping[str, Any], group: Sequence[str]) -> str:
     return ", ".join(
-        f"{value:g}" if isinstance(value, float) else str(plain(value))
+        f"{value:g}" if isinstance(value, float) else str(plain_value(value))
         for value in (values[path] for path in group)
     )
 

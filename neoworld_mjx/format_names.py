@@ -7,7 +7,7 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 Simulator = Literal[
     "mujoco", "mjx", "newton", "isaac", "drake", "gazebo", "pybullet", "sapien", "pinocchio"
 ]
-BEST: dict[Simulator, tuple[Format, ...]] = {
+PREFERRED_FORMATS: dict[Simulator, tuple[Format, ...]] = {
     "mujoco": ("mjcf",),
     "mjx": ("mjcf",),
     "newton": ("usd",),

@@ -28,14 +28,18 @@ def sorted_samples(
     among themselves.
     """
 
-    def halved(points: NDArray) -> NDArray:
+    def split_in_half(points: NDArray) -> NDArray:
         if len(points) <= BLOCK:
             return points
         order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
         half = -(-len(points) // (2 * BLOCK)) * BLOCK
-        return np.concatenate([halved(points[order[:half]]), halved(points[order[half:]])])
+        return np.concatenate(
+            [split_in_half(points[order[:half]]), split_in_half(points[order[half:]])]
+        )
 
-    return np.stack([np.concatenate([halved(x[:first]), halved(x[first:])]) for x in samples])
+    return np.stack(
+        [np.concatenate([split_in_half(x[:first]), split_in_half(x[first:])]) for x in samples]
+    )
 
 
 def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:

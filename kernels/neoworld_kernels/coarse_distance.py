@@ -60,9 +60,9 @@ def depths(
             values.append(jnp.where(steep > 1e-18, depth, least))
         return values
     if kind == "sector":
-        local = [[*folded(x, y, size[0]), z] for x, y, z in local]
+        local = [[*fold_into_sector(x, y, size[0]), z] for x, y, z in local]
 
-    def one(f: Array, far: tuple[Array, ...]) -> tuple[Array, ...]:
+    def clip_by_plane(f: Array, far: tuple[Array, ...]) -> tuple[Array, ...]:
         a, b, c, d = (plane(f, k) for k in range(4))
         return tuple(
             jnp.minimum(value, ((d - a * x) - b * y) - c * z)
@@ -70,15 +70,15 @@ def depths(
         )
 
     start = tuple(x * 0.0 + 1e6 for x, _, _ in local)
-    return list(lax.fori_loop(0, faces, one, start))
+    return list(lax.fori_loop(0, faces, clip_by_plane, start))
 
 
-def bound(
+def distance_bound(
     kind: str, point: list[Array], size: list[Array], plane: Plane, faces: int | Array
 ) -> Array:
     """Return a lower bound of the signed distance to the surface. Its Lipschitz constant is 1."""
     if kind == "capsule":
-        return -finished(kind, depths(kind, [point], size, plane, faces)[0], size)
+        return -to_depth(kind, depths(kind, [point], size, plane, faces)[0], size)
     if kind == "ellipsoid":
         x, y, z = (v / s for v, s in zip(point, size, strict=True))
         square = x * x + y * y + z * z
@@ -87,12 +87,12 @@ def bound(
     return -depths(kind, [point], size, plane, faces)[0]
 
 
-def finished(kind: str, best: Array, size: list[Array]) -> Array:
+def to_depth(kind: str, best: Array, size: list[Array]) -> Array:
     """Convert the largest value that `depths` returned to a depth."""
     return size[0] - _root(-best) if kind == "capsule" else best
 
 
-def folded(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
+def fold_into_sector(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
     """Rotate points about z into the sector from 0 to 2 pi / times."""
     inverse = times * (1 / (2 * math.pi))
     # Mosaic GPU has no floor. Angles are shifted so that truncation rounds down.

@@ -25,7 +25,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .blocks import Blocks, bounding_sphere, sample_blocks
-from .coarse_distance import depths, finished, folded
+from .coarse_distance import depths, fold_into_sector, to_depth
 from .convex_pieces import SPARE, Colliders, PieceGroup, distance
 
 UNROLL = 4
@@ -55,7 +55,7 @@ class Pieces(NamedTuple):
     code: Int[Array, " round"]
     """Index in SIZE_KINDS of each piece defined by sizes."""
     planes: Float[Array, "flat face 4"]
-    times: Float[Array, " flat"]
+    repeats: Float[Array, " flat"]
     """Number of repeats of each polytope about the z axis of its frame."""
     faces: Int[Array, " flat"]
     """Number of planes of each polytope, without padding."""
@@ -112,7 +112,7 @@ def join_pieces(colliders: Colliders) -> Pieces:
         ),
         code=jnp.asarray(np.repeat(np.arange(len(SIZE_KINDS), dtype=np.int32), counts)),
         planes=planes,
-        times=jnp.concatenate(
+        repeats=jnp.concatenate(
             [jnp.ones(len(colliders.polytope.owner)), colliders.sector.size[:, 0]]
         ),
         faces=jnp.sum(planes[..., 3] < SPARE / 2, axis=1, dtype=jnp.int32),
@@ -147,17 +147,19 @@ def touching(
 
 def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
     count, pop = placed.scale.shape
-    cut = len(pieces.code)
+    size_count = len(pieces.code)
     near = touching(placed, blocks, pieces.all)
     none = jnp.zeros((count, count, pop), jnp.int32)
     deepest = Deepest(none.astype(jnp.float32), none, none, none)
-    for first, last in ((0, cut), (cut, len(near))):
+    for first, last in ((0, size_count), (size_count, len(near))):
         if last > first:
             pairs, number = true_indices(near[first:last])
 
             def search(k: Array, deepest: Deepest, pairs: Array = pairs, first: int = first):
                 piece, i = first + pairs[k] // count, pairs[k] % count
-                return _deeper(deepest, placed, blocks, pieces, piece, i, planes=first == cut)
+                return _update_deepest(
+                    deepest, placed, blocks, pieces, piece, i, planes=first == size_count
+                )
 
             deepest = lax.fori_loop(0, number, search, deepest)
     return deepest
@@ -177,7 +179,7 @@ DepthOf = Callable[[list[Array]], Array]
 below the piece's surface."""
 
 
-def _deeper(
+def _update_deepest(
     deepest: Deepest,
     placed: ObjectPoses,
     blocks: Blocks,
@@ -215,9 +217,9 @@ def _deeper(
         values = depth_of(at([points[:, c, None] for c in range(3)]))
         top = jnp.max(values, axis=0)
         index = jnp.arange(number, dtype=jnp.int32)[:, None]
-        which = b * number + jnp.min(jnp.where(values == top, index, number - 1), axis=0)
+        deepest_index = b * number + jnp.min(jnp.where(values == top, index, number - 1), axis=0)
         best, sample = carry
-        return jnp.maximum(best, top), jnp.where(top > best, which, sample)
+        return jnp.maximum(best, top), jnp.where(top > best, deepest_index, sample)
 
     none = jnp.zeros(size.shape, jnp.int32)
     best, sample = lax.fori_loop(
@@ -231,11 +233,11 @@ def _deeper(
         points = blocks.points[i].reshape(-1, 3)
         face = _nearest_plane(pieces, piece, at([points[sample, c] for c in range(3)]))
     best = best * size
-    wins = best > deepest.depth[i, o]
+    is_deeper = best > deepest.depth[i, o]
     new = (best, sample, jnp.broadcast_to(piece, best.shape), face)
     return Deepest(
         *(
-            old.at[i, o].set(jnp.where(wins, x, old[i, o]))
+            old.at[i, o].set(jnp.where(is_deeper, x, old[i, o]))
             for old, x in zip(deepest, new, strict=True)
         )
     )
@@ -250,8 +252,8 @@ def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
         value = jnp.zeros_like(local[0])
         for c, kind in enumerate(SIZE_KINDS):
             sizes = list(safe if kind == "ellipsoid" else size)
-            own = finished(kind, depths(kind, [local], sizes, lambda f, k: f, 0)[0], sizes)
-            value = jnp.where(code == c, own, value)
+            kind_depth = to_depth(kind, depths(kind, [local], sizes, lambda f, k: f, 0)[0], sizes)
+            value = jnp.where(code == c, kind_depth, value)
         return value
 
     return depth
@@ -259,21 +261,21 @@ def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
 
 def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
     row = piece - len(pieces.code)
-    planes, times = pieces.planes[row], pieces.times[row]
+    planes, times = pieces.planes[row], pieces.repeats[row]
 
     def depth(local: list[Array]) -> Array:
-        x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
+        x, y, z = lax.cond(times > 1.0, lambda p: _fold_into_sector(p, times), list, local)
 
-        def nearer(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        def clip_by_planes(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             least, loaded = carry
             for a, b, c, d in loaded:
                 least = jnp.minimum(least, ((d - a * x) - b * y) - c * z)
-            return least, following(k + 1)
+            return least, load_planes(k + 1)
 
         # Load planes one iteration ahead: XLA does not vectorize a loop with a dynamic index.
-        following = lambda k: lax.dynamic_slice_in_dim(planes, k * UNROLL, UNROLL)
-        turns = -(-pieces.faces[row] // UNROLL)
-        return lax.fori_loop(0, turns, nearer, (x * 0.0 + SPARE, following(0)))[0]
+        load_planes = lambda k: lax.dynamic_slice_in_dim(planes, k * UNROLL, UNROLL)
+        iterations = -(-pieces.faces[row] // UNROLL)
+        return lax.fori_loop(0, iterations, clip_by_planes, (x * 0.0 + SPARE, load_planes(0)))[0]
 
     return depth
 
@@ -283,15 +285,15 @@ def _nearest_plane(
 ) -> Int[Array, " pop"]:
     """Return the index of the piece's plane that is nearest to each point in the piece's frame."""
     row = piece - len(pieces.code)
-    planes, times = pieces.planes[row], pieces.times[row]
-    x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
+    planes, times = pieces.planes[row], pieces.repeats[row]
+    x, y, z = lax.cond(times > 1.0, lambda p: _fold_into_sector(p, times), list, local)
     n = planes[:, :, None]
     return jnp.argmin(((n[:, 3] - n[:, 0] * x) - n[:, 1] * y) - n[:, 2] * z, axis=0)
 
 
-def _folded(local: list[Array], times: Array) -> list[Array]:
+def _fold_into_sector(local: list[Array], times: Array) -> list[Array]:
     x, y, z = local
-    return [*folded(x, y, times), z]
+    return [*fold_into_sector(x, y, times), z]
 
 
 @jax.custom_vjp
@@ -341,9 +343,9 @@ def _depth_at(
     x = first(samples[i[:, None], deepest.sample])
     # One row per piece, since a CPU gathers rows much faster than single numbers.
     a = pieces.all
-    cut, flat = len(pieces.code), len(pieces.times)
+    cut, flat = len(pieces.code), len(pieces.repeats)
     code = jnp.concatenate([pieces.code.astype(a.pos.dtype), jnp.full(flat, -1.0)])
-    times = jnp.concatenate([jnp.ones(cut), pieces.times])
+    times = jnp.concatenate([jnp.ones(cut), pieces.repeats])
     columns = [a.pos, a.rot.reshape(-1, 9), a.size, code[:, None], times[:, None]]
     row = first(jnp.concatenate(columns, axis=1)[deepest.piece])
     pos, rot, size = row[:3], row[3:12].reshape(3, 3, *row.shape[1:]), row[12:15]
@@ -367,7 +369,7 @@ def _depth_at(
         group = PieceGroup(code, pos, rot, sizes, code, code)
         far = jnp.where(code == c, distance(kind, local[0], local[1], local[2], group), far)
     if flat:
-        b, c, z = _folded(list(local), times)
+        b, c, z = _fold_into_sector(list(local), times)
         x, y = jnp.where(times > 1.0, b, local[0]), jnp.where(times > 1.0, c, local[1])
         width = pieces.planes.shape[1]
         index = jnp.maximum(deepest.piece - cut, 0) * width + deepest.face

@@ -22,10 +22,10 @@ from .culled import ObjectPoses, dot, true_indices
 
 UNROLL = 4
 """Number of planes that are evaluated per pass over the rays of a block."""
-NEAREST = 1e5
+MAX_INVERSE_DEPTH = 1e5
 """Inverse depth of a hit [1/m] from which the camera counts as inside the piece. Such a piece
 occludes nothing."""
-CLOSE = 1e-2
+MIN_DEPTH = 1e-2
 """Depth [m] below which a bounding box counts as filling the image."""
 
 
@@ -46,7 +46,7 @@ class ConvexRows(NamedTuple):
     planes: Float[Array, "row face 4"]
     weights: Float[Array, "row 3"]
     """Coefficients w of the quadric w.x^2 <= 1, where x^2 are squared coordinates; 0 if none."""
-    times: Float[Array, " row"]
+    repeats: Float[Array, " row"]
     """Number of repeats about the z axis of the piece's frame."""
     used: Bool[Array, " row"]
 
@@ -61,7 +61,7 @@ def flat_rows(colliders: Colliders) -> ConvexRows:
         [planes, jnp.broadcast_to(spare, (len(planes), width - planes.shape[1], 4))], axis=1
     )
     normals = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
-    sides = jnp.concatenate(
+    box_planes = jnp.concatenate(
         [
             jnp.broadcast_to(normals, (len(box.owner), 6, 3)),
             jnp.tile(box.size, (1, 2))[..., None],
@@ -70,15 +70,15 @@ def flat_rows(colliders: Colliders) -> ConvexRows:
     )
     join = lambda leaf: jnp.concatenate([getattr(g, leaf) for g in (box, *groups)])
     extent = join("extent")
-    once = jnp.ones(len(box.owner) + len(colliders.polytope.owner))
+    single = jnp.ones(len(box.owner) + len(colliders.polytope.owner))
     return ConvexRows(
         join("owner"),
         join("pos"),
         join("rot"),
         extent,
-        jnp.concatenate([fill(sides), *(fill(g.planes) for g in groups)]),
+        jnp.concatenate([fill(box_planes), *(fill(g.planes) for g in groups)]),
         jnp.zeros_like(extent[:, 0]),
-        jnp.concatenate([once, colliders.sector.size[:, 0]]),
+        jnp.concatenate([single, colliders.sector.size[:, 0]]),
         jnp.all(extent[:, 1] > extent[:, 0], axis=1),
     )
 
@@ -128,7 +128,7 @@ def round_rows(colliders: Colliders) -> ConvexRows:
     return ConvexRows(owner, pos, rot, extent, planes, weights, jnp.ones(count), used)
 
 
-def picture_boxes(
+def image_boxes(
     placed: ObjectPoses, owner: Array, pos: Array, rot: Array, extent: Array
 ) -> Float[Array, "row 5 pop"]:
     """Return the image box and the greatest inverse depth of each row's bounding box.
@@ -145,26 +145,26 @@ def picture_boxes(
         image box of a bounding box that reaches the camera's plane is infinite.
     """
     # Coordinates first: [3, corner, row, pop].
-    own = jnp.transpose(placed.rot[owner], (1, 2, 0, 3))
+    object_rot = jnp.transpose(placed.rot[owner], (1, 2, 0, 3))
     size = placed.scale[owner]
     unit = np.array([*np.ndindex(2, 2, 2)], np.float32).T[..., None, None]
     low, high = (extent[:, k].T[:, None, :, None] for k in range(2))
     local = low + unit * (high - low)
-    at = _times(jnp.transpose(rot, (1, 2, 0))[..., None, :, None], local) + pos.T[:, None, :, None]
-    at = _times(own[:, :, None], at) * size + placed.pos[owner].swapaxes(0, 1)[:, None]
-    close = jnp.min(at[2], axis=0)
-    sides = at[:2] / jnp.maximum(at[2], CLOSE)
-    fills = close <= CLOSE
+    at = _matvec(jnp.transpose(rot, (1, 2, 0))[..., None, :, None], local) + pos.T[:, None, :, None]
+    at = _matvec(object_rot[:, :, None], at) * size + placed.pos[owner].swapaxes(0, 1)[:, None]
+    nearest_depth = jnp.min(at[2], axis=0)
+    sides = at[:2] / jnp.maximum(at[2], MIN_DEPTH)
+    fills_image = nearest_depth <= MIN_DEPTH
     return jnp.concatenate(
         [
-            jnp.where(fills, -jnp.inf, jnp.min(sides, axis=1)),
-            jnp.where(fills, jnp.inf, jnp.max(sides, axis=1)),
-            1.0 / jnp.maximum(close, CLOSE)[None],
+            jnp.where(fills_image, -jnp.inf, jnp.min(sides, axis=1)),
+            jnp.where(fills_image, jnp.inf, jnp.max(sides, axis=1)),
+            1.0 / jnp.maximum(nearest_depth, MIN_DEPTH)[None],
         ]
     ).swapaxes(0, 1)
 
 
-def _times(matrix: Array, vectors: Array) -> Array:
+def _matvec(matrix: Array, vectors: Array) -> Array:
     """Multiply matrices [3, 3, ...] by vectors [3, ...], elementwise."""
     return dot([matrix[:, k] for k in range(3)], vectors)
 
@@ -224,7 +224,7 @@ def _cast_row(
     planes = rows.planes[row]
     faces = jnp.sum(planes[:, 3] < SPARE / 2)
     low, high = rows.extent[row]
-    step = 2 * math.pi / rows.times[row]
+    step = 2 * math.pi / rows.repeats[row]
     if not curved:
         # The box of one wedge, at angles from 0 to `step`, is smaller than the box of all repeats.
         narrow = step <= math.pi / 2
@@ -232,25 +232,25 @@ def _cast_row(
         wedge = high.at[1].multiply(jnp.sin(step))
         high = jnp.where(narrow, jnp.minimum(high, wedge), high)
 
-    def one(k: Array | int, hits: Array) -> Array:
+    def cast_repeat(k: Array | int, hits: Array) -> Array:
         turn = rot
         if not curved:
             c, s = jnp.cos(k * step), jnp.sin(k * step)
             turn = jnp.stack(
                 [rot[:, 0] * c + rot[:, 1] * s, rot[:, 1] * c - rot[:, 0] * s, rot[:, 2]], axis=1
             )
-        box = picture_boxes(
-            placed, owner[None], pos[None], turn[None], jnp.stack([low, high])[None]
-        )[0]
+        box = image_boxes(placed, owner[None], pos[None], turn[None], jnp.stack([low, high])[None])[
+            0
+        ]
         touched = (box[0] <= bounds[2]) & (box[2] >= bounds[0])
         touched &= (box[1] <= bounds[3]) & (box[3] >= bounds[1])
-        order, number = _listed(jnp.any(touched, axis=1))
+        order, number = _true_indices_of_short(jnp.any(touched, axis=1))
         # Camera to piece: the point of a ray at depth t is eye + t * (into @ (x, y, 1)).
-        own = jnp.swapaxes(placed.rot[owner], 0, 1) / size
-        into = jnp.sum(turn.T[:, :, None, None] * own, axis=1)
-        eye = -_times(into, placed.pos[owner]) - jnp.sum(turn * pos[:, None], axis=0)[:, None]
-        table = _bounds_of_planes(planes, into, eye)
-        quadric = _quadric(rows.weights[row], into, eye) if curved else table
+        world_to_object = jnp.swapaxes(placed.rot[owner], 0, 1) / size
+        to_piece = jnp.sum(turn.T[:, :, None, None] * world_to_object, axis=1)
+        eye = -_matvec(to_piece, placed.pos[owner]) - jnp.sum(turn * pos[:, None], axis=0)[:, None]
+        table = _bounds_of_planes(planes, to_piece, eye)
+        quadric = _quadric(rows.weights[row], to_piece, eye) if curved else table
 
         def block(i: Array, hits: Array) -> Array:
             b = order[i]
@@ -258,21 +258,23 @@ def _cast_row(
             if curved:
                 upper, lower = _through_quadric(quadric, x, y)
             else:
-                upper, lower = jnp.full_like(x, 2 * NEAREST), jnp.zeros_like(x)
+                upper, lower = jnp.full_like(x, 2 * MAX_INVERSE_DEPTH), jnp.zeros_like(x)
 
-            def cut(j: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            def clip_by_planes(j: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
                 upper, lower, loaded = carry
                 for a, d, up, down in loaded:
                     sloped = a * x + d * y
                     upper = jnp.minimum(upper, sloped + up)
                     lower = jnp.maximum(lower, sloped + down)
-                return upper, lower, following(j + 1)
+                return upper, lower, load_planes(j + 1)
 
             # Load planes one iteration ahead: XLA does not vectorize a loop with a dynamic index.
-            following = lambda j: lax.dynamic_slice_in_dim(table, j * UNROLL, UNROLL)
-            turns = -(-faces // UNROLL)
-            upper, lower, _ = lax.fori_loop(0, turns, cut, (upper, lower, following(0)))
-            covered = (upper > lower) & (upper < NEAREST)
+            load_planes = lambda j: lax.dynamic_slice_in_dim(table, j * UNROLL, UNROLL)
+            iterations = -(-faces // UNROLL)
+            upper, lower, _ = lax.fori_loop(
+                0, iterations, clip_by_planes, (upper, lower, load_planes(0))
+            )
+            covered = (upper > lower) & (upper < MAX_INVERSE_DEPTH)
             # Read and write the array in one place: otherwise XLA copies it in every iteration.
             nearest = jnp.maximum(hits[layer[owner], b], jnp.where(covered, upper, 0.0))
             return hits.at[layer[owner], b].set(nearest)
@@ -280,11 +282,15 @@ def _cast_row(
         return lax.fori_loop(0, number, block, hits)
 
     return (
-        one(0, hits) if curved else lax.fori_loop(0, rows.times[row].astype(jnp.int32), one, hits)
+        cast_repeat(0, hits)
+        if curved
+        else lax.fori_loop(0, rows.repeats[row].astype(jnp.int32), cast_repeat, hits)
     )
 
 
-def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Array, ""]]:
+def _true_indices_of_short(
+    mask: Bool[Array, " block"],
+) -> tuple[Int[Array, " block"], Int[Array, ""]]:
     """Compute `true_indices` of a short mask."""
     index = np.arange(mask.shape[0], dtype=np.int32)
     place = jnp.sum((index < index[:, None]) & mask, axis=1, dtype=jnp.int32)
@@ -306,7 +312,7 @@ def _bounds_of_planes(
     facing = gap < 0
     gap = jnp.where(jnp.abs(gap) < 1e-9, 1e-9, gap)
     x, y, end = (dot(normal, turn[:, k]) / gap for k in range(3))
-    large = 2 * NEAREST
+    large = 2 * MAX_INVERSE_DEPTH
     up, down = jnp.where(facing, end, large), jnp.where(facing, -large, end)
     return jnp.stack([x, y, up, down], axis=1)
 
@@ -332,7 +338,7 @@ def _through_quadric(quadric: Array, x: Array, y: Array) -> tuple[Array, Array]:
     square = f * f - g
     root = jnp.sqrt(jnp.maximum(square, 0.0))
     missed = square <= 0.0
-    large = 2 * NEAREST
+    large = 2 * MAX_INVERSE_DEPTH
     # From inside an infinite cylinder, the ray leaves through the side.
     upper = jnp.where(missed, -large, jnp.where(outside, root - f, large))
     return upper, jnp.where(outside, -f - root, root - f)

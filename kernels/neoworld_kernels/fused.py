@@ -11,7 +11,7 @@ from jax import lax
 from jax.experimental import pallas as pl
 from jaxtyping import Array, Float, Int
 
-from .coarse_distance import bound, depths, finished
+from .coarse_distance import depths, distance_bound, to_depth
 from .convex_pieces import SPARE, Colliders
 
 GRANULE = 4
@@ -41,7 +41,7 @@ class _Pieces(NamedTuple):
     """Pieces of one kind, sorted by owner."""
 
     kind: str
-    first: Int[Array, " bound"]
+    first: Int[Array, " distance_bound"]
     """Index of each object's first piece, followed by the number of pieces."""
     table: Float[Array, "piece column"]
     """Columns: pos (3), rot by rows (9), size (3), number of planes without padding (1), planes (4
@@ -92,9 +92,9 @@ def pair_depth_kernel(
     pose = jnp.concatenate([rot.reshape(pop, count, 9), pos, scale[..., None]], axis=-1)
     pose = jnp.pad(pose, ((0, blocks * t.block - pop), (0, 0), (0, 0)), mode="edge")
     pose = jnp.transpose(pose, (1, 2, 0)).astype(jnp.float32)
-    points, sphere = _padded(samples, t.unroll)
+    points, sphere = _pad_samples(samples, t.unroll)
     shape = jax.ShapeDtypeStruct((count, count, blocks * t.block), jnp.float32)
-    launch = _interpreted if interpret else _on_hopper
+    launch = _launch_interpreted if interpret else _launch_on_hopper
     depths_by_kind = []
     for batch in [groups] if t.fused else [[g] for g in groups]:
         body = functools.partial(
@@ -111,7 +111,7 @@ def pair_depth_kernel(
     return jnp.transpose(depth[..., :pop], (2, 0, 1))
 
 
-def _padded(
+def _pad_samples(
     samples: Float[Array, "object sample 3"], unroll: int
 ) -> tuple[Float[Array, "object granule 3 four"], Float[Array, "object 4"]]:
     """Return the samples in granules, padded to a multiple of `unroll`, and bounding spheres."""
@@ -125,7 +125,7 @@ def _padded(
     return jnp.swapaxes(points, 2, 3), sphere
 
 
-def _interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
+def _launch_interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
     def program(*refs: Any) -> None:
         body(*(pl.program_id(k) for k in range(3)), *refs)
 
@@ -140,7 +140,7 @@ def _interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
     )(*inputs)
 
 
-def _on_hopper(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
+def _launch_on_hopper(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
     # Mosaic GPU is used, since the Triton backend of Pallas is deprecated.
     import jax.experimental.pallas.mosaic_gpu as plgpu
 
@@ -173,13 +173,13 @@ def _pair_depth_kernel(
     tuning: PairDepthTuning,
 ) -> None:
     out_ref = refs[-1]
-    here = pl.ds(b * tuning.block, tuning.block)
-    out_ref[i, o, here] = jnp.zeros((tuning.block,), jnp.float32)
+    lanes = pl.ds(b * tuning.block, tuning.block)
+    out_ref[i, o, lanes] = jnp.zeros((tuning.block,), jnp.float32)
 
     @pl.when(i != o)
     def _() -> None:
-        load = lambda index, row: pose_ref[index, row, here]
-        ri, ro = ([load(who, r) for r in range(9)] for who in (i, o))
+        load = lambda index, row: pose_ref[index, row, lanes]
+        ri, ro = ([load(obj, r) for r in range(9)] for obj in (i, o))
         gap = [load(i, 9 + r) - load(o, 9 + r) for r in range(3)]
         size = load(o, 12)
         shrink = 1.0 / size
@@ -206,18 +206,19 @@ def _pair_depth_kernel(
                 p = [table_ref[k, c] for c in range(15)]
                 faces = table_ref[k, 15].astype(jnp.int32)
                 plane = lambda f, c: table_ref[k, 16 + 4 * f + c]
-                own = [shift[r] - p[r] for r in range(3)]
-                move = [
+                offset = [shift[r] - p[r] for r in range(3)]
+                transform = [
                     (
                         [sum(p[3 + 3 * m + r] * turn[m][c] for m in range(3)) for c in range(3)],
-                        sum(p[3 + 3 * m + r] * own[m] for m in range(3)),
+                        sum(p[3 + 3 * m + r] * offset[m] for m in range(3)),
                     )
                     for r in range(3)
                 ]
                 at = lambda x: [
-                    ((end + row[0] * x[0]) + row[1] * x[1]) + row[2] * x[2] for row, end in move
+                    ((end + row[0] * x[0]) + row[1] * x[1]) + row[2] * x[2]
+                    for row, end in transform
                 ]
-                near = bound(kind, at(centre), p[12:15], plane, faces)
+                near = distance_bound(kind, at(centre), p[12:15], plane, faces)
 
                 def deepest(depth: Array) -> Array:
                     # Constant last indices avoid address arithmetic in the loop.
@@ -235,11 +236,11 @@ def _pair_depth_kernel(
 
                     low = size * 0.0 - 1e6
                     best = lax.fori_loop(0, samples // (granules * GRANULE), update, low)
-                    return jnp.maximum(depth, finished(kind, best, p[12:15]) * size)
+                    return jnp.maximum(depth, to_depth(kind, best, p[12:15]) * size)
 
                 # A pose with NaN counts as touching, so that its depth is NaN.
                 touched = jnp.max(jnp.where(near >= reach, 0.0, 1.0)) > 0.0
                 return lax.cond(touched, deepest, lambda depth: depth, depth)
 
             depth = lax.fori_loop(first_ref[o], first_ref[o + 1], piece, depth)
-        out_ref[i, o, here] = depth
+        out_ref[i, o, lanes] = depth

@@ -74,8 +74,8 @@ def pair_gap(
 
         depths = jax.lax.map(deepest, group)
         depth = depth.at[:, group.owner].max(jnp.moveaxis(depths, 0, 1))
-    own = jnp.eye(count, dtype=bool)
-    return jnp.where(own, jnp.inf, -jnp.moveaxis(depth, -1, 0))
+    diagonal = jnp.eye(count, dtype=bool)
+    return jnp.where(diagonal, jnp.inf, -jnp.moveaxis(depth, -1, 0))
 
 
 def pair_depth_reference(
@@ -90,23 +90,23 @@ def pair_depth_reference(
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(5, 6))
-def _fast(pos, rot, scale, samples, colliders, tuning, interpret):
+def _kernel_depth(pos, rot, scale, samples, colliders, tuning, interpret):
     return pair_depth_kernel(
         pos, rot, scale, samples, colliders, tuning=tuning, interpret=interpret
     )
 
 
-def _fast_forward(pos, rot, scale, samples, colliders, tuning, interpret):
+def _kernel_depth_forward(pos, rot, scale, samples, colliders, tuning, interpret):
     inputs = (pos, rot, scale, samples, colliders)
-    return _fast(*inputs, tuning, interpret), inputs
+    return _kernel_depth(*inputs, tuning, interpret), inputs
 
 
-def _fast_backward(tuning, interpret, inputs, grad):
+def _kernel_depth_backward(tuning, interpret, inputs, grad):
     # The reference has the same deepest samples, up to rounding.
     return jax.vjp(pair_depth_reference, *inputs)[1](grad)
 
 
-_fast.defvjp(_fast_forward, _fast_backward)
+_kernel_depth.defvjp(_kernel_depth_forward, _kernel_depth_backward)
 
 
 def pair_depth(
@@ -145,7 +145,7 @@ def pair_depth(
         return pair_depth_reference(pos, rot, scale, samples, colliders)
     if impl == "culled":
         return pair_depth_culled(pos, rot, scale, samples, colliders)
-    return _fast(pos, rot, scale, samples, colliders, tuning, interpret)
+    return _kernel_depth(pos, rot, scale, samples, colliders, tuning, interpret)
 
 
 def choose(

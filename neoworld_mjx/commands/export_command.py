@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from ..format_names import BEST, FORMATS, Format, Simulator
+from ..format_names import FORMATS, PREFERRED_FORMATS, Format, Simulator
 from .base_command import CommandResult, ConfiguredCommand
 from .result_lines import export_lines
 
@@ -47,7 +47,7 @@ class ExportCommand(ConfiguredCommand):
             raise RunError(f"{self.out} is a file; name a folder")
         if self.out.is_dir() and any(self.out.iterdir()) and not self.overwrite:
             raise RunError(f"{self.out} is not empty: name a new folder, or use --overwrite")
-        kinds = self.format or (BEST[self.simulator] if self.simulator else FORMATS)
+        kinds = self.format or (PREFERRED_FORMATS[self.simulator] if self.simulator else FORMATS)
         mjx = self.simulator == "mjx"
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")

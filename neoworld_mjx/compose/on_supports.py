@@ -4,7 +4,7 @@ import numpy as np
 
 from ..config import ComposeOptions
 from ..physics.layout import Layout, arrange
-from ..physics.placed import DOWN
+from ..physics.placed import VERTICAL
 from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import from_yaw, rotate
@@ -116,7 +116,7 @@ def kept_on_level(
             objects.append(item)
             continue
         refused = ""
-        if abs(rise) > DOWN[0] * size + DOWN[1]:
+        if abs(rise) > VERTICAL[0] * size + VERTICAL[1]:
             way = "up" if rise > 0 else "down"
             refused = f"{1e3 * abs(rise):.0f} mm {way}, off what it rests on"
         elif _above(composed, before) and not _above(scene, item):

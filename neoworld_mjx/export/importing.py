@@ -11,7 +11,7 @@ from ..errors import SpecError
 from ..io.limited_worker import call_limited
 from ..io.names import RESERVED, identifier
 from ..io.validation_message import validation_message
-from ..physics.decompose import convex_pieces, decomposition_deadline, hull_points, installed
+from ..physics.decompose import coacd_installed, convex_pieces, decomposition_deadline, hull_points
 from ..spec import (
     AuthoredInertia,
     GeomSpec,
@@ -242,7 +242,7 @@ def _part(
     visual_only = all(item.role == "visual" for item in link.shapes)
     helper = len(link.shapes) == 1 and link.shapes[0].shape == Sphere(radius=PLACEHOLDER_M)
     if visual_only and not all(isinstance(item.shape, BaseShape) for item in link.shapes):
-        method = "CoACD" if installed() else "their convex hull, as CoACD is not installed"
+        method = "CoACD" if coacd_installed() else "their convex hull, as CoACD is not installed"
         notes.append(f"link {link.name} has no colliders: derived from its visuals by {method}")
     geoms = []
     for k, item in enumerate(link.shapes):

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..measure.boxes import footprint, upright
-from ..physics.support import column, posed_pieces
+from ..physics.support import posed_pieces, vertical_intersections
 from ..spec import ObjectSpec, SceneObject, TreeNode
 from ..spec.fit_to_box import fit_to_box
 from ..spec.pose import from_yaw, pose, rotate
@@ -50,7 +50,7 @@ class SolidColumns:
 
         The result is (inf, -inf) for a piece that does not intersect the column.
         """
-        columns = [column(piece, placed, xy) for piece, placed in self._pieces]
+        columns = [vertical_intersections(piece, placed, xy) for piece, placed in self._pieces]
         return (
             np.array([low for low, _ in columns]) + self._lift,
             np.array([high for _, high in columns]) + self._lift,

@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..measure.boxes import footprint, polygon_area, shared_footprint, support_footprint, upright
+from ..measure.boxes import (
+    footprint,
+    polygon_area,
+    polygon_intersection,
+    support_footprint,
+    upright,
+)
 from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..spec.pose import from_yaw, matrix
 from ..spec.tree import Relation
@@ -147,7 +153,7 @@ def _candidates(
 def _share_over(node: TreeNode, support: TreeNode) -> float:
     """Return the fraction of an object's footprint that is over another object."""
     feet = footprint(upright(node))
-    return shared_footprint(support_footprint(support), feet) / polygon_area(feet)
+    return polygon_intersection(support_footprint(support), feet) / polygon_area(feet)
 
 
 def _cost_at(fit: SupportFit, level: _Level) -> float:

@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict
 
 from ..measure.boxes import (
     footprint,
+    intersection_2d,
+    intersection_3d,
     iou_2d,
     polygon_area,
-    shared_2d,
-    shared_3d,
-    shared_footprint,
+    polygon_intersection,
     support_footprint,
     upright,
 )
@@ -187,7 +187,7 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
         yield _issue(node, "environment", 0.0, 1.0, hint)
     for name in node.occluded_by:
         occluder = np.array(tree.node(name).box2d.as_tuple())
-        if shared_2d(occluder + _edge(tree) * np.array([-1, -1, 1, 1]), node.box2d) == 0:
+        if intersection_2d(occluder + _edge(tree) * np.array([-1, -1, 1, 1]), node.box2d) == 0:
             hint = f"{name} cannot hide it: their boxes do not overlap"
             yield _issue(node, "occluded_by", 0.0, 0.0, hint)
     unmarked = node.model_copy(update={"occluded": False})
@@ -202,12 +202,12 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
         size = tuple(edge + 0.04 for edge in child.size)
         x, y, z = child.position
         grown = child.model_copy(update={"size": size, "position": (x, y, z - 0.02)})
-        if shared_3d(grown, below) == 0:
+        if intersection_3d(grown, below) == 0:
             hint = f"it is attached to {parent.name} but does not reach it"
             yield _issue(node, "attached", 0.0, 0.0, hint, fails=True)
         return
     feet = footprint(child)
-    inside = shared_footprint(support_footprint(parent), feet) / polygon_area(feet)
+    inside = polygon_intersection(support_footprint(parent), feet) / polygon_area(feet)
     if inside < INSIDE_WARNS:
         # An object that does not fill its box may stand on a small foot.
         fails = inside < (0.01 if _fills_box_loosely(node) else INSIDE_FAILS)
@@ -245,7 +245,7 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
             ((math.prod(box.size), node) for box, node in ((a, first), (b, second))),
             key=lambda pair: pair[0],
         )
-        shared = shared_3d(a, b)
+        shared = intersection_3d(a, b)
         share, same = shared / smaller, shared / (smaller + larger - shared)
         if share > OVERLAP_WARNS and (same > SAME_WARNS or not _fills_box_loosely(outer)):
             hint = (

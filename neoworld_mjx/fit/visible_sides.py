@@ -58,7 +58,7 @@ def hidden_sides(
         return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
     if shown is not None:
         covered = hidden | _covered_sides(tree, node, box, edge)
-        return at_border | np.where(shown.inside, ~shown.ends, covered)
+        return at_border | np.where(shown.inside, ~shown.object_ends, covered)
     if node.occluded and not _occluders(node) and not at_border.any():
         return np.ones(4, bool)
     return hidden | _covered_sides(tree, node, box, edge)

@@ -5,7 +5,7 @@ from .moves import Move, object_moves
 from .scene_check import SceneCheck, measured, passes, scene_checks
 from .stability import SceneMeasure, scene_measure
 from .unstable import UnstableObject, unstable_objects
-from .visible_boxes import SidesShown, box_iou, seen_box_iou, shown_sides, visible_box_iou
+from .visible_boxes import SidesShown, box_iou, shown_sides, visible_box_iou, visible_box_iou_of
 
 __all__ = [
     "Move",
@@ -21,7 +21,7 @@ __all__ = [
     "passes",
     "scene_checks",
     "scene_measure",
-    "seen_box_iou",
+    "visible_box_iou_of",
     "shown_sides",
     "unstable_objects",
     "visible_box_iou",

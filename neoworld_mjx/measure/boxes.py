@@ -13,12 +13,12 @@ from ..spec.pose import ArrayLike
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the intersection over union of two boxes in pixels (x0, y0, x1, y1)."""
     first, second = _corners(a), _corners(b)
-    common = shared_2d(first, second)
+    common = intersection_2d(first, second)
     union = _area(first) + _area(second) - common
     return common / union if union > 0 else 0.0
 
 
-def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
+def intersection_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the intersection area [px^2] of two boxes in pixels."""
     first, second = _corners(a), _corners(b)
     sides = np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2])
@@ -47,7 +47,7 @@ def support_footprint(node: TreeNode) -> NDArray:
     return local @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
 
 
-def shared_footprint(a: NDArray, b: NDArray) -> float:
+def polygon_intersection(a: NDArray, b: NDArray) -> float:
     """Return the intersection area of two polygons [m^2].
 
     The polygons are given by their corners [m], counterclockwise, shape [n, 2]. Polygon `b` must be
@@ -71,18 +71,18 @@ def shared_footprint(a: NDArray, b: NDArray) -> float:
     return max(polygon_area(np.array(clipped)), 0.0)
 
 
-def shared_3d(a: Box3D, b: Box3D) -> float:
+def intersection_3d(a: Box3D, b: Box3D) -> float:
     """Return the intersection volume [m^3] of two upright boxes."""
     low = max(a.position[2], b.position[2])
     high = min(a.position[2] + a.size[2], b.position[2] + b.size[2])
     if high <= low:
         return 0.0
-    return shared_footprint(footprint(a), footprint(b)) * (high - low)
+    return polygon_intersection(footprint(a), footprint(b)) * (high - low)
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
     """Return the intersection over union of two upright boxes, by volume. The yaws may differ."""
-    common = shared_3d(a, b)
+    common = intersection_3d(a, b)
     union = float(np.prod(a.size) + np.prod(b.size)) - common
     return common / union
 

@@ -44,7 +44,7 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
     rotation. If the simulation diverged, every check except that of the initial depth fails.
     """
     depth, drift, tilt = o.max_depth_m, o.max_drift_m, o.max_tilt_deg
-    rows = (
+    measures = (
         ("max_depth_m", measure.max_depth_m, depth, measure.depths_m),
         ("settled_depth_m", measure.settled_depth_m, depth, measure.settled_depths_m),
         ("max_drift_m", measure.max_drift_m, drift, measure.drift_m),
@@ -53,7 +53,7 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
         ("max_joint_turn_deg", _largest(measure.joint_turn_deg), tilt, measure.joint_turn_deg),
     )
     checks = []
-    for name, value, threshold, values in rows:
+    for name, value, threshold, values in measures:
         # A depth may equal its bound, as in S-Pen. A motion may not.
         passed = value <= threshold if "depth" in name else value < threshold
         if measure.diverged and "max_depth" not in name:

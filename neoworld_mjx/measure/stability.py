@@ -72,30 +72,30 @@ def scene_measure(
     if sleeps:
         model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    at_start = object_depths(scene, model, data)
+    initial_depths = object_depths(scene, model, data)
     names = [obj.name for obj in scene.objects if not obj.static]
     base = np.array([model.jnt_qposadr[model.body(name).jntadr[0]] for name in names], int)
     base = base[:, None] + np.arange(7)
     initial = data.qpos.copy()
     start = initial[base]
     qpos, finite = _simulate(model, data, round(duration / timestep))
-    moved = qpos[:, base]
-    shift = np.linalg.norm(moved[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
-    tilt = np.degrees(angle_between(start[:, 3:], moved[..., 3:])).max(axis=0, initial=0.0)
-    drop = (start[:, 2] - moved[..., 2]).max(axis=0, initial=0.0)
+    poses = qpos[:, base]
+    shift = np.linalg.norm(poses[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
+    tilt = np.degrees(angle_between(start[:, 3:], poses[..., 3:])).max(axis=0, initial=0.0)
+    drop = (start[:, 2] - poses[..., 2]).max(axis=0, initial=0.0)
     slide, turn = _joint_motion(model, initial, qpos)
     diverged = not (finite and np.isfinite(shift).all())
-    at_end = {} if diverged else object_depths(scene, model, data)
+    final_depths = {} if diverged else object_depths(scene, model, data)
     stable = not diverged and bool(np.all(shift < max_drift) and np.all(tilt < max_tilt))
-    deepest = max(at_start.values(), default=0.0)
+    deepest = max(initial_depths.values(), default=0.0)
     return SceneMeasure(
         objects=len(scene.objects),
         movable=len(names),
         s_pen=int(deepest > max_depth),
         max_depth_m=deepest,
-        settled_depth_m=max(at_end.values(), default=0.0),
-        depths_m={f"{a}|{b}": depth for (a, b), depth in at_start.items()},
-        settled_depths_m={f"{a}|{b}": depth for (a, b), depth in at_end.items()},
+        settled_depth_m=max(final_depths.values(), default=0.0),
+        depths_m={f"{a}|{b}": depth for (a, b), depth in initial_depths.items()},
+        settled_depths_m={f"{a}|{b}": depth for (a, b), depth in final_depths.items()},
         s_stab=stable if names else None,
         max_drift_m=float(shift.max(initial=0.0)) if not diverged else float("inf"),
         max_tilt_deg=float(tilt.max(initial=0.0)) if not diverged else float("inf"),
@@ -123,11 +123,11 @@ def _joint_motion(
             angle = angle_between(start[quat], qpos[:, quat])
             turn[name] = float(np.degrees(angle).max(initial=0.0))
             continue
-        moved = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
+        motion = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
         if kind == mujoco.mjtJoint.mjJNT_SLIDE:
-            slide[name] = moved
+            slide[name] = motion
         else:
-            turn[name] = float(np.degrees(moved))
+            turn[name] = float(np.degrees(motion))
     return slide, turn
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class SidesShown(NamedTuple):
     """Sides of an object's visible box in a scene: left, top, right, bottom."""
 
-    ends: Bool[np.ndarray, "4"]
+    object_ends: Bool[np.ndarray, "4"]
     """True for each side where the object itself ends, not at an occluder or the image border."""
     inside: Bool[np.ndarray, "4"]
     """True for each side at which the extreme point of the whole object is within the image."""
@@ -26,12 +26,12 @@ def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
     """Return a scene's padded arrays, and the visible parts of its objects."""
     from ..physics.layout import Layout
     from ..physics.model import compile_scene
-    from ..physics.placed import measured_in_chunks, poses_in_chunks
+    from ..physics.placed import measure_in_chunks, place_in_chunks
     from ..physics.scene_arrays import pad_scene
 
     padded = pad_scene(compile_scene(scene))
-    poses = poses_in_chunks(padded, Layout.zero(1, padded.count))
-    return padded, measured_in_chunks(padded, poses, poses).visible
+    poses = place_in_chunks(padded, Layout.zero(1, padded.count))
+    return padded, measure_in_chunks(padded, poses, poses).visible
 
 
 def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
@@ -42,10 +42,13 @@ def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
     if scene.camera is None:
         return {}
     padded, visible = _visible(scene)
-    ends, whole = np.asarray(visible.own_sides)[0], np.asarray(visible.outlines.boxes)[0]
+    object_ends, full_boxes = (
+        np.asarray(visible.unoccluded_sides)[0],
+        np.asarray(visible.outlines.boxes)[0],
+    )
     half = np.tile(np.asarray(padded.photo.half_size), 2)
     return {
-        item.name: SidesShown(ends[k], np.abs(whole[k]) <= half)
+        item.name: SidesShown(object_ends[k], np.abs(full_boxes[k]) <= half)
         for k, item in enumerate(scene.objects)
         if not item.environment
     }
@@ -59,10 +62,12 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     Environment supports and objects without a parsed box are omitted. The result is empty if the
     scene has no camera.
     """
-    return {} if scene.camera is None else seen_box_iou(scene, *_visible(scene))
+    return {} if scene.camera is None else visible_box_iou_of(scene, *_visible(scene))
 
 
-def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", visible: "Visible") -> dict[str, float]:
+def visible_box_iou_of(
+    scene: SceneSpec, padded: "SceneArrays", visible: "Visible"
+) -> dict[str, float]:
     """Compute `visible_box_iou` from the visible parts of a compiled scene's objects."""
     if scene.camera is None:
         return {}
@@ -85,8 +90,8 @@ def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
     for node in tree.nodes:
         if not node.environment:
             pixels, _ = tree.camera.project(node.box3d.corners(node.base_tilt))
-            ends = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
-            ious[node.name] = iou_2d(ends.ravel(), node.box2d)
+            clipped = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
+            ious[node.name] = iou_2d(clipped.ravel(), node.box2d)
     return ious
 
 

@@ -55,12 +55,14 @@ class AutomaticEngine:
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         steps, candidates = records * every, poses.scale.shape[0]
         model = scene.static.mjm
-        scenes = scene_class(len(scene.names), model.ngeom, early_stop=early_stop is not None)
+        cost_class = scene_class(len(scene.names), model.ngeom, early_stop=early_stop is not None)
         started = self._started_with(scene.static)
         refused = self._refused.setdefault(scene.static, set())
         while remaining := [name for name in self._engines if name not in refused]:
             seconds = {
-                name: self._costs[name].predict(scenes, candidates, steps, started=name in started)
+                name: self._costs[name].predict(
+                    cost_class, candidates, steps, started=name in started
+                )
                 for name in remaining
             }
             name = min(remaining, key=seconds.__getitem__)
@@ -81,7 +83,7 @@ class AutomaticEngine:
                 self.refusals.append(f"{name} cannot simulate this scene: {error}")
                 continue
             elapsed = time.perf_counter() - begin
-            self._costs[name].add(scenes, candidates, steps, elapsed, started=name in started)
+            self._costs[name].add(cost_class, candidates, steps, elapsed, started=name in started)
             started.add(name)
             if name not in self._used:
                 self._used.append(name)

@@ -18,15 +18,15 @@ from ..io.files import write_atomic
 from ..io.limited_worker import call_limited
 
 _log = logging.getLogger(__name__)
-CLOSED, OPEN = (0.03, 96), (0.08, 16)
+CLOSED_LIMITS, OPEN_LIMITS = (0.03, 96), (0.08, 16)
 """Concavity threshold, relative to the mesh's size, and largest number of pieces, of closed meshes
 and of open meshes. An open mesh is first split into connected components. CoACD wraps the open
 components, so more pieces would take longer without being thinner.
 """
-SIMPLIFIED = 0.004
+SIMPLIFICATION_TOLERANCE = 0.004
 """Largest displacement of the surface when a closed mesh is simplified, relative to the mesh's
 size. Meshes are simplified since CoACD's time grows with the number of faces."""
-SMALL_HOLES = 0.05
+MAX_HOLE_AREA = 0.05
 """Largest area of the holes that are filled, relative to the mesh's area. Larger holes are kept,
 such as the opening of a drawer."""
 MAX_CORNERS = 48
@@ -37,7 +37,7 @@ CONVEX_SHARE = 0.97
 """Least volume of a convex mesh, relative to the volume of its hull."""
 
 
-def installed() -> bool:
+def coacd_installed() -> bool:
     """Return whether CoACD is installed. Without it, a mesh is replaced by its convex hull."""
     return importlib.util.find_spec("coacd") is not None
 
@@ -63,11 +63,11 @@ def convex_pieces(
         deadline: value of `time.monotonic`; if None, that of `decomposition_deadline`.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
-    whole = [hull_points(vertices)]
-    if flat(vertices) or is_convex(vertices, faces) or not installed():
-        return whole
+    hull_only = [hull_points(vertices)]
+    if is_flat(vertices) or is_convex(vertices, faces) or not coacd_installed():
+        return hull_only
     key = hashlib.sha256()
-    for value in (f"{CACHE_VERSION}:{CLOSED}:{OPEN}:{MAX_CORNERS}", vertices, faces):
+    for value in (f"{CACHE_VERSION}:{CLOSED_LIMITS}:{OPEN_LIMITS}:{MAX_CORNERS}", vertices, faces):
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
     path = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
     try:
@@ -76,21 +76,21 @@ def convex_pieces(
             return stored
     except (RunError, TypeError, ValueError):
         pass  # A missing or invalid entry is recomputed.
-    left = (decomposition_deadline() if deadline is None else deadline) - time.monotonic()
+    remaining_s = (decomposition_deadline() if deadline is None else deadline) - time.monotonic()
     try:
-        if left <= 0:
+        if remaining_s <= 0:
             raise RunError(f"files.decompose_s of {file_bounds().decompose_s:g} s is exceeded")
         mesh = Path(f"a mesh of {len(faces)} faces")
         pieces = call_limited(
             *(_coacd, mesh, vertices, faces),
             error=RunError,
             time_option="decompose_s",
-            timeout_s=left,
+            timeout_s=remaining_s,
         )
     except RunError as error:
         _log.warning("no convex decomposition (%s); the mesh becomes its convex hull", error)
-        return whole
-    pieces = pieces or whole
+        return hull_only
+    pieces = pieces or hull_only
     _store(path, pieces)
     return pieces
 
@@ -99,7 +99,7 @@ def _is_piece(points: NDArray) -> bool:
     return points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
 
 
-def flat(vertices: NDArray) -> bool:
+def is_flat(vertices: NDArray) -> bool:
     """Return whether a mesh is a flat sheet."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)
     return float(np.ptp((vertices - vertices.mean(axis=0)) @ spread[2].T, axis=0).min()) < SHEET_M
@@ -107,14 +107,14 @@ def flat(vertices: NDArray) -> bool:
 
 def is_convex(vertices: NDArray, faces: NDArray) -> bool:
     """Return whether a mesh is closed and fills its convex hull."""
-    mesh = _merged(vertices, faces)
+    mesh = _merge_vertices(vertices, faces)
     if not mesh.is_watertight:
         return False
-    full = volume_of_hull(vertices)
-    return full > 0 and abs(float(mesh.volume)) > CONVEX_SHARE * full
+    hull_volume = volume_of_hull(vertices)
+    return hull_volume > 0 and abs(float(mesh.volume)) > CONVEX_SHARE * hull_volume
 
 
-def _merged(vertices: NDArray, faces: NDArray) -> Any:
+def _merge_vertices(vertices: NDArray, faces: NDArray) -> Any:
     import trimesh
 
     return trimesh.Trimesh(vertices, faces, process=True)
@@ -144,13 +144,13 @@ def hull_points(vertices: NDArray) -> NDArray:
     if thin.any():
         shift = np.array(np.meshgrid(*[(-1, 1) if t else (0,) for t in thin])).reshape(3, -1).T
         flat = np.where(thin, 0.0, local)
-        flat = flat[_furthest(flat)]
+        flat = flat[_extreme_rows(flat)]
         local = (flat[:, None] + shift[None] * SHEET_M / 2).reshape(-1, 3)
         return np.unique(local @ axes + centre, axis=0)
-    return points[_furthest(points)]
+    return points[_extreme_rows(points)]
 
 
-def _furthest(points: NDArray) -> NDArray:
+def _extreme_rows(points: NDArray) -> NDArray:
     if len(points) <= MAX_CORNERS:
         return np.arange(len(points))
     return np.unique((_directions() @ (points - points.mean(axis=0)).T).argmax(axis=1))
@@ -173,14 +173,14 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
     import coacd
 
     coacd.set_log_level("error")
-    mesh = _merged(vertices, faces)
+    mesh = _merge_vertices(vertices, faces)
     # Wrapping would turn an open mesh into a thick shell, although most components may be closed.
     components = [mesh]
     if not mesh.is_watertight:
         components = mesh.split(only_watertight=False, repair=False)
-        if len(components) > CLOSED[1]:
+        if len(components) > CLOSED_LIMITS[1]:
             components = [mesh]
-    components = [_filled(component) for component in components]
+    components = [_fill_small_holes(component) for component in components]
     sizes = np.array([np.ptp(component.vertices, axis=0).max() for component in components])
     return [
         points
@@ -189,11 +189,11 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
     ]
 
 
-def _filled(mesh: Any) -> Any:
+def _fill_small_holes(mesh: Any) -> Any:
     """Fill the holes of a mesh if they are small and this closes the mesh; return the mesh."""
     filled = mesh.copy()
     filled.fill_holes()
-    small = filled.is_watertight and filled.area < (1 + SMALL_HOLES) * mesh.area
+    small = filled.is_watertight and filled.area < (1 + MAX_HOLE_AREA) * mesh.area
     return filled if small else mesh
 
 
@@ -210,12 +210,12 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
     # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    concavity, max_pieces = CLOSED if closed else OPEN
+    concavity, max_pieces = CLOSED_LIMITS if closed else OPEN_LIMITS
     concavity, max_pieces = concavity * relative, round(max_pieces * share)
-    if concavity >= 1 or max_pieces < 2 or flat(vertices) or is_convex(vertices, faces):
+    if concavity >= 1 or max_pieces < 2 or is_flat(vertices) or is_convex(vertices, faces):
         return [hull_points(vertices)]
     if closed:
-        vertices, faces = _simplified(mesh)
+        vertices, faces = _simplify(mesh)
     parts = coacd.run_coacd(
         coacd.Mesh(vertices, faces),
         threshold=concavity,
@@ -238,7 +238,7 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
     ]
 
 
-def _simplified(mesh: Any) -> tuple[NDArray, NDArray]:
+def _simplify(mesh: Any) -> tuple[NDArray, NDArray]:
     """Return a closed mesh with fewer faces, or the unchanged mesh if simplification fails."""
     import manifold3d
 
@@ -248,14 +248,18 @@ def _simplified(mesh: Any) -> tuple[NDArray, NDArray]:
             tri_verts=np.asarray(mesh.faces, np.uint32),
         )
     )
-    coarse = solid.simplify(SIMPLIFIED * float(np.ptp(mesh.vertices, axis=0).max())).to_mesh()
+    coarse = solid.simplify(
+        SIMPLIFICATION_TOLERANCE * float(np.ptp(mesh.vertices, axis=0).max())
+    ).to_mesh()
     if solid.status() != manifold3d.Error.NoError or not len(coarse.tri_verts):
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
     # Manifold keeps one vertex for each set of properties. CoACD needs one for each position.
-    same = _merged(coarse.vert_properties[:, :3].astype(float), coarse.tri_verts.astype(np.int64))
-    if not same.is_watertight:
+    merged = _merge_vertices(
+        coarse.vert_properties[:, :3].astype(float), coarse.tri_verts.astype(np.int64)
+    )
+    if not merged.is_watertight:
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    return np.asarray(same.vertices), np.asarray(same.faces)
+    return np.asarray(merged.vertices), np.asarray(merged.faces)
 
 
 def _store(path: Path, pieces: list[NDArray]) -> None:

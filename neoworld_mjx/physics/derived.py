@@ -17,7 +17,7 @@ from .model import SceneModel, StaticScene, is_rotational
 from .model_fields import owner_scale
 from .native import open_batch
 
-KNOTS, SPAN = 65, 1.0
+KNOTS, LOG_SPAN = 65, 1.0
 """Number of scales, from exp(-SPAN) to exp(SPAN), that are tabulated for a scene in which the parts
 of an object have different mass exponents."""
 
@@ -32,13 +32,13 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
     """
     s, m = scene.static, scene.static.mjm
     body, dof = (owner_scale(poses.scale, owner) for owner in (s.body_object, s.dof_object))
-    if _one_mass_law(s):
+    if _has_one_mass_exponent(s):
         mass = s.powers.body_mass
-        law = np.stack([-mass, -(mass + 2)], axis=-1)
+        exponents = np.stack([-mass, -(mass + 2)], axis=-1)
         rotational = np.array([is_rotational(m, d) for d in range(m.nv)], bool)
         dof_mass = mass[m.dof_bodyid] if m.nv else np.zeros(0)
         return {
-            "body_invweight0": m.body_invweight0 * body[..., None] ** law,
+            "body_invweight0": m.body_invweight0 * body[..., None] ** exponents,
             "dof_invweight0": m.dof_invweight0 * dof ** -(dof_mass + 2 * rotational),
         }
     bodies, dofs = _tables(scene)
@@ -71,25 +71,25 @@ def static_geoms(
     for b in range(1, m.nbody):
         if m.body_weldid[b] == 0:
             p = int(m.body_parentid[b])
-            pos[b] = pos[p] + _rotated(quat[p], body_pos[:, b])
+            pos[b] = pos[p] + _rotate(quat[p], body_pos[:, b])
             quat[b] = quat_mul(quat[p], body_quat[:, b], jnp)
     xpos = jnp.zeros((pop, m.ngeom, 3))
     xmat = jnp.zeros((pop, m.ngeom, 3, 3))
     for g in range(m.ngeom):
         b = int(m.geom_bodyid[g])
         if b in pos:
-            xpos = xpos.at[:, g].set(pos[b] + _rotated(quat[b], geom_pos[:, g]))
+            xpos = xpos.at[:, g].set(pos[b] + _rotate(quat[b], geom_pos[:, g]))
             local = jnp.broadcast_to(jnp.asarray(m.geom_quat[g], jnp.float32), (pop, 4))
             xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], local, jnp)))
     return xpos, xmat
 
 
-def _rotated(quat: Any, v: Any) -> Any:
+def _rotate(quat: Any, v: Any) -> Any:
     return jnp.sum(rotation(quat) * v[:, None, :], axis=-1)
 
 
 @functools.lru_cache(maxsize=64)
-def _one_mass_law(static: StaticScene) -> bool:
+def _has_one_mass_exponent(static: StaticScene) -> bool:
     objects = (static.body_object == k for k in range(len(static.names)))
     return all(len(set(static.powers.body_mass[bodies].tolist())) < 2 for bodies in objects)
 
@@ -101,7 +101,7 @@ def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the logs of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]."""
     if scene.static not in _log_tables:
         count = len(scene.static.names)
-        log = np.broadcast_to(np.linspace(-SPAN, SPAN, KNOTS)[:, None], (KNOTS, count))
+        log = np.broadcast_to(np.linspace(-LOG_SPAN, LOG_SPAN, KNOTS)[:, None], (KNOTS, count))
         layouts = Layout(np.zeros((KNOTS, count, 2)), np.zeros((KNOTS, count)), log)
         arrangement = scene.static.arrangement
         height = np.broadcast_to(arrangement.z, (KNOTS, count))
@@ -125,14 +125,14 @@ def _interpolate(table: np.ndarray, log: Any) -> Any:
     Extrapolation is linear.
     """
     zero = ~np.isfinite(table[0])
-    known = np.where(zero, 0.0, table)
-    slope = np.gradient(known, axis=0)
-    knot = (log + SPAN) / (2 * SPAN) * (KNOTS - 1)
+    finite = np.where(zero, 0.0, table)
+    slope = np.gradient(finite, axis=0)
+    knot = (log + LOG_SPAN) / (2 * LOG_SPAN) * (KNOTS - 1)
     knot = jnp.broadcast_to(knot, (log.shape[0], *table.shape[1:]))
     k = jnp.clip(jnp.floor(knot), 0, KNOTS - 2).astype(int)
     u = knot - k
     pick = lambda values, i: jnp.take_along_axis(jnp.asarray(values, jnp.float32), i, axis=0)
-    y0, y1, m0, m1 = pick(known, k), pick(known, k + 1), pick(slope, k), pick(slope, k + 1)
+    y0, y1, m0, m1 = pick(finite, k), pick(finite, k + 1), pick(slope, k), pick(slope, k + 1)
     t = jnp.clip(u, 0.0, 1.0)
     inside = (
         y0 * (1 + 2 * t) * (1 - t) ** 2

@@ -109,7 +109,7 @@ class Rollout(eqx.Module):
     """Number of simulated steps."""
 
 
-def unmoved(scene: SceneArrays, poses: Poses) -> Rollout:
+def zero_duration_rollout(scene: SceneArrays, poses: Poses) -> Rollout:
     """Return a rollout of zero duration, with the initial poses and status OK. Traceable."""
     pop = poses.scale.shape[0]
     return Rollout(

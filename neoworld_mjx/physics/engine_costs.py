@@ -21,7 +21,7 @@ COST_STEPS = 250
 """Number of steps of the rollouts in tables. The cost of a rollout is proportional to its steps."""
 NEW_WEIGHT = 0.3
 """Weight of a new measurement in the average with the stored value."""
-MOST_SIZES = 32
+MAX_SIZES = 32
 """Largest number of entries of a table."""
 
 
@@ -36,13 +36,13 @@ class EngineCost:
     tables: dict[str, dict[int, float]] = field(default_factory=dict)
     """Measured seconds by class of scenes and number of candidates."""
 
-    def predict(self, scenes: str, candidates: int, steps: int, *, started: bool) -> float:
+    def predict(self, cost_class: str, candidates: int, steps: int, *, started: bool) -> float:
         """Return the predicted time of a rollout [s].
 
         The time is linear between the numbers of candidates in the table, and proportional beyond
         the largest one.
         """
-        table = self.tables.get(scenes) or dict(self.prior)
+        table = self.tables.get(cost_class) or dict(self.prior)
         sizes = sorted(table)
         predicted = float(np.interp(candidates, sizes, [table[size] for size in sizes]))
         predicted *= max(candidates / sizes[-1], 1.0) * steps / COST_STEPS
@@ -57,17 +57,17 @@ class EngineCost:
         then cached. Such a rollout can therefore only decrease `start_s`.
         """
         if not started:
-            later = self.predict(scenes, candidates, steps, started=True)
-            change = max(seconds - later, 0.0) - self.start_s
+            without_start = self.predict(scenes, candidates, steps, started=True)
+            change = max(seconds - without_start, 0.0) - self.start_s
             self.start_s += (
                 NEW_WEIGHT * change if scenes in self.tables else min(NEW_WEIGHT * change, 0.0)
             )
             return
         table = self.tables.setdefault(scenes, {})
         new = seconds * COST_STEPS / steps
-        known = table.get(candidates, new)
-        if candidates in table or len(table) < MOST_SIZES:
-            table[candidates] = known + NEW_WEIGHT * (new - known)
+        stored = table.get(candidates, new)
+        if candidates in table or len(table) < MAX_SIZES:
+            table[candidates] = stored + NEW_WEIGHT * (new - stored)
 
 
 def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
@@ -93,17 +93,17 @@ def prior_costs(cores: int) -> dict[str, EngineCost]:
 def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
     """Return the stored costs of a machine; missing or invalid costs are replaced by priors."""
     costs = prior_costs(cores)
-    stored = _stored().get(machine)
+    stored = _read_cost_file().get(machine)
     for name, row in stored.items() if isinstance(stored, dict) else ():
         with contextlib.suppress(AttributeError, TypeError, ValueError, KeyError):
             start = float(row["start_s"])
             tables = {
-                str(scenes): {int(n): float(s) for n, s in list(table.items())[:MOST_SIZES]}
+                str(scenes): {int(n): float(s) for n, s in list(table.items())[:MAX_SIZES]}
                 for scenes, table in row["tables"].items()
             }
-            numbers = [start, *(s for table in tables.values() for s in table.values())]
+            seconds = [start, *(s for table in tables.values() for s in table.values())]
             sizes = [n for table in tables.values() for n in table]
-            if all(map(math.isfinite, numbers)) and min(numbers) >= 0 and min([1, *sizes]) > 0:
+            if all(map(math.isfinite, seconds)) and min(seconds) >= 0 and min([1, *sizes]) > 0:
                 costs[name].start_s = start
                 costs[name].tables = {key: table for key, table in tables.items() if table}
     return costs
@@ -116,11 +116,11 @@ def write_costs(machine: str, costs: dict[str, EngineCost]) -> None:
     part = path.with_name(f"{COST_FILE}.{os.getpid()}")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps({**_stored(), machine: row}, indent=1), encoding="utf-8")
+        part.write_text(json.dumps({**_read_cost_file(), machine: row}, indent=1), encoding="utf-8")
         part.replace(path)
 
 
-def _stored() -> dict[str, object]:
+def _read_cost_file() -> dict[str, object]:
     try:
         stored = json.loads((cache_folder() / COST_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

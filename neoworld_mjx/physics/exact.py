@@ -125,7 +125,7 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
         geoms = np.flatnonzero(owner == index)
         support = np.flatnonzero(owner == scene.index(item.parent))
         # Descendants are translated with the object, so nothing is recompiled.
-        moved = np.flatnonzero((owner >= 0) & ancestors[owner, index])
+        descendant_geoms = np.flatnonzero((owner >= 0) & ancestors[owner, index])
         height, distances = item.z, []
         for _ in range(rounds):
             distance = pair_distance(model, data, geoms, support, reach=0.02)
@@ -133,9 +133,9 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
             if distance >= 0.02 or abs(distance - gap) < 5e-6:
                 break
             height += gap - distance
-            data.geom_xpos[moved, 2] += gap - distance
+            data.geom_xpos[descendant_geoms, 2] += gap - distance
         if distances[-1] < min(distances[0] / 2, 0.0):
-            data.geom_xpos[moved, 2] -= height - item.z
+            data.geom_xpos[descendant_geoms, 2] -= height - item.z
             height = item.z
         objects[index] = item.model_copy(update={"z": height})
     return scene.model_copy(update={"objects": tuple(objects)})

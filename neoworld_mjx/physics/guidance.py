@@ -33,7 +33,7 @@ class Guidance(NamedTuple):
     max_speed: float = 2.0
     """Limit of the linear speed of free objects [m/s]."""
 
-    def share(self, time: Any, xp: Any = np) -> Any:
+    def fade_factor(self, time: Any, xp: Any = np) -> Any:
         """Return the fraction of the spring forces that remains at a time [s]."""
         return xp.maximum(0.0, 1.0 - time / self.fade_s)
 
@@ -73,13 +73,13 @@ def free_bodies(m: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> FreeBodies
     joints = np.flatnonzero(m.jnt_type == FREE)
     bodies = m.jnt_bodyid[joints]
     dof = m.jnt_dofadr[joints][:, None] + np.arange(6)
-    full = np.zeros((m.nv, m.nv))
+    mass_matrix = np.zeros((m.nv, m.nv))
     if m.nv:
-        mujoco.mj_fullM(m, data, full)
+        mujoco.mj_fullM(m, data, mass_matrix)
     mass = m.body_subtreemass[bodies]
     turn = data.xmat[bodies].reshape(-1, 3, 3)
     center = np.einsum("kji,kj->ki", turn, data.subtree_com[bodies] - data.xpos[bodies])
-    about_origin = full[dof[:, 3:, None], dof[:, None, 3:]]
+    about_origin = mass_matrix[dof[:, 3:, None], dof[:, None, 3:]]
     cross = np.cross(np.eye(3), center[:, None, :])
     shift = mass[:, None, None] * np.einsum("kij,klj->kil", cross, cross)
     return FreeBodies(
@@ -105,7 +105,7 @@ def springs(
     return Springs(start[..., :3], start[..., 3:], mass, bodies.center * size[..., None], inertia)
 
 
-class Held(NamedTuple):
+class GuidedBodies(NamedTuple):
     """The free objects of candidates, and the springs that hold them."""
 
     bodies: FreeBodies
@@ -116,23 +116,23 @@ class Held(NamedTuple):
     ) -> tuple[Any, Any]:
         """Return the springs' `qfrc_applied` [pop, nv] at a time [s], and the limited `qvel`."""
         b = self.bodies
-        moving = qvel[..., b.dof]
-        force = guidance.share(time, xp) * forces(
-            self.springs, guidance.rate, qpos[..., b.qpos], moving, xp
+        free_qvel = qvel[..., b.dof]
+        force = guidance.fade_factor(time, xp) * spring_forces(
+            self.springs, guidance.rate, qpos[..., b.qpos], free_qvel, xp
         )
-        moving = limited(moving, guidance.max_speed, xp)
+        free_qvel = limit_speed(free_qvel, guidance.max_speed, xp)
         if xp is np:
             applied, velocity = np.zeros_like(qvel), np.array(qvel)
-            applied[..., b.dof], velocity[..., b.dof] = force, moving
+            applied[..., b.dof], velocity[..., b.dof] = force, free_qvel
             return applied, velocity
-        return jnp.zeros_like(qvel).at[..., b.dof].set(force), qvel.at[..., b.dof].set(moving)
+        return jnp.zeros_like(qvel).at[..., b.dof].set(force), qvel.at[..., b.dof].set(free_qvel)
 
-    def take(self, rows: Any) -> "Held":
+    def take(self, rows: Any) -> "GuidedBodies":
         """Select candidates along the leading axis."""
         return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
 
 
-def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
+def guided_bodies(scene: SceneModel, poses: Poses, xp: Any = jnp) -> GuidedBodies:
     """Return the free objects of candidates, and springs that hold them at their placed poses."""
     static = scene.static
     m = static.mjm
@@ -142,10 +142,10 @@ def held(scene: SceneModel, poses: Poses, xp: Any = jnp) -> Held:
     masses = (static.body_object == owner[:, None]) * m.body_mass
     mass = xp.sum(masses * scale[..., None] ** static.powers.body_mass, axis=-1)
     start = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
-    return Held(bodies, springs(bodies, start, scale, mass, xp))
+    return GuidedBodies(bodies, springs(bodies, start, scale, mass, xp))
 
 
-def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
+def spring_forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
     """Return the generalized forces of the springs on free objects before fading.
 
     Args:
@@ -163,8 +163,8 @@ def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
     spin = qvel[..., 3:]
     center = qpos[..., :3] + _apply(turn, s.center, xp)
     velocity = qvel[..., :3] + _apply(turn, xp.cross(spin, s.center), xp)
-    missing = s.pos + _apply(target, s.center, xp) - center
-    force = s.mass[..., None] * (rate**2 * missing - 2 * rate * velocity)
+    offset = s.pos + _apply(target, s.center, xp) - center
+    force = s.mass[..., None] * (rate**2 * offset - 2 * rate * velocity)
     # Rotation vector from the present to the target rotation, in the object's frame.
     relative = xp.einsum("...ji,...jk->...ik", turn, target)
     axis = xp.stack(
@@ -177,13 +177,13 @@ def forces(s: Springs, rate: float, qpos: Any, qvel: Any, xp: Any = np) -> Any:
     )
     sine = xp.sqrt(xp.sum(axis**2, axis=-1) + LEAST_SINE**2) / 2
     cosine = (xp.trace(relative, axis1=-2, axis2=-1) - 1) / 2
-    turning = axis / 2 * (xp.arctan2(sine, cosine) / sine)[..., None]
-    torque = _apply(s.inertia, rate**2 * turning - 2 * rate * spin, xp)
+    rotation_vector = axis / 2 * (xp.arctan2(sine, cosine) / sine)[..., None]
+    torque = _apply(s.inertia, rate**2 * rotation_vector - 2 * rate * spin, xp)
     local = xp.einsum("...ji,...j->...i", turn, force)
     return xp.concatenate([force, torque + xp.cross(s.center, local)], axis=-1)
 
 
-def limited(qvel: Any, max_speed: float, xp: Any = np) -> Any:
+def limit_speed(qvel: Any, max_speed: float, xp: Any = np) -> Any:
     """Return velocities [pop, free, 6] whose linear speed is limited to `max_speed` [m/s]."""
     speed = xp.sqrt(xp.sum(qvel[..., :3] ** 2, axis=-1, keepdims=True))
     return qvel * xp.minimum(1.0, max_speed / xp.maximum(speed, 1e-12))

@@ -161,17 +161,17 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
     """Return the snapped height [m] of every object's origin above its support frame."""
     a = arrangement
     size = jnp.exp(layouts.log_scale)
-    parent_size = _of_parent(a, size, 1.0, jnp)
+    parent_size = _parent_values(a, size, 1.0, jnp)
     xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * parent_size[..., None]
     yaw = jnp.asarray(a.yaw, jnp.float32) + layouts.yaw
     tables = jax.tree.map(jnp.asarray, a.support)
     over_objects = jax.vmap(height_above, in_axes=(0, 0, 0, 0, 0))
-    touch = _map_candidates(
+    contact_height = _map_candidates(
         lambda *candidate: over_objects(tables, *candidate), xy, yaw, size, parent_size
     )
-    resting = jnp.asarray(a.snapped) & (touch > NO_SURFACE / 2)
+    snapped = jnp.asarray(a.snapped) & (contact_height > NO_SURFACE / 2)
     composed = jnp.asarray(a.z, jnp.float32) * parent_size
-    return jnp.where(resting, touch + jnp.asarray(a.gap, jnp.float32), composed)
+    return jnp.where(snapped, contact_height + jnp.asarray(a.gap, jnp.float32), composed)
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
@@ -188,39 +188,41 @@ def compose_poses(
     arrangement: Arrangement, layouts: Layout, height: Float[AnyArray, "pop object"], xp: Any = jnp
 ) -> Poses:
     """Compose poses along the chain of support frames."""
-    a = arrangement if xp is np else _single(arrangement)
+    a = arrangement if xp is np else _to_single_precision(arrangement)
     size = xp.exp(layouts.log_scale)
-    parent_size = _of_parent(a, size, 1.0, xp)[..., None]
-    heading = _over_ancestors(a, a.frame_yaw + a.yaw + layouts.yaw, xp)
-    under = _of_parent(a, heading, 0.0, xp)
+    parent_size = _parent_values(a, size, 1.0, xp)[..., None]
+    heading = _sum_over_ancestors(a, a.frame_yaw + a.yaw + layouts.yaw, xp)
+    parent_heading = _parent_values(a, heading, 0.0, xp)
     local = xp.concatenate([(a.xy + layouts.xy) * parent_size, height[..., None]], axis=-1)
-    step = _turn(under, a.frame_pos * parent_size, xp) + _turn(under + a.frame_yaw, local, xp)
+    step = _rotate_about_z(parent_heading, a.frame_pos * parent_size, xp) + _rotate_about_z(
+        parent_heading + a.frame_yaw, local, xp
+    )
     half = heading / 2
     zero = xp.zeros_like(half)
     turn = xp.stack([xp.cos(half), zero, zero, xp.sin(half)], axis=-1)
     quat = quat_mul(turn, a.tilt, xp)
-    return Poses(_over_ancestors(a, step, xp), quat, size, height)
+    return Poses(_sum_over_ancestors(a, step, xp), quat, size, height)
 
 
-def _single(arrangement: Arrangement) -> Arrangement:
+def _to_single_precision(arrangement: Arrangement) -> Arrangement:
     tree = arrangement._replace(support=None)
     single = lambda x: jnp.asarray(x, jnp.float32) if np.issubdtype(x.dtype, np.floating) else x
     return jax.tree.map(single, tree)._replace(support=arrangement.support)
 
 
-def _of_parent(a: Arrangement, values: Any, world: float, xp: Any) -> Any:
+def _parent_values(a: Arrangement, values: Any, world: float, xp: Any) -> Any:
     """Return the value of each object's parent, or `world` if there is no parent, [pop, object]."""
     return xp.where(a.parent >= 0, values[:, xp.maximum(a.parent, 0)], world)
 
 
-def _over_ancestors(a: Arrangement, values: Any, xp: Any) -> Any:
+def _sum_over_ancestors(a: Arrangement, values: Any, xp: Any) -> Any:
     """Sum values [pop, object, ...] over each object and its ancestors."""
     if xp is np:
         return np.einsum("ij,pj...->pi...", a.ancestors, values)
     return jnp.einsum("ij,pj...->pi...", a.ancestors, values, precision="highest")
 
 
-def _turn(yaw: Any, v: Any, xp: Any) -> Any:
+def _rotate_about_z(yaw: Any, v: Any, xp: Any) -> Any:
     c, s = xp.cos(yaw), xp.sin(yaw)
     x, y = c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]
     return xp.stack([x, y, xp.broadcast_to(v[..., 2], x.shape)], axis=-1)

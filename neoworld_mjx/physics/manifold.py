@@ -24,9 +24,9 @@ PAIR_CONTACTS = 4
 """Number of contacts of a pair of solids."""
 FACE_TOLERANCE_M = 1e-5
 """Largest distance of a contact point outside a face, so that coincident edges touch [m]."""
-ASCENTS = 4
+AXIS_REFINEMENTS = 4
 """Number of refinements of the axis if there are ellipsoids."""
-SHALLOW, MIDDLE = 0.05, 0.02
+ZERO_DEPTH_WEIGHT, MIDPOINT_WEIGHT = 0.05, 0.02
 """Weights in the selection of contact points: SHALLOW of a point of zero depth relative to the
 deepest point, and MIDDLE of an edge's midpoint relative to the edge's ends."""
 
@@ -64,18 +64,18 @@ def manifold(one: PosedSolid, two: PosedSolid, ellipsoids: bool = True) -> Manif
     # Both solids are stacked, so that operations on each of them are traced once.
     both = jax.tree.map(lambda *sides: jnp.stack(sides), one, two)
     other = lambda sides: jax.tree.map(lambda x: x[::-1], sides)
-    both = jax.vmap(_turned)(both, jax.vmap(_nearest)(other(both), both))
-    normal, gap = _least_overlap(both, ASCENTS if ellipsoids else 0)
+    both = jax.vmap(_align_rim)(both, jax.vmap(_nearest_point)(other(both), both))
+    normal, gap = _least_overlap(both, AXIS_REFINEMENTS if ellipsoids else 0)
     # Rotate a cylinder so that a corner of its rim is the deepest point.
     towards = jnp.stack([normal, -normal])
-    both = jax.vmap(_turned)(both, towards)
-    pos, depth = jax.vmap(_clipped)(both, other(both), towards)
-    middle, middle_depth = _between(both, normal, gap)
+    both = jax.vmap(_align_rim)(both, towards)
+    pos, depth = jax.vmap(_clip_edges)(both, other(both), towards)
+    middle, middle_depth = _core_contact(both, normal, gap)
     pos = jnp.concatenate([pos.reshape(-1, 3), middle[None]])
-    ends = jnp.broadcast_to(jnp.array([1.0, MIDDLE, 1.0]), depth.shape).reshape(-1)
+    ends = jnp.broadcast_to(jnp.array([1.0, MIDPOINT_WEIGHT, 1.0]), depth.shape).reshape(-1)
     weight = jnp.concatenate([ends, jnp.ones(1)])
     depth = jnp.concatenate([depth.reshape(-1), middle_depth[None]])
-    return _spread(pos, jnp.where(gap < 0, depth, -1.0), weight, normal)
+    return _select_contacts(pos, jnp.where(gap < 0, depth, -1.0), weight, normal)
 
 
 def _dot(a: AnyArray, b: AnyArray) -> Any:
@@ -88,7 +88,7 @@ def _world(p: PosedSolid, x: Float[AnyArray, "*n 3"]) -> Float[Array, "*n 3"]:
     return p.pos + _dot(p.rot, x[..., None, :]) * p.scale
 
 
-def _thickness(p: PosedSolid, n: Float[Array, "*n 3"]) -> tuple[Array, Array]:
+def _ellipsoid_support(p: PosedSolid, n: Float[Array, "*n 3"]) -> tuple[Array, Array]:
     """Return the support function of a solid's ellipsoid along n, and the support points."""
     local = _dot(p.rot.T, n[..., None, :]) * p.solid.radii
     length = jnp.sqrt(_dot(local, local) + 1e-24)
@@ -96,7 +96,7 @@ def _thickness(p: PosedSolid, n: Float[Array, "*n 3"]) -> tuple[Array, Array]:
     return length * p.scale, _dot(p.rot, point[..., None, :]) * p.scale
 
 
-def _reach(p: PosedSolid, n: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+def _support_distance(p: PosedSolid, n: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     """Return the support function of a solid along unit vectors [m]."""
     local = _dot(p.rot.T, n[..., None, :])
     corners = jnp.max(_dot(local[..., None, :], p.solid.vert), axis=-1)
@@ -106,7 +106,7 @@ def _reach(p: PosedSolid, n: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     return reach * p.scale + _dot(n, p.pos)
 
 
-def _turned(p: PosedSolid, towards: Vec) -> PosedSolid:
+def _align_rim(p: PosedSolid, towards: Vec) -> PosedSolid:
     """Rotate a cylinder about its axis so that a corner of its rims points along a direction."""
     x, y, _ = _dot(p.rot.T, towards)
     length = jnp.sqrt(x * x + y * y)
@@ -117,14 +117,14 @@ def _turned(p: PosedSolid, towards: Vec) -> PosedSolid:
     return p._replace(rot=jnp.stack([c * a + s * b, c * b - s * a, p.rot[:, 2]], axis=1))
 
 
-def _nearest(p: PosedSolid, other: PosedSolid) -> Vec:
+def _nearest_point(p: PosedSolid, other: PosedSolid) -> Vec:
     """Return the vector from the center of `other` to the nearest point of p's bounding box."""
     low, high = jnp.min(p.solid.vert, axis=0), jnp.max(p.solid.vert, axis=0)
     disc = p.solid.disc * jnp.array([1.0, 1.0, 0.0])
-    grown = p.solid.radii + disc
+    margin = p.solid.radii + disc
     centre = jnp.mean(_world(other, other.solid.core), axis=0)
     local = _dot(p.rot.T, centre - p.pos) / p.scale
-    return _world(p, jnp.clip(local, low - grown, high + grown)) - centre
+    return _world(p, jnp.clip(local, low - margin, high + margin)) - centre
 
 
 def _unit(v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -132,58 +132,58 @@ def _unit(v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     return jnp.where(length > 1e-9, 1.0, 0.0)[..., None] * v / jnp.maximum(length, 1e-9)[..., None]
 
 
-def _least_overlap(both: PosedSolid, ascents: int) -> tuple[Vec, Array]:
+def _least_overlap(both: PosedSolid, refinements: int) -> tuple[Vec, Array]:
     """Return the axis of least overlap, from the first to the second solid, and the gap on it."""
     faces = jax.vmap(lambda p: _dot(p.rot, p.solid.plane[:, None, :3]))(both)
     core = jax.vmap(lambda p: _world(p, p.solid.core))(both)
     edge = jax.vmap(lambda p: _world(p, p.solid.edge))(both)
     # From one core to the other, and from each core to the nearest edge of the other.
     parts = jnp.concatenate([core[::-1, None], edge[::-1]], axis=1)
-    a, b = jax.vmap(_closest)(core[:, None], parts)
+    a, b = jax.vmap(_closest_points)(core[:, None], parts)
     away = b - a
     shortest = lambda v: v[jnp.argmin(_dot(v, v))]
     straight, there, back = away[0, 0], shortest(away[0, 1:]), -shortest(away[1, 1:])
     one, two = (jax.tree.map(lambda x, k=k: x[k], both) for k in (0, 1))
-    rounded = [_outward(one, straight), _outward(one, there)]
-    rounded += [_outward(two, straight), _outward(two, back)]
+    rounded = [_ellipsoid_normal(one, straight), _ellipsoid_normal(one, there)]
+    rounded += [_ellipsoid_normal(two, straight), _ellipsoid_normal(two, back)]
     between = _unit(jnp.stack(rounded))
     # If a core is inside the other solid, the direction to the nearest edge points backward.
     inward = _dot(between, jnp.mean(core[1], axis=0) - jnp.mean(core[0], axis=0)) < 0
     between = jnp.where(inward[:, None], -between, between)
     axes = jnp.concatenate([faces[0], -faces[1], between])
-    reach = jax.vmap(_reach)(both, jnp.stack([axes, -axes]))
+    reach = jax.vmap(_support_distance)(both, jnp.stack([axes, -axes]))
     gap = jnp.where(_dot(axes, axes) > 0.5, -reach[0] - reach[1], -jnp.inf)
     best = jnp.argmax(gap)
     axis = axes[best], gap[best]
-    if not ascents:
+    if not refinements:
         return axis
-    return jax.lax.fori_loop(0, ascents, lambda _, x: _ascended(one, two, x), axis)
+    return jax.lax.fori_loop(0, refinements, lambda _, x: _refine_axis(one, two, x), axis)
 
 
-def _outward(p: PosedSolid, v: Vec) -> Vec:
+def _ellipsoid_normal(p: PosedSolid, v: Vec) -> Vec:
     """Return the surface normal of an ellipsoid in a direction from the ellipsoid's center."""
     local = _dot(p.rot.T, v)
     radii = jnp.where(p.solid.radii > 0, p.solid.radii, 1.0)
     return _dot(p.rot, local * (jnp.max(radii) / radii) ** 2)
 
 
-def _ascended(one: PosedSolid, two: PosedSolid, axis: tuple[Vec, Array]) -> tuple[Vec, Array]:
+def _refine_axis(one: PosedSolid, two: PosedSolid, axis: tuple[Vec, Array]) -> tuple[Vec, Array]:
     """Rotate an axis between two solids, unless this decreases the gap along the axis."""
     normal, gap = axis
     ahead, thick = jnp.stack([normal, -normal]), []
     points = []
     for p, n in zip((one, two), ahead, strict=True):
         corner = jnp.argmax(_dot(p.solid.vert, _dot(p.rot.T, n)))
-        points.append(_world(p, p.solid.vert[corner]) + _thickness(p, n)[1])
+        points.append(_world(p, p.solid.vert[corner]) + _ellipsoid_support(p, n)[1])
         thick.append(jnp.max(p.solid.radii) * p.scale)
     # Exact for two spheres.
-    turned = _unit(points[1] - points[0] + (thick[0] + thick[1]) * normal)
-    better = -_reach(one, turned) - _reach(two, -turned)
-    wins = (better > gap) & (_dot(turned, turned) > 0.5)
-    return jnp.where(wins, turned, normal), jnp.where(wins, better, gap)
+    candidate = _unit(points[1] - points[0] + (thick[0] + thick[1]) * normal)
+    better = -_support_distance(one, candidate) - _support_distance(two, -candidate)
+    improves = (better > gap) & (_dot(candidate, candidate) > 0.5)
+    return jnp.where(improves, candidate, normal), jnp.where(improves, better, gap)
 
 
-def _closest(
+def _closest_points(
     one: Float[Array, "a 2 3"], two: Float[Array, "b 2 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Return the closest points of pairs of segments; the leading axes are broadcast."""
@@ -200,7 +200,7 @@ def _closest(
     return p + s[:, None] * u, q + t[:, None] * v
 
 
-def _clipped(
+def _clip_edges(
     one: PosedSolid, two: PosedSolid, normal: Vec
 ) -> tuple[Float[Array, "edge 3 3"], Float[Array, "edge 3"]]:
     """Clip the edges of `one` by the faces of `two`.
@@ -212,7 +212,7 @@ def _clipped(
     """
     faces = _dot(two.rot, two.solid.plane[:, None, :3])
     solid = _dot(faces, faces) > 0.5
-    thick, _ = _thickness(one, faces)
+    thick, _ = _ellipsoid_support(one, faces)
     offset = two.solid.plane[:, 3] * two.scale + _dot(faces, two.pos) + thick
     # A solid without faces contains no point.
     offset = jnp.where(solid, offset, -1.0)
@@ -233,33 +233,36 @@ def _clipped(
     slope = -_dot(faces, normal)
     away = jnp.min(jnp.where(slope > 1e-3, -over / jnp.maximum(slope, 1e-3), jnp.inf), axis=-1)
     # ... but at most the distance after which the point is in front of all of `two`.
-    thick, out = _thickness(one, normal)
-    ahead = _dot(points, normal) + thick + _reach(two, -normal)
+    thick, out = _ellipsoid_support(one, normal)
+    ahead = _dot(points, normal) + thick + _support_distance(two, -normal)
     depth = jnp.where(inside[:, None], jnp.minimum(away, ahead), -1.0)
     pos = points + out - normal * (depth[..., None] / 2)
     return pos, depth
 
 
-def _between(both: PosedSolid, normal: Vec, gap: Array) -> tuple[Vec, Array]:
+def _core_contact(both: PosedSolid, normal: Vec, gap: Array) -> tuple[Vec, Array]:
     """Return the contact of two solids without faces, at the closest points of their cores."""
     one = jax.tree.map(lambda x: x[0], both)
     core = jax.vmap(lambda p: _world(p, p.solid.core))(both)
-    a, _ = _closest(core[:1], core[1:])
-    _, out = _thickness(one, normal)
+    a, _ = _closest_points(core[:1], core[1:])
+    _, out = _ellipsoid_support(one, normal)
     smooth = jnp.all(both.solid.radii[:, 0] > 0)
     return a[0] + out + normal * (gap / 2), jnp.where(smooth, -gap, -1.0)
 
 
-def _spread(
+def _select_contacts(
     pos: Float[Array, "point 3"],
     depth: Float[Array, " point"],
-    share: Float[Array, " point"],
+    point_weight: Float[Array, " point"],
     normal: Vec,
 ) -> Manifold:
     """Select the deepest point, and more points that are deep and far from one another."""
     flat = pos - _dot(pos, normal)[:, None] * normal
     deepest = jnp.maximum(jnp.max(depth), 1e-9)
-    weight = jnp.where(depth > 0, jnp.clip(depth / deepest, 0.0, 1.0) + SHALLOW, 0.0) * share
+    weight = (
+        jnp.where(depth > 0, jnp.clip(depth / deepest, 0.0, 1.0) + ZERO_DEPTH_WEIGHT, 0.0)
+        * point_weight
+    )
     chosen = jnp.argmax(depth)
     apart = jnp.full(depth.shape, jnp.inf)
     rows, dist = [pos[chosen]], [-depth[chosen]]

@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
-from .guidance import Guidance, Held, held
+from .guidance import Guidance, GuidedBodies, guided_bodies
 from .layout import Poses
 from .mjx_model import (
     Fields,
@@ -30,8 +30,8 @@ from .mjx_model import (
     with_fields,
 )
 from .model import SceneModel, StaticScene
-from .recorder import DIVERGED, Recorder, in_chunks, read_states, record_times
-from .sharding import PART, WHOLE, by_part, mesh_of, put
+from .recorder import DIVERGED, Recorder, read_states, record_times, simulate_in_chunks
+from .sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
 
 MJX_CHUNK = 8192
 """Largest number of candidates that a device simulates at once."""
@@ -40,9 +40,9 @@ MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
 """Largest memory of a chunk: a fraction of an accelerator's memory, and a number of bytes on a CPU.
 """
 
-HELD_AXES = Held(bodies=cast(Any, None), springs=cast(Any, 0))
+GUIDED_AXES = GuidedBodies(bodies=cast(Any, None), springs=cast(Any, 0))
 """The `in_axes` of `Held` for `vmap`. Only the springs differ between candidates."""
-HELD_PARTS = Held(bodies=cast(Any, WHOLE), springs=cast(Any, PART))
+GUIDED_SPECS = GuidedBodies(bodies=cast(Any, REPLICATED), springs=cast(Any, SHARDED))
 """Partition specifications of `Held` for several devices."""
 
 COMPACT_FROM = 512
@@ -59,7 +59,7 @@ class MjxEngine(BatchEngine):
     def __init__(self, devices: Sequence[Any] | None = None):
         """Split populations over `devices`; if None, over all devices of JAX's default backend."""
         self.devices = tuple(jax.devices() if devices is None else devices)
-        self.mesh = mesh_of(self.devices)
+        self.mesh = device_mesh(self.devices)
         self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
             weakref.WeakKeyDictionary()
         )
@@ -69,9 +69,9 @@ class MjxEngine(BatchEngine):
         model, scene = self.on_devices(scene)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
-        whole = schedule.early_stop is None
+        to_end = schedule.early_stop is None
         # With early stopping, sizes are powers of two, so that populations share compilations.
-        size = self.chunk(model, pop if whole else 1 << (pop - 1).bit_length())
+        size = self.chunk(model, pop if to_end else 1 << (pop - 1).bit_length())
 
         def run(chunk: Poses) -> Rollout:
             count = len(chunk.scale)
@@ -79,32 +79,32 @@ class MjxEngine(BatchEngine):
                 return Recorder(scene.static, chunk, schedule).rollout()
             # All chunks are padded to one shape, which is compiled once.
             padded = self.split(chunk[np.minimum(np.arange(size), count - 1)])
-            simulate = self._whole if whole else self._segments
+            simulate = self._simulate_to_end if to_end else self._simulate_records
             rollout = simulate(model, scene, padded, schedule)
             rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], rollout)
             return eqx.tree_at(lambda r: r.time, rows, np.asarray(rollout.time))
 
-        return in_chunks(scene.static, poses, size, schedule, run)
+        return simulate_in_chunks(scene.static, poses, size, schedule, run)
 
-    def _whole(
+    def _simulate_to_end(
         self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
         """Simulate all candidates to the end in one compiled function."""
         fields, start, bad = prepare(scene, poses)
         records, every = schedule.records, schedule.every
-        guided = schedule.guidance and (schedule.guidance, _held(scene, poses))
+        guided = schedule.guidance and (schedule.guidance, _guided_bodies(scene, poses))
         qpos, dropped = bare_scan(
             model, fields, start, records, every, *(guided or (None, None)), self.mesh
         )
         return _rollout(scene, poses, qpos, bad, dropped, records, every)
 
-    def _segments(
+    def _simulate_records(
         self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
         """Simulate record by record; drop stopped candidates once the rest fits a smaller size."""
         fields, start, bad = prepare(scene, poses)
-        data = _begin(model, fields, start, self.mesh)
-        springs = _held(scene, poses) if schedule.guidance else None
+        data = _initial_data(model, fields, start, self.mesh)
+        springs = _guided_bodies(scene, poses) if schedule.guidance else None
         recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACT_FROM else []
@@ -139,21 +139,23 @@ class MjxEngine(BatchEngine):
         """Return the number of candidates that fit into the devices' memory at once."""
         shapes = jax.eval_shape(lambda m: make_data(m), model)
         # The states before and after a step, and as much again for intermediate values.
-        each = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+        candidate_bytes = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
         # All combinations of an edge and a face in every evaluated pair.
-        each += 40 * model.near * model.solids.edge.shape[1] * model.solids.plane.shape[1]
+        candidate_bytes += (
+            40 * model.near * model.solids.edge.shape[1] * model.solids.plane.shape[1]
+        )
         device, count = self.devices[0], len(self.devices)
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
         budget = int(MEMORY_SHARE * stats.get("bytes_limit", CPU_MEMORY / MEMORY_SHARE)) * count
-        fit = max(64, 1 << (max(budget // max(each, 1), 1).bit_length() - 1))
-        chunk = min(pop, MJX_CHUNK * count, fit)
+        max_candidates = max(64, 1 << (max(budget // max(candidate_bytes, 1), 1).bit_length() - 1))
+        chunk = min(pop, MJX_CHUNK * count, max_candidates)
         return -(-chunk // count) * count
 
     def split(self, tree: Any) -> Any:
         """Split the leading axis of all arrays over the devices."""
         if self.mesh is None:
             return jax.device_put(tree, self.devices[0])
-        return put(tree, self.mesh, PART)
+        return put(tree, self.mesh, SHARDED)
 
     def on_devices(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
         """Return the model and the scene on the engine's devices."""
@@ -163,7 +165,7 @@ class MjxEngine(BatchEngine):
             if self.mesh is None:
                 model, arrays = jax.device_put(tree, self.devices[0])
             else:
-                model, arrays = put(tree, self.mesh, WHOLE)
+                model, arrays = put(tree, self.mesh, REPLICATED)
             self._scenes[scene.static] = model, eqx.combine(arrays, rest)
         return self._scenes[scene.static]
 
@@ -188,8 +190,8 @@ def prepare(
 
 
 @eqx.filter_jit
-def _held(scene: SceneModel, poses: Poses) -> Held:
-    return held(scene, poses)
+def _guided_bodies(scene: SceneModel, poses: Poses) -> GuidedBodies:
+    return guided_bodies(scene, poses)
 
 
 @functools.partial(jax.jit, static_argnames=("records", "every", "guidance", "mesh"))
@@ -200,7 +202,7 @@ def bare_scan(
     records: int,
     every: int,
     guidance: Guidance | None = None,
-    springs: Held | None = None,
+    springs: GuidedBodies | None = None,
     mesh: Mesh | None = None,
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
     """Scan `mjx_step`, vmapped over all candidates, with springs if guidance is given.
@@ -213,31 +215,35 @@ def bare_scan(
     """
 
     def one(
-        model: MjxModel, values: Fields, start: Float[Array, " nq"], bodies: Held | None
+        model: MjxModel, values: Fields, start: Float[Array, " nq"], bodies: GuidedBodies | None
     ) -> tuple[Array, Array]:
         m = with_fields(model, values)
 
         def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
-            d = mjx_step(m, d, every, _pushing(guidance, bodies))
+            d = mjx_step(m, d, every, _push_function(guidance, bodies))
             return d, (d.qpos, pairs_dropped(m, d))
 
-        begin = make_data(m).replace(qpos=start)
-        qpos, dropped = jax.lax.scan(record, begin, None, length=records)[1]
+        initial = make_data(m).replace(qpos=start)
+        qpos, dropped = jax.lax.scan(record, initial, None, length=records)[1]
         return qpos, jnp.any(dropped)
 
     return _candidates(one, springs, mesh)(model, fields, qpos, springs)
 
 
 def _candidates(
-    one: Callable[..., Any], springs: Held | None, mesh: Mesh | None
+    one: Callable[..., Any], springs: GuidedBodies | None, mesh: Mesh | None
 ) -> Callable[..., Any]:
     """Map a function of model, fields, state and springs over candidates and devices."""
-    held_axes, held_parts = (None, WHOLE) if springs is None else (HELD_AXES, HELD_PARTS)
-    mapped = jax.vmap(one, in_axes=(None, 0, 0, held_axes))
-    return by_part(mapped, mesh, WHOLE, PART, PART, held_parts)
+    bodies_axes, bodies_specs = (
+        (None, REPLICATED) if springs is None else (GUIDED_AXES, GUIDED_SPECS)
+    )
+    mapped = jax.vmap(one, in_axes=(None, 0, 0, bodies_axes))
+    return map_shards(mapped, mesh, REPLICATED, SHARDED, SHARDED, bodies_specs)
 
 
-def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxData], MjxData] | None:
+def _push_function(
+    guidance: Guidance | None, bodies: GuidedBodies | None
+) -> Callable[[MjxData], MjxData] | None:
     """Return the argument `push` of `mjx_step` that applies the springs; None without guidance."""
     if guidance is None or bodies is None:
         return None
@@ -250,7 +256,7 @@ def _pushing(guidance: Guidance | None, bodies: Held | None) -> Callable[[MjxDat
 
 
 @functools.partial(jax.jit, static_argnames=("mesh",))
-def _begin(
+def _initial_data(
     model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], mesh: Mesh | None
 ) -> MjxData:
     make = lambda m, values, start, _: make_data(with_fields(m, values)).replace(qpos=start)
@@ -266,14 +272,14 @@ def _advance(
     data: MjxData,
     every: int,
     guidance: Guidance | None,
-    springs: Held | None,
+    springs: GuidedBodies | None,
     mesh: Mesh | None,
 ) -> tuple[MjxData, Bool[Array, " pop"]]:
     def one(
-        model: MjxModel, values: Fields, d: MjxData, bodies: Held | None
+        model: MjxModel, values: Fields, d: MjxData, bodies: GuidedBodies | None
     ) -> tuple[MjxData, Array]:
         m = with_fields(model, values)
-        d = mjx_step(m, d, every, _pushing(guidance, bodies))
+        d = mjx_step(m, d, every, _push_function(guidance, bodies))
         return d, pairs_dropped(m, d)
 
     return _candidates(one, springs, mesh)(model, fields, data, springs)

@@ -163,8 +163,8 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
     model = put_model(scene)
     fields, qpos = _candidates(scene, layouts)
     axes = with_fields(jax.tree.map(lambda _: None, model), dict.fromkeys(fields, 0))
-    spread = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))
-    data = jax.tree.map(spread, make_data(model)).replace(qpos=qpos)
+    broadcast = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))
+    data = jax.tree.map(broadcast, make_data(model)).replace(qpos=qpos)
     # MJX commits its model to a device. The first step would commit the data as well, so the second
     # step would be compiled again.
     device = model.mjx.qpos0.device
@@ -229,20 +229,22 @@ def mjx_step(
         push: function of the data that sets the applied forces before each step.
     """
 
-    def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
+    def advance(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
         d, nearest = carry
         d = mjx.kinematics(model.mjx, d if push is None else push(d))
         # The condition is the same for all candidates, so vmap keeps it a scalar.
-        look = lambda: nearest_pairs(model, d)
+        search_pairs = lambda: nearest_pairs(model, d)
         nearest = (
-            jax.lax.cond(k % LOOKUP_STEPS == 0, look, lambda: nearest) if nstep > 1 else look()
+            jax.lax.cond(k % LOOKUP_STEPS == 0, search_pairs, lambda: nearest)
+            if nstep > 1
+            else search_pairs()
         )
         return _dynamics(model, d, nearest), nearest
 
     # Ampere and later GPUs multiply single-precision matrices in TF32 by default.
     with jax.default_matmul_precision("highest"):
         start = data, jnp.arange(model.near, dtype=jnp.int32)
-        return (once(0, start) if nstep == 1 else jax.lax.fori_loop(0, nstep, once, start))[0]
+        return (advance(0, start) if nstep == 1 else jax.lax.fori_loop(0, nstep, advance, start))[0]
 
 
 def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
@@ -303,10 +305,10 @@ def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, 
     half = jnp.asarray(aabb[:, 3:])
     centre = xpos + jnp.sum(xmat * jnp.asarray(aabb[:, None, :3]), axis=-1)
     a, b = pairs.first, pairs.second
-    apart = centre[b] - centre[a]
+    offset = centre[b] - centre[a]
     one, two = jnp.asarray(xmat)[a], jnp.asarray(xmat)[b]
     turn = jnp.abs(jnp.sum(one[:, :, :, None] * two[:, :, None, :], axis=1))
-    along = lambda rot: jnp.abs(jnp.sum(rot * apart[:, :, None], axis=1))
+    along = lambda rot: jnp.abs(jnp.sum(rot * offset[:, :, None], axis=1))
     gap = along(one) - half[a] - jnp.sum(turn * half[b][:, None, :], axis=2)
     other = along(two) - half[b] - jnp.sum(turn * half[a][:, :, None], axis=1)
     return jnp.maximum(jnp.max(gap, axis=1), jnp.max(other, axis=1))
@@ -319,11 +321,11 @@ def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.D
     a, b = pairs.first, pairs.second
     centre = d.geom_xpos[a]
 
-    def placed(g: Int[Array, " pair"]) -> PosedSolid:
+    def posed_solid(g: Int[Array, " pair"]) -> PosedSolid:
         solid = jax.tree.map(lambda leaf: leaf[g], model.solids)
         return PosedSolid(solid, d.geom_xpos[g] - centre, d.geom_xmat[g], scale[g])
 
-    contacts = manifolds(placed(a), placed(b), model.ellipsoids)
+    contacts = manifolds(posed_solid(a), posed_solid(b), model.ellipsoids)
     dist, deepest = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
     pair = deepest // PAIR_CONTACTS
     geom = jnp.stack([a[pair], b[pair]], axis=1)

@@ -72,7 +72,7 @@ def newton(
 
     def step(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         qacc, weight, residual = carry
-        push = _clipped(rows, residual)
+        push = _row_forces(rows, residual)
         excess = rows.stiffness * residual - push
         active = jnp.where(excess == 0, rows.stiffness, 0.0)
         gradient = weight - smooth + rows.jacobian.T @ push
@@ -93,10 +93,10 @@ def newton(
 
     carry = start, inertia @ start, rows.jacobian @ start - rows.target
     qacc, _, residual = jax.lax.fori_loop(0, iterations, step, carry)
-    return qacc, -_clipped(rows, residual)
+    return qacc, -_row_forces(rows, residual)
 
 
-def _clipped(rows: Rows, residual: Float[Array, "*at row"]) -> Float[Array, "*at row"]:
+def _row_forces(rows: Rows, residual: Float[Array, "*at row"]) -> Float[Array, "*at row"]:
     return jnp.clip(rows.stiffness * residual, rows.low, rows.high)
 
 

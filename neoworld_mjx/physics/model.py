@@ -113,9 +113,9 @@ class SceneModel(SceneArrays):
     def place_exactly(self, layouts: Layout) -> Poses:
         """Place candidates in double precision (NumPy), at the snapped heights of `place`."""
         height = np.asarray(self.place(layouts).height, float)
-        wide = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
+        double_layouts = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
         with np.errstate(invalid="ignore", over="ignore"):  # see `unplaceable`
-            return compose_poses(self.static.arrangement, wide, height, np)
+            return compose_poses(self.static.arrangement, double_layouts, height, np)
 
     def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
         """Return the scene's description, rearranged as one of the candidates.
@@ -128,13 +128,14 @@ class SceneModel(SceneArrays):
         """
         count = len(self.names)
         # NumPy, since JAX would compile the indexing for every number of objects.
-        one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
+        candidate = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
         if poses is None:
-            height = snapped_heights(self.arrangement, one)[0]
+            height = snapped_heights(self.arrangement, candidate)[0]
         else:
             height = np.asarray(poses.height)[index, :count]
         xy, yaw, log_scale = (
-            np.asarray(leaf, float)[0] for leaf in (one.xy, one.yaw, one.log_scale)
+            np.asarray(leaf, float)[0]
+            for leaf in (candidate.xy, candidate.yaw, candidate.log_scale)
         )
         return rearranged(self.spec, xy, yaw, log_scale, np.asarray(height, float))
 
@@ -298,5 +299,5 @@ def _photo_sigma(scene: SceneSpec) -> np.ndarray:
     """Return `SceneArrays.photo_sigma`."""
     axes, others = photo_deviations(scene)
     sigma = np.concatenate([np.linalg.norm(axes, axis=2), others], axis=1)
-    known = np.array([o.uncertainty is not None and o.parent is not None for o in scene.objects])
-    return np.where(known[:, None], sigma, np.inf)
+    aligned = np.array([o.uncertainty is not None and o.parent is not None for o in scene.objects])
+    return np.where(aligned[:, None], sigma, np.inf)

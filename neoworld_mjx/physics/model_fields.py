@@ -26,18 +26,20 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
     body, geom, jnt, dof = (owner_scale(poses.scale, owner, xp) for owner in owners)
     p = s.powers
 
-    body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
-    body_pos = _put(body_pos * body[..., None], s.root, poses.pos, xp)
-    body_quat = _put(body_quat, s.root, poses.quat, xp)
+    body_pos, body_quat = _broadcast(m.body_pos, pop, xp), _broadcast(m.body_quat, pop, xp)
+    body_pos = _set_columns(body_pos * body[..., None], s.root, poses.pos, xp)
+    body_quat = _set_columns(body_quat, s.root, poses.quat, xp)
     slide = m.jnt_type == SLIDE
-    qpos = _spread(s.start, pop, xp)
-    qpos0 = _spread(m.qpos0, pop, xp)
+    qpos = _broadcast(s.start, pop, xp)
+    qpos0 = _broadcast(m.qpos0, pop, xp)
     slides = m.jnt_qposadr[slide]
-    qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
+    qpos = _set_columns(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
     for j in np.flatnonzero(m.jnt_type == FREE):
         owner, adr = s.jnt_object[j], m.jnt_qposadr[j]
         free_qpos = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
-        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), free_qpos, xp) for q in (qpos, qpos0))
+        qpos, qpos0 = (
+            _set_columns(q, np.arange(adr, adr + 7), free_qpos, xp) for q in (qpos, qpos0)
+        )
     fields = {
         "body_pos": body_pos,
         "body_quat": body_quat,
@@ -50,17 +52,17 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
         "geom_aabb": m.geom_aabb.reshape(-1, 6) * geom[..., None],
         "jnt_pos": m.jnt_pos * jnt[..., None],
         "jnt_range": m.jnt_range * (jnt**p.jnt_range)[..., None],
-        "jnt_stiffness": _times(m.jnt_stiffness, jnt**p.jnt_stiffness),
+        "jnt_stiffness": _scale_field(m.jnt_stiffness, jnt**p.jnt_stiffness),
         "jnt_actfrcrange": m.jnt_actfrcrange * (jnt**p.jnt_actfrcrange)[..., None],
         "dof_armature": m.dof_armature * dof**p.dof_armature,
-        "dof_damping": _times(m.dof_damping, dof**p.dof_damping),
+        "dof_damping": _scale_field(m.dof_damping, dof**p.dof_damping),
         "dof_frictionloss": m.dof_frictionloss * dof**p.dof_frictionloss,
         "qpos0": qpos0,
         "qpos_spring": qpos0,
         "qpos": qpos,
     }
     if m.neq:
-        fields["eq_data"] = _mimics(scene, jnt, xp)
+        fields["eq_data"] = _mimic_data(scene, jnt, xp)
     if m.nsite:
         site = owner_scale(poses.scale, s.body_object[m.site_bodyid], xp)
         fields["site_pos"] = m.site_pos * site[..., None]
@@ -77,7 +79,7 @@ def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
     return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
 
 
-def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
+def _mimic_data(scene: SceneModel, jnt: Any, xp: Any) -> Any:
     m = scene.static.mjm
     factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
     joints = {}
@@ -90,18 +92,18 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
         multiplier, offset = mimic_exponents(joints[m.joint(follower).name], source)
         size = jnt[:, follower]
         pair = xp.stack([size**offset, size**multiplier], axis=-1)
-        factor = _put(
+        factor = _set_columns(
             factor.reshape(jnt.shape[0], -1), e * m.eq_data.shape[1] + np.arange(2), pair, xp
         )
         factor = factor.reshape(jnt.shape[0], *m.eq_data.shape)
     return m.eq_data * factor
 
 
-def _spread(field: np.ndarray, pop: int, xp: Any) -> Any:
+def _broadcast(field: np.ndarray, pop: int, xp: Any) -> Any:
     return xp.broadcast_to(xp.asarray(field), (pop, *field.shape))
 
 
-def _put(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
+def _set_columns(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
     """Write values into columns of an array [pop, n, ...]."""
     if xp is np:
         array = array.copy()
@@ -110,7 +112,7 @@ def _put(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
     return array.at[:, index].set(values)
 
 
-def _times(field: np.ndarray, factor: Any) -> Any:
+def _scale_field(field: np.ndarray, factor: Any) -> Any:
     """Multiply a field [n] or [n, k] by a factor [pop, n]."""
     return field * (factor if field.ndim == 1 else factor[..., None])
 

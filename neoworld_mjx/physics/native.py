@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 from .array_types import AnyArray
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule
-from .guidance import Held, held
+from .guidance import GuidedBodies, guided_bodies
 from .layout import Poses
 from .model import MESH, SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
-from .recorder import Recorder, in_chunks
+from .recorder import Recorder, simulate_in_chunks
 
 NATIVE_CHUNK = 1024
 """Largest number of candidates simulated at once."""
 SLEEPING_CHUNK = 256
 """Largest number of candidates simulated at once if objects may sleep. MuJoCo then keeps data for
 each candidate."""
-RING_BYTES = 128 << 20
+MODEL_COPIES_BYTES = 128 << 20
 """Memory for the copies of a model with meshes, which limits the number of candidates simulated at
 once. The copies are kept for the next rollout of the same scene."""
 
@@ -52,25 +52,27 @@ class NativeEngine(BatchEngine):
         poses = jax.tree.map(np.asarray, poses)
         sleeps = schedule.early_stop is not None
         # Remove the copies while in use, so that a rollout in another thread makes other copies.
-        ring = _rings.pop(scene.static, [])
+        model_copies = _model_copies.pop(scene.static, [])
 
         def run(chunk: Poses) -> Rollout:
             recorder = Recorder(scene.static, chunk, schedule)
             if scene.static.mjm.nv:
-                batch = open_batch(scene, chunk, self.threads, ring, sleeps=sleeps)
-                _simulate(batch, recorder, schedule, held(scene, chunk, np))
+                batch = open_batch(scene, chunk, self.threads, model_copies, sleeps=sleeps)
+                _simulate(batch, recorder, schedule, guided_bodies(scene, chunk, np))
             return recorder.rollout()
 
         size = SLEEPING_CHUNK if sleeps else NATIVE_CHUNK
         if has_meshes(scene):
-            copies = RING_BYTES // int(mujoco.mj_sizeModel(scene.static.mjm))
-            size = min(NATIVE_CHUNK, size, max(32, copies))
-        rollout = in_chunks(scene.static, poses, size, schedule, run)
-        _rings[scene.static] = ring
+            max_copies = MODEL_COPIES_BYTES // int(mujoco.mj_sizeModel(scene.static.mjm))
+            size = min(NATIVE_CHUNK, size, max(32, max_copies))
+        rollout = simulate_in_chunks(scene.static, poses, size, schedule, run)
+        _model_copies[scene.static] = model_copies
         return rollout
 
 
-_rings: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = weakref.WeakKeyDictionary()
+_model_copies: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = (
+    weakref.WeakKeyDictionary()
+)
 """Model copies of scenes with meshes. Overwriting a copy takes a quarter of the time of copying."""
 
 
@@ -83,7 +85,7 @@ def open_batch(
     scene: SceneModel,
     poses: Poses,
     threads: int = 0,
-    ring: list[mujoco.MjModel] | None = None,
+    model_copies: list[mujoco.MjModel] | None = None,
     *,
     sleeps: bool = False,
 ) -> Batch:
@@ -93,19 +95,21 @@ def open_batch(
         scene: the compiled scene.
         poses: initial poses of the candidates' objects, NumPy arrays.
         threads: number of threads; 0 uses all cores.
-        ring: copies of the scene's model, which are overwritten if the scene has meshes. The list
+        model_copies: copies of the scene's model, which are overwritten if the scene has meshes. The list
             is extended as needed. A batch built earlier from the same list becomes invalid.
         sleeps: if True, islands of bodies at rest sleep.
     """
-    wide = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
-    fields = model_fields(scene, wide, np)
+    double_poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
+    fields = model_fields(scene, double_poses, np)
     qpos = fields.pop("qpos")
     base = copy.copy(scene.static.mjm) if sleeps else scene.static.mjm
     if sleeps:
         base.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     batch = Batch(base, nsim=len(qpos), nthread=threads, persistent=sleeps)
     if has_meshes(scene):
-        models = _model_ring(scene, fields, wide.scale, [] if ring is None else ring)
+        models = _models_of_candidates(
+            scene, fields, double_poses.scale, [] if model_copies is None else model_copies
+        )
         for model in models:
             model.opt.enableflags = base.opt.enableflags
         batch.set_models(models)
@@ -117,23 +121,26 @@ def open_batch(
     return batch
 
 
-def _model_ring(
-    scene: SceneModel, fields: dict[str, np.ndarray], scale: AnyArray, ring: list[mujoco.MjModel]
+def _models_of_candidates(
+    scene: SceneModel,
+    fields: dict[str, np.ndarray],
+    scale: AnyArray,
+    model_copies: list[mujoco.MjModel],
 ) -> list[mujoco.MjModel]:
     """Write the fields and meshes of each candidate into a separate copy of the scene's model."""
     base, pop = scene.static.mjm, len(scale)
-    ring.extend(copy.copy(base) for _ in range(pop - len(ring)))
+    model_copies.extend(copy.copy(base) for _ in range(pop - len(model_copies)))
     data = mujoco.MjData(base)
     fields = {name: v.reshape(pop, *getattr(base, name).shape) for name, v in fields.items()}
     mesh, vert, box = (owner_scale(scale, owners, np)[..., None] for owners in _mesh_owners(scene))
-    for k, model in enumerate(ring[:pop]):
+    for k, model in enumerate(model_copies[:pop]):
         for name, values in fields.items():
             getattr(model, name)[:] = values[k]
         model.mesh_vert[:] = base.mesh_vert * vert[k]
         model.mesh_pos[:] = base.mesh_pos * mesh[k]
         model.bvh_aabb[:] = base.bvh_aabb * box[k]
         mujoco.mj_setConst(model, data)
-    return ring[:pop]
+    return model_copies[:pop]
 
 
 def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -145,7 +152,7 @@ def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return mesh, np.repeat(mesh, base.mesh_vertnum), box
 
 
-def _simulate(batch: Batch, recorder: Recorder, schedule: Schedule, bodies: Held) -> None:
+def _simulate(batch: Batch, recorder: Recorder, schedule: Schedule, bodies: GuidedBodies) -> None:
     """Step a batch from record to record until no candidate is active."""
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
     applied, guidance = batch.bind("qfrc_applied"), schedule.guidance

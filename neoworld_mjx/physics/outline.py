@@ -13,7 +13,7 @@ from .support import posed_pieces
 
 HULL_DIRECTIONS = 256
 """Number of evenly spread directions in which an object's extreme points are stored."""
-ROUND_SHARE = 0.04
+ROUND_TOLERANCE = 0.04
 """Largest relative variation of the radius of a round object about its axis. Regular polygons with
 at least twelve corners count as round."""
 
@@ -28,15 +28,15 @@ def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
 
 def is_round(item: SceneObject) -> bool:
     """Return whether an object's hull is symmetric about its frame's z axis."""
-    turns = np.radians(np.arange(0.0, 360.0, 10.0))
+    angles = np.radians(np.arange(0.0, 360.0, 10.0))
     rings = []
     for height in (-60.0, -30.0, 0.0, 30.0, 60.0):
         c, s = np.cos(np.radians(height)), np.sin(np.radians(height))
-        rings.append(np.column_stack([c * np.cos(turns), c * np.sin(turns), 0 * turns + s]))
+        rings.append(np.column_stack([c * np.cos(angles), c * np.sin(angles), 0 * angles + s]))
     directions = np.concatenate(rings)
     reach = np.sum(_farthest(item, directions) * directions, axis=1).reshape(len(rings), -1)
-    widest = np.hypot(*_farthest(item, directions)[:, :2].T).max()
-    return bool(np.ptp(reach, axis=1).max() < ROUND_SHARE * widest)
+    max_radius = np.hypot(*_farthest(item, directions)[:, :2].T).max()
+    return bool(np.ptp(reach, axis=1).max() < ROUND_TOLERANCE * max_radius)
 
 
 @functools.cache
@@ -50,14 +50,14 @@ def _directions() -> NDArray:
 def _farthest(item: SceneObject, directions: NDArray) -> NDArray:
     best, points = np.full(len(directions), -np.inf), np.zeros(directions.shape)
     for piece, pose in posed_pieces(item, tilted=False):
-        candidates = pose.apply(_support(piece, directions @ matrix(pose.quat)))
+        candidates = pose.apply(_support_points(piece, directions @ matrix(pose.quat)))
         reach = np.sum(candidates * directions, axis=1)
         farther = reach > best
         best[farther], points[farther] = reach[farther], candidates[farther]
     return points
 
 
-def _support(piece: Piece, d: NDArray) -> NDArray:
+def _support_points(piece: Piece, d: NDArray) -> NDArray:
     """Return the support points [n, 3] of a piece along unit directions, in the piece's frame."""
     if piece.kind == "mesh":
         v = np.asarray(piece.vertices, float)

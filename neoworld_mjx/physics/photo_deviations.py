@@ -20,15 +20,15 @@ def photo_deviations(
         viewing direction, as vectors in the frame of the object's support [m].
     """
     poses = world_poses(scene)
-    axes, others = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
+    axes, yaw_and_scale = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
     for k, item in enumerate(scene.objects):
-        known = item.uncertainty
-        if known is None or item.parent is None:
+        uncertainty = item.uncertainty
+        if uncertainty is None or item.parent is None:
             continue
         frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
         # The camera is above the world's origin, so the viewing direction is that of the position.
         along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
         c, s = math.cos(along), math.sin(along)
-        axes[k] = np.array([[c, -s], [s, c]]) * [known.along, known.across]
-        others[k] = known.yaw, known.log_scale
-    return axes, others
+        axes[k] = np.array([[c, -s], [s, c]]) * [uncertainty.along, uncertainty.across]
+        yaw_and_scale[k] = uncertainty.yaw, uncertainty.log_scale
+    return axes, yaw_and_scale

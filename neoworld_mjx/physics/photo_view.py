@@ -33,11 +33,11 @@ class PhotoView(NamedTuple):
     """True for parsed boxes, which bound the visible part. Other boxes bound the whole object."""
     depth: Float[AnyArray, " object"]
     """Depth along the viewing direction [m]."""
-    judged: Bool[AnyArray, " object"]
+    scored: Bool[AnyArray, " object"]
     """True for scored objects: all but environment supports."""
-    whole: Bool[AnyArray, " object"]
+    fully_visible: Bool[AnyArray, " object"]
     """True for objects that are entirely visible."""
-    hides: Bool[AnyArray, " object"]
+    occludes: Bool[AnyArray, " object"]
     """True for objects that occlude other objects. Transparent objects do not."""
     evidence: Float[AnyArray, "object cell cell"]
     """Evidence that the object is visible in each cell of its window [1/px^2], by row and column;
@@ -48,8 +48,8 @@ class PhotoView(NamedTuple):
 
 def photo_view(spec: SceneSpec) -> PhotoView:
     """Collect the photograph's boxes and depths; compute missing ones from the composed scene."""
-    camera = spec.camera or _camera_for(spec)
-    middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
+    camera = spec.camera or _default_camera(spec)
+    center = np.tile([camera.width / 2, camera.height_px / 2], 2)
     poses = world_poses(spec)
     boxes, depth, parsed = [], [], []
     for item in spec.objects:
@@ -59,26 +59,26 @@ def photo_view(spec: SceneSpec) -> PhotoView:
             pixels, distances = camera.project(poses[item.name].apply(points))
             box = [*pixels.min(axis=0), *pixels.max(axis=0)] if box is None else box
             distance = distances.mean() if distance is None else distance
-        boxes.append(np.array(box) - middle)
+        boxes.append(np.array(box) - center)
         depth.append(distance)
         parsed.append(item.box2d is not None)
     boxes, depth = np.array(boxes), np.array(depth, float)
-    judged = np.array([not item.environment for item in spec.objects])
+    scored = np.array([not item.environment for item in spec.objects])
     occluded = np.array([item.occluded for item in spec.objects])
-    within = np.abs(boxes) < middle - BORDER_PX
-    whole = ~occluded & (within.all(axis=1) | ~np.array(parsed))
-    hides = np.array([not see_through(item.spec) for item in spec.objects])
+    inside_image = np.abs(boxes) < center - BORDER_PX
+    fully_visible = ~occluded & (inside_image.all(axis=1) | ~np.array(parsed))
+    occludes = np.array([not see_through(item.spec) for item in spec.objects])
     return PhotoView(
         axes=camera.axes(),
         position=camera.position(),
         focal=np.array(camera.focal),
-        half_size=middle[:2],
+        half_size=center[:2],
         boxes=boxes,
         parsed=np.array(parsed),
         depth=depth,
-        judged=judged,
-        whole=whole,
-        hides=hides,
+        scored=scored,
+        fully_visible=fully_visible,
+        occludes=occludes,
         evidence=np.zeros((len(boxes), 0, 0)),
         window=np.tile([0.0, 0.0, 1.0, 1.0], (len(boxes), 1)),
     )
@@ -86,10 +86,12 @@ def photo_view(spec: SceneSpec) -> PhotoView:
 
 def see_through(spec: ObjectSpec) -> bool:
     """Return whether all visible geoms of an object are see-through."""
-    drawn = [geom for part in spec.parts for geom in part.geoms if geom.role != "collision"]
-    return bool(drawn) and all(spec.material(geom.material).see_through for geom in drawn)
+    visible_geoms = [geom for part in spec.parts for geom in part.geoms if geom.role != "collision"]
+    return bool(visible_geoms) and all(
+        spec.material(geom.material).see_through for geom in visible_geoms
+    )
 
 
-def _camera_for(scene: SceneSpec) -> Camera:
+def _default_camera(scene: SceneSpec) -> Camera:
     far = max(float(np.abs(pose.pos).max()) for pose in world_poses(scene).values())
     return Camera(width=600, height_px=400, fovy=0.8, height=1.0 + far, pitch=0.6)

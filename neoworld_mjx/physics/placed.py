@@ -40,13 +40,13 @@ class Placed(eqx.Module):
 
 BALL_EXTENT = 0.03
 """Largest relative difference between the extents of a ball."""
-TILTED, TOPPLED = float(np.radians(15.0)), float(np.radians(45.0))
+TILT_BOUND_UPRIGHT, TILT_BOUND_LYING = float(np.radians(15.0)), float(np.radians(45.0))
 """Bounds of the change of tilt by settling [rad]. TILTED applies to objects placed upright. TOPPLED
 applies to objects placed tilted, which lie or lean, and to objects that roll."""
-UPRIGHT = float(np.cos(np.radians(2.0)))
-COMPACT = 0.8
+UPRIGHT_COSINE = float(np.cos(np.radians(2.0)))
+ROLLING_ASPECT = 0.8
 """Least ratio between the smallest and the largest extent of an object that rolls."""
-SIDEWAYS, DOWN = 0.25, (0.1, 0.01)
+HORIZONTAL, VERTICAL = 0.25, (0.1, 0.01)
 """Bounds of the shift of an object's center by settling: SIDEWAYS * size horizontally, and
 DOWN[0] * size + DOWN[1] vertically [m]."""
 SMALL_M = 0.05
@@ -85,7 +85,7 @@ def _measure(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object
     return pair_depths(scene, poses), visibility(scene, poses)
 
 
-def measured_poses(
+def measure_poses(
     scene: SceneArrays, poses: Poses
 ) -> tuple[Float[AnyArray, "pop object object"], Visible]:
     """Measure the penetration and visibility of candidates. May be vmapped."""
@@ -97,12 +97,12 @@ _stored_measure = stored_trace(
 )
 
 
-def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
+def measure_settled(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
     """Measure settled candidates. May be vmapped."""
-    return Placed(end, *measured_poses(scene, end), settled_by(scene, start, end))
+    return Placed(end, *measure_poses(scene, end), settling_displacement(scene, start, end))
 
 
-def settled_by(
+def settling_displacement(
     scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
 ) -> Float[AnyArray, "pop object"]:
     """Return the displacement of objects by settling, relative to its bounds.
@@ -120,17 +120,19 @@ def settled_by(
     sine = length(xp.cross(before, after), xp)
     tilt = xp.arctan2(sine, xp.sum(before * after, axis=-1))
     tilt = xp.where(ball | (size < SMALL_M), 0.0, tilt)
-    first, last = (
+    start_center, end_center = (
         poses.pos
         + poses.scale[..., None] * xp.sum(rotation(poses.quat, xp) * center[:, None, :], axis=-1)
         for poses in (start, end)
     )
-    shift = last - first
-    sideways = length(shift[..., :2], xp) / (SIDEWAYS * size)
-    vertical = xp.abs(shift[..., 2]) / (DOWN[0] * size + DOWN[1])
-    rolls = xp.min(box, axis=-1) > COMPACT * xp.max(box, axis=-1)
-    bound = xp.where((before[..., 2] > UPRIGHT) & ~rolls, TILTED, TOPPLED)
-    largest = xp.maximum(tilt / bound, xp.maximum(sideways, vertical))
+    shift = end_center - start_center
+    horizontal = length(shift[..., :2], xp) / (HORIZONTAL * size)
+    vertical = xp.abs(shift[..., 2]) / (VERTICAL[0] * size + VERTICAL[1])
+    rolls = xp.min(box, axis=-1) > ROLLING_ASPECT * xp.max(box, axis=-1)
+    bound = xp.where(
+        (before[..., 2] > UPRIGHT_COSINE) & ~rolls, TILT_BOUND_UPRIGHT, TILT_BOUND_LYING
+    )
+    largest = xp.maximum(tilt / bound, xp.maximum(horizontal, vertical))
     return xp.where(xp.asarray(scene.movable), largest, 0.0)
 
 
@@ -140,7 +142,7 @@ def _z_axes(quat: Any, xp: Any) -> Any:
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def poses_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
+def place_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
     """Place candidates in chunks of CPU_CHUNK, so that all populations share a compiled function.
 
     Returns:
@@ -149,10 +151,10 @@ def poses_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
     return _in_chunks(SceneArrays.place, scene, layouts)
 
 
-def measured_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
+def measure_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
     """Compute `placed_at_rest` in chunks; see `poses_in_chunks`."""
-    settled = settled_by(scene, start, end, np).astype(np.float32)
-    return Placed(end, *_in_chunks(measured_poses, scene, end), settled)
+    settled = settling_displacement(scene, start, end, np).astype(np.float32)
+    return Placed(end, *_in_chunks(measure_poses, scene, end), settled)
 
 
 def _in_chunks(

@@ -15,7 +15,7 @@ from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
 """Absolute value of a coordinate above which a candidate has diverged, as in MuJoCo (mjMAXVAL)."""
-SIMULATED = ("pos", "quat", "joint_shift", "status", "steps")
+SIMULATED_FIELDS = ("pos", "quat", "joint_shift", "status", "steps")
 """Fields of a rollout that a simulation computes."""
 LINGER_SHARE = 0.15
 """Fraction of the stability bounds within which a lingering object stays."""
@@ -29,7 +29,7 @@ class Recorder:
     ) -> None:
         """Start with all candidates active, except candidates in the mask `failed` [pop]."""
         self.static, self.start = static, start
-        records, self.every, self.rule, self.guidance = schedule
+        records, self.every, self.early_stop, self.guidance = schedule
         pop = start.scale.shape[0]
         self.qpos = np.zeros((pop, records, static.mjm.nq), np.float32)
         self.last = np.full(pop, -1, np.int32)
@@ -56,7 +56,7 @@ class Recorder:
 
     def segments(self) -> list[int]:
         """Return the steps between two records, split at early-stop checks and force updates."""
-        intervals = [] if self.rule is None else [self.rule.interval]
+        intervals = [] if self.early_stop is None else [self.early_stop.interval]
         intervals += [] if self.guidance is None else [INTERVAL_S]
         if not intervals:
             return [self.every]
@@ -96,7 +96,7 @@ class Recorder:
         self.qpos[rows, time] = qpos[finite]
         self.last[rows] = time
         self.steps[rows] += self.every if steps is None else steps
-        if self.rule is None or qvel is None or qacc is None or not len(rows):
+        if self.early_stop is None or qvel is None or qacc is None or not len(rows):
             return finite
         running = finite.copy()
         running[finite] = self._stop(qpos[finite], qvel[finite], qacc[finite])
@@ -104,31 +104,33 @@ class Recorder:
 
     def _stop(self, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
         """Stop candidates early, and return a mask [active] of candidates that remain active."""
-        rule, rows = self.rule, self.active
-        assert rule is not None
+        early_stop, rows = self.early_stop, self.active
+        assert early_stop is not None
         length = self.static.characteristic_length
         speed, acceleration = (
             (np.abs(rate) * length).max(axis=1, initial=0.0) for rate in (qvel, qacc)
         )
-        rest = (speed < rule.speed) & (acceleration < rule.acceleration)
+        rest = (speed < early_stop.speed) & (acceleration < early_stop.acceleration)
         rest &= speed <= self._speed[rows]
         self._speed[rows] = speed
         self._checks_at_rest[rows] = np.where(rest, self._checks_at_rest[rows] + 1, 0)
         timestep = float(self.static.mjm.opt.timestep)
         now = self.steps[rows] * timestep
-        settled = (self._checks_at_rest[rows] >= rule.checks) & (now >= rule.after)
+        settled = (self._checks_at_rest[rows] >= early_stop.checks) & (now >= early_stop.after)
         base = qpos[:, self._base]
-        moved = _Motion.between(self._start[rows], base)
-        drifted = moved.beyond(rule.drift, rule.tilt)
-        past = moved.beyond(rule.distance, rule.angle)
-        left = _Motion.between(self._anchor[rows], base).beyond(
-            LINGER_SHARE * rule.distance, LINGER_SHARE * rule.angle
+        motion = _Motion.between(self._start[rows], base)
+        drifted = motion.beyond(early_stop.drift, early_stop.tilt)
+        unstable = motion.beyond(early_stop.distance, early_stop.angle)
+        left_anchor = _Motion.between(self._anchor[rows], base).beyond(
+            LINGER_SHARE * early_stop.distance, LINGER_SHARE * early_stop.angle
         )
-        self._anchor[rows[left]] = base[left]
-        self._since[rows[left]] = self.steps[rows[left]]
-        lingers = (self.steps[rows] - self._since[rows]) * timestep >= rule.linger - 1e-9
-        settled |= lingers & (past | self._invalid[rows] | (rule.anywhere & (now >= rule.after)))
-        self._invalid[rows] |= past & (self.steps[rows] % self.every == 0)
+        self._anchor[rows[left_anchor]] = base[left_anchor]
+        self._since[rows[left_anchor]] = self.steps[rows[left_anchor]]
+        lingers = (self.steps[rows] - self._since[rows]) * timestep >= early_stop.linger - 1e-9
+        settled |= lingers & (
+            unstable | self._invalid[rows] | (early_stop.anywhere & (now >= early_stop.after))
+        )
+        self._invalid[rows] |= unstable & (self.steps[rows] % self.every == 0)
         self.status[rows[settled]] = int(RolloutStatus.SETTLED)
         self.status[rows[drifted]] = int(RolloutStatus.DRIFTED)
         running = ~(settled | drifted)
@@ -196,12 +198,12 @@ def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[
     poses = []
     for initial, first, width in ((start.pos, 0, 3), (start.quat, 3, 4)):
         values = xp.broadcast_to(initial[:, None], (pop, time, objects, width))
-        moved = qpos[:, :, address[:, None] + np.arange(first, first + width)]
+        recorded = qpos[:, :, address[:, None] + np.arange(first, first + width)]
         if xp is np:
             values = values.astype(np.float32)
-            values[:, :, owner] = moved
+            values[:, :, owner] = recorded
         elif len(owner):
-            values = values.at[:, :, owner].set(moved)
+            values = values.at[:, :, owner].set(recorded)
         poses.append(values)
     shifts = [_joint_shift(static, k, start.scale, qpos, xp) for k in range(len(static.joints))]
     shift = xp.stack(shifts, axis=-1) if shifts else xp.zeros((pop, time, 0))
@@ -227,7 +229,7 @@ def _free_bases(static: StaticScene) -> tuple[NDArray, NDArray]:
     return static.jnt_object[free], static.mjm.jnt_qposadr[free]
 
 
-def in_chunks(
+def simulate_in_chunks(
     static: StaticScene,
     poses: Poses,
     size: int,
@@ -250,6 +252,6 @@ def in_chunks(
     whole = Recorder(static, poses, schedule, np.ones(len(bad), bool)).rollout()
     for chunk in chunks:
         part = run(poses[chunk])
-        for name in SIMULATED:
+        for name in SIMULATED_FIELDS:
             getattr(whole, name)[chunk] = np.asarray(getattr(part, name))
     return whole

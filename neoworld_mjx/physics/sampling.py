@@ -23,20 +23,23 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
     areas = np.array([_area(piece) for piece, _ in pieces])
     solids = [_Solid(piece, pose) for piece, pose in pieces]
     centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
-    sharp, smooth = [], []
+    edge_points, face_points = [], []
     for k, (piece, pose) in enumerate(pieces):
-        apart = np.linalg.norm(centres - centres[k], axis=1)
-        near = [j for j in np.flatnonzero(apart < radii + radii[k]).tolist() if j != k]
+        distances = np.linalg.norm(centres - centres[k], axis=1)
+        near = [j for j in np.flatnonzero(distances < radii + radii[k]).tolist() if j != k]
         target = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
-        for points, into in ((_edges(piece), sharp), (_faces(piece, target), smooth)):
+        for points, collected in (
+            (_edges(piece), edge_points),
+            (_faces(piece, target), face_points),
+        ):
             world = pose.apply(points)
             hidden = np.zeros(len(world), bool)
             for j in near:
                 solids[j].hide(world, hidden)
-            into.append(world[~hidden])
-    first, rest = np.vstack(sharp), np.vstack(smooth)
-    chosen = _farthest(first, min(len(first), count // 2), np.zeros((0, 3)))
-    chosen = np.vstack([chosen, _farthest(rest, count - len(chosen), chosen)])
+            collected.append(world[~hidden])
+    edges, faces = np.vstack(edge_points), np.vstack(face_points)
+    chosen = _farthest(edges, min(len(edges), count // 2), np.zeros((0, 3)))
+    chosen = np.vstack([chosen, _farthest(faces, count - len(chosen), chosen)])
     pad = np.repeat(chosen[-1:], count - len(chosen), axis=0)
     return np.asarray(np.vstack([chosen, pad]), np.float32)
 

@@ -103,18 +103,20 @@ except the number of faces, which has a separate power of two."""
 def bucket_of(scene: SceneArrays) -> Bucket:
     """Return the smallest bucket into which a scene fits."""
     groups = scene.colliders._asdict()
-    need = Bucket(
+    lengths = Bucket(
         objects=scene.count,
         joints=len(scene.joint_object),
         faces=max(group.planes.shape[1] for group in groups.values()),
         **{kind: len(group.owner) for kind, group in groups.items()},
     )
 
-    def times(n: int, smallest: int) -> int:
+    def multiple(n: int, smallest: int) -> int:
         return 1 << max(0, -(-n // smallest) - 1).bit_length()
 
-    faces = SMALLEST_BUCKET.faces * times(need.faces, SMALLEST_BUCKET.faces)
-    factor = max(times(*of) for of in zip(need._replace(faces=1), SMALLEST_BUCKET, strict=True))
+    faces = SMALLEST_BUCKET.faces * multiple(lengths.faces, SMALLEST_BUCKET.faces)
+    factor = max(
+        multiple(*pair) for pair in zip(lengths._replace(faces=1), SMALLEST_BUCKET, strict=True)
+    )
     return Bucket(*(n * factor for n in SMALLEST_BUCKET))._replace(faces=faces)
 
 
@@ -192,10 +194,10 @@ def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarra
     The computation is compiled once for each bucket and number of candidates.
     """
     count = len(arrangement.parent)
-    wide = object_bucket(count)
+    padded_count = object_bucket(count)
     # Jitted, so that heights are rounded as in a search.
-    padded = on_device(pad_arrangement(arrangement, wide))
-    return np.asarray(_heights(padded, on_device(pad_objects(layout, wide))))[:, :count]
+    padded = on_device(pad_arrangement(arrangement, padded_count))
+    return np.asarray(_heights(padded, on_device(pad_objects(layout, padded_count))))[:, :count]
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:

@@ -19,7 +19,7 @@ from ..spec import SceneObject, SceneSpec, support_frame, world_poses
 from ..spec.pose import Pose, conjugate, from_yaw, pose, quat_mul, yaw_of
 from .engine import EarlyStop, Engine, RolloutStatus
 from .exact import start_state
-from .guidance import INTERVAL_S, Guidance, Held, free_bodies, springs
+from .guidance import INTERVAL_S, Guidance, GuidedBodies, free_bodies, springs
 from .layout import Poses
 from .model import FREE, SceneModel, StaticScene, is_rotational
 from .recorder import DIVERGED
@@ -76,10 +76,10 @@ def with_damped_joints(scene: SceneModel) -> SceneModel:
     """Return a scene in which damping keeps all joints in place, at any scale of the objects."""
     if not len(scene.static.joints):
         return scene
-    known = _damped_joints.get(scene.static)
-    if known is None:
-        known = _damped_joints[scene.static] = _static_with_damped_joints(scene.static)
-    return dataclasses.replace(scene, static=known)
+    damped = _damped_joints.get(scene.static)
+    if damped is None:
+        damped = _damped_joints[scene.static] = _static_with_damped_joints(scene.static)
+    return dataclasses.replace(scene, static=damped)
 
 
 _damped_joints: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKeyDictionary()
@@ -89,9 +89,9 @@ def _static_with_damped_joints(static: StaticScene) -> StaticScene:
     model = copy.copy(static.mjm)
     damp_joints(model)
     of_joint = model.jnt_type[model.dof_jntid] != FREE
-    turning = np.array([is_rotational(model, dof) for dof in range(model.nv)])
+    rotational = np.array([is_rotational(model, dof) for dof in range(model.nv)])
     mass = static.powers.body_mass[model.dof_bodyid]
-    power = np.where(of_joint, mass + np.where(turning, 2.0, 0.0), static.powers.dof_damping)
+    power = np.where(of_joint, mass + np.where(rotational, 2.0, 0.0), static.powers.dof_damping)
     powers = static.powers._replace(dof_damping=power)
     return dataclasses.replace(static, mjm=model, powers=powers)
 
@@ -118,11 +118,11 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     damp_joints(model)
     bodies = free_bodies(model, data.qpos)
-    held = Held(bodies, springs(bodies, data.qpos[bodies.qpos]))
-    guided, every = guidance(o), max(1, round(INTERVAL_S / timestep))
+    guided = GuidedBodies(bodies, springs(bodies, data.qpos[bodies.qpos]))
+    spring_options, every = guidance(o), max(1, round(INTERVAL_S / timestep))
     for step in range(0, max(1, round(o.duration_s / timestep)), every):
-        data.qfrc_applied[:], data.qvel[:] = held.push(
-            guided, step * timestep, data.qpos, data.qvel
+        data.qfrc_applied[:], data.qvel[:] = guided.push(
+            spring_options, step * timestep, data.qpos, data.qvel
         )
         mujoco.mj_step(model, data, every)
         if not np.all(np.abs(data.qpos) < DIVERGED):
@@ -135,30 +135,32 @@ def at_state(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Sc
     mujoco.mj_forward(model, data)
     names = [item.name for item in scene.objects if not item.static]
     bodies = [data.body(name) for name in names]
-    return moved(
+    return with_world_poses(
         scene,
         {n: pose(b.xpos.copy(), b.xquat.copy()) for n, b in zip(names, bodies, strict=True)},
     )
 
 
-def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
+def with_world_poses(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
     """Return a scene with new world poses of some objects. All others move with their parents."""
-    starts = world_poses(scene)
-    placed = dict(starts)
+    old_poses = world_poses(scene)
+    new_poses = dict(old_poses)
     objects: list[SceneObject] = []
     for item in scene.objects:
         frame, before = pose(), pose()
         if item.parent is not None:
             parent = scene.object(item.parent)
-            frame = support_frame(parent, placed[item.parent], item.parent_link)
-            before = support_frame(parent, starts[item.parent], item.parent_link)
-        end = ends.get(item.name, frame.then(before.inverse().then(starts[item.name])))
-        placed[item.name] = end
-        objects.append(_placed(item, frame.inverse().then(end)) if item.name in ends else item)
+            frame = support_frame(parent, new_poses[item.parent], item.parent_link)
+            before = support_frame(parent, old_poses[item.parent], item.parent_link)
+        end = ends.get(item.name, frame.then(before.inverse().then(old_poses[item.name])))
+        new_poses[item.name] = end
+        objects.append(
+            _with_support_pose(item, frame.inverse().then(end)) if item.name in ends else item
+        )
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def _placed(item: SceneObject, rest: Pose) -> SceneObject:
+def _with_support_pose(item: SceneObject, rest: Pose) -> SceneObject:
     """Return an object at a pose in its support frame, split into a tilt followed by a yaw."""
     turn = yaw_of(quat_mul(rest.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
     yaw = math.remainder(item.yaw + turn, 2 * math.pi)

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-PART, WHOLE = PartitionSpec("part"), PartitionSpec()
+SHARDED, REPLICATED = PartitionSpec("part"), PartitionSpec()
 """Partition specifications: PART splits an array along its leading axis, WHOLE copies it."""
 
 
-def mesh_of(devices: Sequence[Any]) -> Mesh | None:
+def device_mesh(devices: Sequence[Any]) -> Mesh | None:
     """Return a mesh of several devices, or None for a single device."""
     return Mesh(np.array(devices), ("part",)) if len(devices) > 1 else None
 
@@ -21,7 +21,7 @@ def put(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
     return jax.device_put(tree, NamedSharding(mesh, spec))
 
 
-def by_part(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[..., Any]:
+def map_shards(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[..., Any]:
     """Return a function that calls `fn` on every device with that device's part of the arguments.
 
     The parts must not depend on each other. With automatic sharding instead, XLA would compute some
@@ -35,4 +35,4 @@ def by_part(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[
     """
     if mesh is None:
         return fn
-    return jax.shard_map(fn, mesh=mesh, in_specs=specs, out_specs=PART, check_vma=False)
+    return jax.shard_map(fn, mesh=mesh, in_specs=specs, out_specs=SHARDED, check_vma=False)

@@ -61,13 +61,15 @@ def geom_solids(m: mujoco.MjModel) -> Solids:
     Raises:
         EngineError: a collision geom has an unsupported type.
     """
-    each = [_solid(m, g) if collides(m, g) else _point() for g in range(m.ngeom)] or [_point()]
+    solids = [_solid(m, g) if collides(m, g) else _point() for g in range(m.ngeom)] or [_point()]
     rows = {}
     for name in Solids._fields:
-        fields = [getattr(solid, name) for solid in each]
+        fields = [getattr(solid, name) for solid in solids]
         if name in ("vert", "edge", "plane"):
-            most = max(len(field) for field in fields)
-            fields = [np.concatenate([x, np.repeat(x[:1], most - len(x), axis=0)]) for x in fields]
+            max_count = max(len(field) for field in fields)
+            fields = [
+                np.concatenate([x, np.repeat(x[:1], max_count - len(x), axis=0)]) for x in fields
+            ]
         rows[name] = np.stack(fields).astype(np.float32)
     return Solids(**rows)
 
@@ -95,9 +97,9 @@ def geom_pairs(m: mujoco.MjModel) -> GeomPairs:
     ]
     first, second = np.array(pairs, np.int32).reshape(-1, 2).T
     mix = m.geom_solmix[first] + m.geom_solmix[second]
-    part = (m.geom_solmix[first] / np.where(mix > 0, mix, 1.0))[:, None]
+    weight = (m.geom_solmix[first] / np.where(mix > 0, mix, 1.0))[:, None]
     friction = np.maximum(m.geom_friction[first], m.geom_friction[second])
-    blend = lambda x: (part * x[first] + (1 - part) * x[second]).astype(np.float32)
+    blend = lambda x: (weight * x[first] + (1 - weight) * x[second]).astype(np.float32)
     return GeomPairs(
         first=first,
         second=second,
@@ -112,10 +114,10 @@ def _may_touch(m: mujoco.MjModel, a: int, b: int, excluded: set[int]) -> bool:
     if (one << 16) + two in excluded:
         return False
     weld, other = int(m.body_weldid[one]), int(m.body_weldid[two])
-    above = lambda w: int(m.body_weldid[m.body_parentid[w]])
+    parent_weld = lambda w: int(m.body_weldid[m.body_parentid[w]])
     # As in MuJoCo, bodies that are welded together never touch. A child and its parent never touch
     # either, unless the parent is the world.
-    related = weld and other and (weld == above(other) or other == above(weld))
+    related = weld and other and (weld == parent_weld(other) or other == parent_weld(weld))
     types = (m.geom_contype[a] & m.geom_conaffinity[b]) | (
         m.geom_contype[b] & m.geom_conaffinity[a]
     )

@@ -27,7 +27,7 @@ WALL_M = 0.02
 """Least height of a wall above the top of an enclosed object, such as a book in a shelf [m]."""
 LEANING_DEG = 5.0
 """Least tilt of an object that leans in its parent [deg]."""
-SOLE_M = 0.005
+EDGE_FLOOR_M = 0.005
 """Largest height of the floor above the lowest point of an object that leans in its parent [m].
 Such an object stands on an edge, and the wall next to this edge does not count as floor."""
 LINE_MARGIN_M = 1e-6
@@ -48,7 +48,7 @@ class Support(NamedTuple):
     """Position of grid point (0, 0) [m]."""
     cell: Float[AnyArray, ""]
     """Spacing of grid points [m]."""
-    foot: Float[AnyArray, "UNDERSIDE_POINTS 3"]
+    underside: Float[AnyArray, "UNDERSIDE_POINTS 3"]
     """Points of the child's underside, in the child's tilted frame [m]. Unused rows have height
     inf."""
 
@@ -57,10 +57,10 @@ def posed_shapes(
     item: SceneObject, links: set[str] | None = None, *, tilted: bool = False
 ) -> list[tuple[Shape, Pose]]:
     """List an object's collision shapes with their poses at the object's joint state."""
-    moved = link_poses(item.spec, item.joint_state)
+    part_poses = link_poses(item.spec, item.joint_state)
     tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
     return [
-        (geom.shape, tilt.then(moved[part.name]).then(geom.pose()))
+        (geom.shape, tilt.then(part_poses[part.name]).then(geom.pose()))
         for part in item.spec.parts
         if links is None or part.name in links
         for geom in part.geoms
@@ -79,7 +79,7 @@ def posed_pieces(
     ]
 
 
-def column(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+def vertical_intersections(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     """Intersect vertical lines at positions xy [m], shape [n, 2], with a convex piece at a pose.
 
     Returns:
@@ -122,8 +122,8 @@ def _intersect(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, ND
     return low, high
 
 
-def _through_planes(half: NDArray, o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
-    slope, gap = half[:, :3] @ d, half[:, 3] - o @ half[:, :3].T
+def _through_planes(half_spaces: NDArray, o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
+    slope, gap = half_spaces[:, :3] @ d, half_spaces[:, 3] - o @ half_spaces[:, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
         t = gap / slope
     outside = np.any((np.abs(slope) < 1e-12) & (gap < -1e-9), axis=1)
@@ -145,28 +145,30 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
     return np.where(miss, np.inf, (-b - root) / a), np.where(miss, -np.inf, (-b + root) / a)
 
 
-def footprint(item: SceneObject) -> NDArray:
+def underside_points(item: SceneObject) -> NDArray:
     """Sample points of an object's underside, in the object's tilted frame [m], shape [n, 3].
 
     Unused rows have height inf.
     """
     pieces = posed_pieces(item)
-    spots = np.vstack([_corners(piece, piece_pose) for piece, piece_pose in pieces])
-    low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
+    corners = np.vstack([_corners(piece, piece_pose) for piece, piece_pose in pieces])
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     steps = np.stack(
         np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(low, high, strict=True))), -1
     ).reshape(-1, 2)
-    xy = np.unique(np.round(np.vstack([spots[:, :2], steps]), 9), axis=0)
-    z = np.min([column(piece, piece_pose, xy)[0] for piece, piece_pose in pieces], axis=0)
+    xy = np.unique(np.round(np.vstack([corners[:, :2], steps]), 9), axis=0)
+    z = np.min(
+        [vertical_intersections(piece, piece_pose, xy)[0] for piece, piece_pose in pieces], axis=0
+    )
     points = np.column_stack([xy, z])[np.isfinite(z)]
     if item.relation == "in" and _leans(item):
         # The object stands on its lowest edge. Everything above touches the wall.
-        points = points[points[:, 2] <= points[:, 2].min() + SOLE_M]
+        points = points[points[:, 2] <= points[:, 2].min() + EDGE_FLOOR_M]
     if len(points) > UNDERSIDE_POINTS:
         # The lowest points matter most, but the points must cover a wide flat base, and both the
         # rim and the plug of a lid: take spread points of each low level first.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
-        points = points[_spread(points[:, :2], level)[:UNDERSIDE_POINTS]]
+        points = points[_order_by_level(points[:, :2], level)[:UNDERSIDE_POINTS]]
     pad = np.full((UNDERSIDE_POINTS - len(points), 3), np.inf)
     pad[:, :2] = 0.0
     return np.vstack([points, pad])
@@ -193,7 +195,7 @@ def _corners(piece: Piece, piece_pose: Pose) -> NDArray:
     return piece_pose.apply(ends)
 
 
-def _spread(xy: NDArray, level: NDArray) -> NDArray:
+def _order_by_level(xy: NDArray, level: NDArray) -> NDArray:
     """Order points from low to high levels, so that any first points cover their level evenly.
 
     If there are several levels, no level has more than the fraction LEVEL_SHARE of the first
@@ -201,13 +203,13 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
     """
     first: list[int] = []
     later: list[int] = []
-    most = int(LEVEL_SHARE * UNDERSIDE_POINTS)
+    level_limit = int(LEVEL_SHARE * UNDERSIDE_POINTS)
     for value in np.unique(level):
         rest = np.flatnonzero(level == value)
         gap = np.linalg.norm(xy[rest] - xy[rest].mean(axis=0), axis=1)
         for k in range(min(len(rest), UNDERSIDE_POINTS)):
             point = int(np.argmax(gap))
-            (first if k < most else later).append(int(rest[point]))
+            (first if k < level_limit else later).append(int(rest[point]))
             gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[point]], axis=1))
         if len(first) >= UNDERSIDE_POINTS:
             break
@@ -237,15 +239,15 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
     frame = link_frame(parent, item.parent_link).inverse()
-    foot = footprint(item)
-    finite = foot[np.isfinite(foot[:, 2])]
+    underside = underside_points(item)
+    finite = underside[np.isfinite(underside[:, 2])]
     half = float(np.linalg.norm(finite[:, :2], axis=1).max()) * 1.3 + reach
     origin = np.array(item.xy) - half
     cell = 2 * half / (GRID - 1)
     axis = np.arange(GRID) * cell
     xy = np.stack(np.meshgrid(origin[0] + axis, origin[1] + axis, indexing="ij"), -1).reshape(-1, 2)
     columns = [
-        column(piece, frame.then(piece_pose), xy)
+        vertical_intersections(piece, frame.then(piece_pose), xy)
         for piece, piece_pose in posed_pieces(parent, links)
     ]
     low, high = np.array([c[0] for c in columns]), np.array([c[1] for c in columns])
@@ -260,14 +262,16 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     wall = middle if item.relation == "in" else item.z + top + WALL_M
     floor = under & (high <= wall)
     if item.relation == "in" and _leans(item):
-        sole = under & (high <= item.z + finite[:, 2].min() + SOLE_M)
-        floor = sole if sole.any() else floor
+        edge_floor = under & (high <= item.z + finite[:, 2].min() + EDGE_FLOOR_M)
+        floor = edge_floor if edge_floor.any() else floor
     inside = np.max(np.where(floor, high, NO_SURFACE), axis=0, initial=NO_SURFACE)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 
-    turned = rotate(from_yaw(item.yaw), finite)
-    spots = np.clip(np.round((turned[:, :2] + item.xy - origin) / cell), 0, GRID - 1).astype(int)
-    cells = spots[:, 0] * GRID + spots[:, 1]
+    rotated = rotate(from_yaw(item.yaw), finite)
+    grid_indices = np.clip(
+        np.round((rotated[:, :2] + item.xy - origin) / cell), 0, GRID - 1
+    ).astype(int)
+    cells = grid_indices[:, 0] * GRID + grid_indices[:, 1]
     z_out, z_in = (float(np.max(h[cells] - finite[:, 2])) for h in (outside, inside))
     fits = z_in > NO_SURFACE / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
     lower = fits and abs(z_in - item.z) <= abs(z_out - item.z)
@@ -276,7 +280,7 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
         np.asarray(heights.reshape(GRID, GRID), np.float32),
         np.asarray(origin, np.float32),
         np.asarray(cell, np.float32),
-        np.asarray(foot, np.float32),
+        np.asarray(underside, np.float32),
     )
 
 
@@ -287,21 +291,21 @@ def _leans(item: SceneObject) -> bool:
 
 def link_frame(parent: SceneObject, link: str | None) -> Pose:
     """Return a link's support frame, relative to the parent's origin, in the parent's yaw frame."""
-    moved = pose((0, 0, 0), parent.base_tilt)
+    link_pose = pose((0, 0, 0), parent.base_tilt)
     if link is not None:
-        moved = moved.then(link_poses(parent.spec, parent.joint_state)[link])
-    return pose(moved.pos, from_yaw(yaw_of(moved.quat)))
+        link_pose = link_pose.then(link_poses(parent.spec, parent.joint_state)[link])
+    return pose(link_pose.pos, from_yaw(yaw_of(link_pose.quat)))
 
 
 def no_support() -> Support:
     """Return the table of an object without a support."""
-    foot = np.zeros((UNDERSIDE_POINTS, 3), np.float32)
-    foot[:, 2] = np.inf
+    underside = np.zeros((UNDERSIDE_POINTS, 3), np.float32)
+    underside[:, 2] = np.inf
     return Support(
         np.full((GRID, GRID), NO_SURFACE, np.float32),
         np.zeros(2, np.float32),
         np.ones((), np.float32),
-        foot,
+        underside,
     )
 
 
@@ -319,7 +323,7 @@ def height_above(
         height is below NO_SURFACE / 2.
     """
     c, s = jnp.cos(yaw), jnp.sin(yaw)
-    x, y = table.foot[:, 0] * size, table.foot[:, 1] * size
+    x, y = table.underside[:, 0] * size, table.underside[:, 1] * size
     i, u, within = _cell(table, 0, (xy[0] + c * x - s * y) / parent_size)
     j, v, between = _cell(table, 1, (xy[1] + s * x + c * y) / parent_size)
     h = table.heights
@@ -332,8 +336,8 @@ def height_above(
     surface = jnp.where(highest - lowest < 2.0 * table.cell, blended, nearest)
     surface = jnp.where(within & between, surface, NO_SURFACE)
     # The gradient of an infinite height times the size would be NaN, even if masked.
-    used = jnp.isfinite(table.foot[:, 2])
-    gap = surface * parent_size - jnp.where(used, table.foot[:, 2], 0.0) * size
+    used = jnp.isfinite(table.underside[:, 2])
+    gap = surface * parent_size - jnp.where(used, table.underside[:, 2], 0.0) * size
     used &= jnp.isfinite(gap) & (surface > NO_SURFACE / 2)
     return jnp.max(jnp.where(used, gap, NO_SURFACE))
 

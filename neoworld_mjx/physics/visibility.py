@@ -19,7 +19,7 @@ from neoworld_kernels.first_hits import (
     Rays,
     first_hits,
     flat_rows,
-    picture_boxes,
+    image_boxes,
     round_rows,
 )
 
@@ -61,10 +61,10 @@ class Visible(eqx.Module):
     boxes: Float[Array, "pop object 4"]
     """Boxes of the visible parts, relative to the image center [px]. The box of an invisible object
     has zero area."""
-    share: Float[Array, "pop object"]
+    visible_fraction: Float[Array, "pop object"]
     """Visible fraction of the area that the object would cover without occluders and image border.
     """
-    own_sides: Bool[Array, "pop object 4"]
+    unoccluded_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     evidence: Float[Array, "pop object"]
     """Sum of `PhotoView.evidence` over the pixels of the visible part, at most about 1."""
@@ -74,14 +74,14 @@ class Visible(eqx.Module):
 def as_parsed(photo: PhotoView, pop: int) -> Visible:
     """Return the visible parts of candidates that match the photograph exactly."""
     repeated = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
-    boxes, whole = repeated(photo.boxes), jnp.ones((pop, len(photo.boxes)))
+    boxes, ones = repeated(photo.boxes), jnp.ones((pop, len(photo.boxes)))
     x, y = ((boxes[..., k] + boxes[..., k + 2]) / 2 for k in range(2))
     tips = [(boxes[..., 0], y), (x, boxes[..., 1]), (boxes[..., 2], y), (x, boxes[..., 3])]
     extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
     middle = jnp.stack([x, y], axis=-1)
-    shown = Outlines(boxes, extremes, middle, repeated(photo.depth), whole)
-    own_sides = jnp.broadcast_to(whole[..., None] > 0, boxes.shape)
-    return Visible(boxes, whole, own_sides, jnp.zeros_like(whole), shown)
+    projected = Outlines(boxes, extremes, middle, repeated(photo.depth), ones)
+    unoccluded_sides = jnp.broadcast_to(ones[..., None] > 0, boxes.shape)
+    return Visible(boxes, ones, unoccluded_sides, jnp.zeros_like(ones), projected)
 
 
 def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
@@ -89,15 +89,15 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
     v = scene.photo
     poses = without_spin(scene, poses)
     turn = rotation(poses.quat) * poses.scale[..., None, None]
-    gap = poses.pos - v.position
+    offset = poses.pos - v.position
     # Sums of products, which XLA fuses with the minima: small matrix products are slow on CPUs.
     turn = dot([axis[:, None] for axis in v.axes], [turn[..., None, i, :] for i in range(3)])
-    shift = dot(v.axes, [gap[..., None, i] for i in range(3)])
+    shift = dot(v.axes, [offset[..., None, i] for i in range(3)])
 
     def project(points: AnyArray) -> tuple[Array, Array, Array]:
-        apart = [points[..., j] for j in range(3)]
+        coordinates = [points[..., j] for j in range(3)]
         x, y, z = (
-            dot([turn[..., None, k, j] for j in range(3)], apart) + shift[..., None, k]
+            dot([turn[..., None, k, j] for j in range(3)], coordinates) + shift[..., None, k]
             for k in range(3)
         )
         z = jnp.maximum(z, LEAST_DEPTH_M)
@@ -134,33 +134,35 @@ def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
     return eqx.tree_at(lambda p: p.quat, poses, jnp.where(undo, swing, poses.quat))
 
 
-class _Prepared(NamedTuple):
+class _CameraScene(NamedTuple):
     placed: ObjectPoses
     families: list[ConvexRows]
     boxes: list[Float[Array, "row 5 pop"]]
 
 
-def _prepared(scene: SceneArrays, poses: Poses) -> _Prepared:
+def _in_camera_frame(scene: SceneArrays, poses: Poses) -> _CameraScene:
     v = scene.photo
     poses = without_spin(scene, poses)
-    turn, gap = rotation(poses.quat), poses.pos - v.position
+    turn, offset = rotation(poses.quat), poses.pos - v.position
     rot = jnp.stack([dot(axis, [turn[..., i, :] for i in range(3)]) for axis in v.axes.T], axis=2)
-    pos = jnp.stack([dot(axis, [gap[..., i] for i in range(3)]) for axis in v.axes.T], axis=2)
+    pos = jnp.stack([dot(axis, [offset[..., i] for i in range(3)]) for axis in v.axes.T], axis=2)
     placed = ObjectPoses(
         jnp.transpose(pos, (1, 2, 0)), jnp.transpose(rot, (1, 2, 3, 0)), jnp.asarray(poses.scale).T
     )
     families = [rows(scene.colliders) for rows in (flat_rows, round_rows)]
-    boxes = [picture_boxes(placed, f.owner, f.pos, f.rot, f.extent) for f in families]
-    return _Prepared(placed, families, boxes)
+    boxes = [image_boxes(placed, f.owner, f.pos, f.rot, f.extent) for f in families]
+    return _CameraScene(placed, families, boxes)
 
 
-def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> list[Array]:
+def _rows_in_window(
+    camera_scene: _CameraScene, window: Float[Array, "4 pop"], behind: Any
+) -> list[Array]:
     """Return masks of the rows that meet a window, in some candidate, and are not behind a depth.
 
     There is one mask for each family of rows. `behind` is an inverse depth [1/m].
     """
     masks = []
-    for rows, box in zip(prepared.families, prepared.boxes, strict=True):
+    for rows, box in zip(camera_scene.families, camera_scene.boxes, strict=True):
         meets = (box[:, 0] <= window[2]) & (box[:, 2] >= window[0])
         meets &= (box[:, 1] <= window[3]) & (box[:, 3] >= window[1]) & (box[:, 4] >= behind)
         masks.append(rows.used & jnp.any(meets, axis=1))
@@ -185,21 +187,25 @@ def visibility(scene: SceneArrays, poses: Poses) -> Visible:
     be jitted and vmapped.
     """
     scene, poses = jax.tree.map(lax.stop_gradient, (scene, poses))
-    return _visible(scene, poses, outlines(scene, poses))
+    return _visible_parts(scene, poses, outlines(scene, poses))
 
 
-def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
+def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Visible:
     focal = scene.photo.focal
-    prepared = _prepared(scene, poses)
-    last = lambda v: jnp.moveaxis(v, 0, -1) / focal
-    full, extremes, middle = last(whole.boxes), last(whole.extremes), last(whole.middle)
+    camera_scene = _in_camera_frame(scene, poses)
+    population_last = lambda v: jnp.moveaxis(v, 0, -1) / focal
+    full, extremes, middle = (
+        population_last(projected.boxes),
+        population_last(projected.extremes),
+        population_last(projected.middle),
+    )
     border = jnp.concatenate([-scene.photo.half_size, scene.photo.half_size]) / focal
     low, high = jnp.tile(border[:2], 2)[:, None], jnp.tile(border[2:], 2)[:, None]
-    least = _least_inverse_depth(prepared, scene.count)
+    least_inverse_depth = _least_inverse_depth(camera_scene, scene.count)
     grid = jnp.asarray(_grid())
-    order, number = true_indices(jnp.asarray(scene.photo.judged))
+    scored_indices, scored_count = true_indices(jnp.asarray(scene.photo.scored))
     pop = poses.scale.shape[0]
-    start = (
+    initial = (
         jnp.zeros((scene.count, 4, pop)),
         jnp.zeros((scene.count, pop)),
         jnp.zeros((scene.count, 4, pop), bool),
@@ -207,7 +213,7 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
     )
 
     def observe(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
-        k = order[i]
+        k = scored_indices[i]
         window = jnp.clip(full[k], low, high)
         window = window.at[2:].set(jnp.maximum(window[2:], window[:2] + 1e-6))
         span = window[2:] - window[:2]
@@ -216,20 +222,27 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         inward = middle[k] - extremes[k]
         length = jnp.maximum(jnp.max(jnp.abs(inward) / jnp.maximum(size, 1e-6), axis=1), 1e-6)
         inner = extremes[k] + inward * jnp.minimum(INSET / length, 1.0)[:, None]
-        ends = jnp.repeat(inner, WINDOW_TILE * WINDOW_TILE // 4, axis=0)
+        tip_rays = jnp.repeat(inner, WINDOW_TILE * WINDOW_TILE // 4, axis=0)
         x, y = (
-            jnp.concatenate([grid[a][..., None] * span[a] + window[a], ends[None, :, a]])
+            jnp.concatenate([grid[a][..., None] * span[a] + window[a], tip_rays[None, :, a]])
             for a in range(2)
         )
         near = [
-            rows & (scene.photo.hides[family.owner] | (family.owner == k))
+            rows & (scene.photo.occludes[family.owner] | (family.owner == k))
             for rows, family in zip(
-                _near(prepared, window, least[k]), prepared.families, strict=True
+                _rows_in_window(camera_scene, window, least_inverse_depth[k]),
+                camera_scene.families,
+                strict=True,
             )
         ]
         target = jnp.arange(scene.count) == k
         others, itself = first_hits(
-            prepared.placed, prepared.families, near, Rays(x, y), target.astype(jnp.int32), 2
+            camera_scene.placed,
+            camera_scene.families,
+            near,
+            Rays(x, y),
+            target.astype(jnp.int32),
+            2,
         )
         hit, shown = itself > 0, itself > others
         cells = shown[:-1]
@@ -241,32 +254,38 @@ def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
         (x0, x1), (y0, y1) = extent(x), extent(y)
         sampled = jnp.stack([x0, y0, x1, y1])
         cell = jnp.tile(span, (2, 1)) / (WINDOW_TILE * WINDOW_TILES)
-        in_picture = (full[k] >= low) & (full[k] <= high)
+        in_image = (full[k] >= low) & (full[k] <= high)
         tips = slice(None, None, WINDOW_TILE * WINDOW_TILE // 4)
-        tip_shown, tip_own = shown[-1][tips], hit[-1][tips]
+        tip_visible, tip_hit = shown[-1][tips], hit[-1][tips]
         # If the ray misses a thin tip, the adjacent cells decide.
-        by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
-        ends_here = in_picture & (tip_shown | by_cells)
-        cut = ~in_picture & (jnp.abs(sampled - window) < 1.5 * cell)
+        by_cells = ~tip_hit & (jnp.abs(sampled - full[k]) < 1.5 * cell)
+        ends_here = in_image & (tip_visible | by_cells)
+        cut = ~in_image & (jnp.abs(sampled - window) < 1.5 * cell)
         box = jnp.where(ends_here | cut, window, sampled)
-        some = any_cell | jnp.any(tip_shown, axis=0)
+        any_visible = any_cell | jnp.any(tip_visible, axis=0)
         centre = jnp.tile(middle[k], (2, 1))
-        box = jnp.where(some & jnp.all(jnp.isfinite(box), axis=0), box, centre)
+        box = jnp.where(any_visible & jnp.all(jnp.isfinite(box), axis=0), box, centre)
         count = jnp.sum(hit[:-1], axis=(0, 1))
-        share = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
-        support = _support(scene.photo, k, x[:-1] * focal, y[:-1] * focal)
+        visible_fraction = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
+        cell_evidence = _evidence_at(scene.photo, k, x[:-1] * focal, y[:-1] * focal)
         pixels = jnp.prod(span, axis=0) * (focal / (WINDOW_TILE * WINDOW_TILES)) ** 2
-        evidence = jnp.sum(jnp.where(cells, support, 0.0), axis=(0, 1)) * pixels
-        new = (box, share, ends_here & some, evidence)
-        return tuple(a.at[k].set(b) for a, b in zip(result, new, strict=True))
+        evidence = jnp.sum(jnp.where(cells, cell_evidence, 0.0), axis=(0, 1)) * pixels
+        values = (box, visible_fraction, ends_here & any_visible, evidence)
+        return tuple(a.at[k].set(b) for a, b in zip(result, values, strict=True))
 
-    boxes, share, sides, evidence = lax.fori_loop(0, number, observe, start)
-    first = lambda v: jnp.moveaxis(v, -1, 0)
-    share = first(share) * whole.inside
-    return Visible(first(boxes) * focal, share, first(sides), first(evidence), whole)
+    boxes, visible_fraction, sides, evidence = lax.fori_loop(0, scored_count, observe, initial)
+    population_first = lambda v: jnp.moveaxis(v, -1, 0)
+    visible_fraction = population_first(visible_fraction) * projected.inside
+    return Visible(
+        population_first(boxes) * focal,
+        visible_fraction,
+        population_first(sides),
+        population_first(evidence),
+        projected,
+    )
 
 
-def _support(
+def _evidence_at(
     photo: PhotoView, k: Array, x: Float[Array, "*ray"], y: Float[Array, "*ray"]
 ) -> Float[Array, "*ray"]:
     """Return the evidence for object k at pixels. Outside the window, the nearest cell counts."""
@@ -281,11 +300,11 @@ def _support(
     return photo.evidence[k].ravel()[row * cells + column]
 
 
-def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "object pop"]:
+def _least_inverse_depth(camera_scene: _CameraScene, count: int) -> Float[Array, "object pop"]:
     """Return a lower bound of the inverse depth of every point of each object."""
-    placed = prepared.placed
+    placed = camera_scene.placed
     least = jnp.full((count, placed.scale.shape[1]), jnp.inf)
-    for rows in prepared.families:
+    for rows in camera_scene.families:
         reach = jnp.sqrt(jnp.sum(jnp.max(rows.extent**2, axis=1), axis=1))
         center = rows.pos
         far = jnp.sqrt(jnp.sum(center**2, axis=1)) + reach
@@ -303,7 +322,7 @@ def raster(
     Environment supports count as objects. If a cell shows no object, the object is -1 and the depth
     is inf. `columns` and `rows` must be multiples of WINDOW_TILE.
     """
-    prepared = _prepared(scene, poses)
+    prepared = _in_camera_frame(scene, poses)
     half = scene.photo.half_size / scene.photo.focal
     pop = poses.scale.shape[0]
     row, column = np.mgrid[:rows, :columns]
@@ -316,7 +335,7 @@ def raster(
 
     window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
     rays = Rays(slopes(column, columns, 0), slopes(row, rows, 1))
-    near = _near(prepared, window, 0.0)
+    near = _rows_in_window(prepared, window, 0.0)
     layer = jnp.arange(scene.count, dtype=jnp.int32)
     hits = first_hits(prepared.placed, prepared.families, near, rays, layer, scene.count)
     nearest = jnp.max(hits, axis=0)

@@ -20,12 +20,12 @@ import numpy as np
 from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
-from .guidance import Guidance, Held, held
+from .guidance import Guidance, GuidedBodies, guided_bodies
 from .layout import Poses
 from .model import SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .native import NativeEngine
-from .recorder import SIMULATED, Recorder, in_chunks
+from .recorder import SIMULATED_FIELDS, Recorder, simulate_in_chunks
 
 if TYPE_CHECKING:
     from .warp_worlds import Worlds
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 WARP_CHUNK = 8192
 """Largest number of candidates simulated at once."""
 
-GROWTHS = 3
+MAX_POOL_DOUBLINGS = 3
 """Number of times that an overflowing contact pool is doubled before `native` takes over."""
 
 BUCKETS = 8
@@ -52,7 +52,7 @@ class Counts(NamedTuple):
     candidates: int = 0
     truncated: int = 0
     """Candidates that exceeded the capacity and were rolled out again by `native`."""
-    grown: int = 0
+    pool_doublings: int = 0
     """Populations that were rolled out again with a larger contact pool."""
 
 
@@ -81,45 +81,47 @@ class WarpEngine(BatchEngine):
         """
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         size = self._chunk_size(scene, poses)
-        run = functools.partial(self._chunk, scene, schedule=schedule)
-        whole = in_chunks(scene.static, poses, size, schedule, run)
-        again = np.flatnonzero(whole.status == int(RolloutStatus.TRUNCATED))
-        c, pop = self.counts, len(whole.status)
-        self.counts = c._replace(candidates=c.candidates + pop, truncated=c.truncated + len(again))
-        if len(again):
-            redone = NativeEngine().simulate(scene, poses[again], schedule)
-            for name in SIMULATED:
-                getattr(whole, name)[again] = getattr(redone, name)
-        return whole
+        run = functools.partial(self._simulate_chunk, scene, schedule=schedule)
+        rollout = simulate_in_chunks(scene.static, poses, size, schedule, run)
+        truncated = np.flatnonzero(rollout.status == int(RolloutStatus.TRUNCATED))
+        c, pop = self.counts, len(rollout.status)
+        self.counts = c._replace(
+            candidates=c.candidates + pop, truncated=c.truncated + len(truncated)
+        )
+        if len(truncated):
+            native_rollout = NativeEngine().simulate(scene, poses[truncated], schedule)
+            for name in SIMULATED_FIELDS:
+                getattr(rollout, name)[truncated] = getattr(native_rollout, name)
+        return rollout
 
     def worlds(self, scene: SceneModel, pop: int, poses: Poses) -> "Worlds":
         """Return worlds with memory and captured steps for at least `pop` candidates of a scene."""
         from .warp_worlds import Worlds, probe
 
-        known = self._worlds.get(scene.static)
-        if known is None or known.capacity.worlds < pop:
-            room = known.capacity if known else probe(scene, poses)
+        worlds = self._worlds.get(scene.static)
+        if worlds is None or worlds.capacity.worlds < pop:
+            capacity = worlds.capacity if worlds else probe(scene, poses)
             # Kernels are compiled for the batch sizes of the model's fields.
-            room = room._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
+            capacity = capacity._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
             try:
-                self._worlds[scene.static] = known = Worlds(scene.static, room, self.device)
+                self._worlds[scene.static] = worlds = Worlds(scene.static, capacity, self.device)
             except RuntimeError as error:
                 if "allocate" not in str(error):
                     raise
                 raise EngineError(
-                    f"warp: {room.worlds} worlds do not fit into the GPU's memory ({error}); "
+                    f"warp: {capacity.worlds} worlds do not fit into the GPU's memory ({error}); "
                     "if JAX has allocated it, import neoworld_mjx before JAX starts, or set "
                     "XLA_PYTHON_CLIENT_PREALLOCATE=false"
                 ) from None
-        return known
+        return worlds
 
     def _chunk_size(self, scene: SceneModel, poses: Poses) -> int:
-        fine = poses[~unplaceable(poses)]
-        if scene.static.mjm.nv == 0 or not len(fine.scale):
+        placeable = poses[~unplaceable(poses)]
+        if scene.static.mjm.nv == 0 or not len(placeable.scale):
             return WARP_CHUNK
-        return min(WARP_CHUNK, self.worlds(scene, 1, fine).room())
+        return min(WARP_CHUNK, self.worlds(scene, 1, placeable).fitting_worlds())
 
-    def _chunk(self, scene: SceneModel, poses: Poses, *, schedule: Schedule) -> Rollout:
+    def _simulate_chunk(self, scene: SceneModel, poses: Poses, *, schedule: Schedule) -> Rollout:
         """Roll out candidates at once; candidates whose contacts do not fit become TRUNCATED."""
         pop = len(poses.scale)
         if scene.static.mjm.nv == 0:
@@ -128,20 +130,20 @@ class WarpEngine(BatchEngine):
         padded = 1 << (pop - 1).bit_length()
         padded_poses = poses[np.resize(np.arange(pop), padded)]
         fields, start = _prepare(scene, padded_poses)
-        for attempt in range(GROWTHS + 1):
+        for attempt in range(MAX_POOL_DOUBLINGS + 1):
             worlds = self.worlds(scene, padded, poses)
             recorder = Recorder(scene.static, poses, schedule)
-            bodies = held(scene, padded_poses, np) if schedule.guidance else None
-            truncated, full = _advance(
+            bodies = guided_bodies(scene, padded_poses, np) if schedule.guidance else None
+            truncated, pool_full = _advance(
                 worlds, fields, np.asarray(start), recorder, schedule, bodies
             )
-            if not full:
+            if not pool_full:
                 break
-            if attempt == GROWTHS:
+            if attempt == MAX_POOL_DOUBLINGS:
                 truncated[:] = True
                 break
-            self._worlds[scene.static] = worlds.grown()
-            self.counts = self.counts._replace(grown=self.counts.grown + 1)
+            self._worlds[scene.static] = worlds.with_doubled_pool()
+            self.counts = self.counts._replace(grown=self.counts.pool_doublings + 1)
         recorder.status[truncated] = int(RolloutStatus.TRUNCATED)
         return recorder.rollout()
 
@@ -152,7 +154,7 @@ def _advance(
     start: np.ndarray,
     recorder: Recorder,
     schedule: Schedule,
-    bodies: Held | None = None,
+    bodies: GuidedBodies | None = None,
 ) -> tuple[np.ndarray, bool]:
     """Simulate until all candidates have stopped or the time is over.
 
@@ -170,8 +172,8 @@ def _advance(
         if bodies is None or schedule.guidance is None:
             worlds.step(schedule.every)
         else:
-            known = bodies.take(np.where(rows == FILLER, recorder.active[0], rows))
-            _guided_steps(worlds, known, schedule.guidance, recorder, time)
+            world_bodies = bodies.take(np.where(rows == FILLER, recorder.active[0], rows))
+            _guided_steps(worlds, world_bodies, schedule.guidance, recorder, time)
         qpos, qvel, qacc, overflow = worlds.read(moving=schedule.early_stop is not None)
         if (overflow & worlds.SHARED).any():
             return truncated, True
@@ -180,21 +182,21 @@ def _advance(
             qpos, qvel, qacc, overflow = (
                 None if x is None else x[active] for x in (qpos, qvel, qacc, overflow)
             )
-        short = (overflow & worlds.OWN) != 0
-        truncated[recorder.active[short]] = True
+        out_of_constraints = (overflow & worlds.PER_WORLD) != 0
+        truncated[recorder.active[out_of_constraints]] = True
         before = np.count_nonzero(recorder.status == RolloutStatus.FAILED)
-        running = recorder.record(time, qpos, qvel, qacc) & ~short
+        running = recorder.record(time, qpos, qvel, qacc) & ~out_of_constraints
         failed = np.count_nonzero(recorder.status == RolloutStatus.FAILED) > before
         recorder.active = recorder.active[~truncated[recorder.active]]
-        left = len(recorder.active)
-        if left == 0 or time + 1 == schedule.records:
+        remaining = len(recorder.active)
+        if remaining == 0 or time + 1 == schedule.records:
             break
-        launched = -(-left // bucket) * bucket
+        launched = -(-remaining // bucket) * bucket
         if launched < len(rows) or failed:
             if qvel is None or qacc is None:
                 _, qvel, qacc, _ = (x[active] for x in worlds.read())
             # Active candidates move to the front. Copies of the first one fill the rest.
-            fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)
+            fill = np.zeros(max(min(launched, len(rows)) - remaining, 0), int)
             keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
             worlds.compact(active[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
@@ -203,26 +205,26 @@ def _advance(
 
 
 def _guided_steps(
-    worlds: "Worlds", bodies: Held, guidance: Guidance, recorder: Recorder, record: int
+    worlds: "Worlds", bodies: GuidedBodies, guidance: Guidance, recorder: Recorder, record: int
 ) -> None:
     """Step the worlds to the next record, and update the springs' forces on the way."""
     timestep = float(worlds.static.mjm.opt.timestep)
-    done = record * recorder.every
+    steps_done = record * recorder.every
     for steps in recorder.segments():
         qpos, qvel, _, _ = worlds.read()
         assert qvel is not None
-        worlds.push(*bodies.push(guidance, done * timestep, qpos, qvel))
+        worlds.push(*bodies.push(guidance, steps_done * timestep, qpos, qvel))
         worlds.step(steps)
-        done += steps
+        steps_done += steps
 
 
 @eqx.filter_jit
 def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
     """Return the candidates' model fields, flattened to [pop, n], and their initial states."""
     static = scene.static
-    every = model_fields(scene, poses) | invweights(scene, poses)
-    start = every["qpos"]
-    fields = {name: value for name, value in every.items() if name not in _NOT_FIELDS}
+    all_fields = model_fields(scene, poses) | invweights(scene, poses)
+    start = all_fields["qpos"]
+    fields = {name: value for name, value in all_fields.items() if name not in _NOT_FIELDS}
     fields["body_subtreemass"] = subtree_mass(static, fields["body_mass"])
     xpos, xmat = static_geoms(static, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
     fields |= {"geom_xpos": xpos, "geom_xmat": xmat}

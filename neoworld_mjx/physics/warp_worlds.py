@@ -20,7 +20,7 @@ from .layout import Poses
 from .model import MESH, SceneModel, StaticScene
 from .native import open_batch
 
-PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
+PROBE_CANDIDATES, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
 """Number of candidates, of steps, and of steps between two counts of contacts in `probe`."""
 
 WORLDS_MEMORY_SHARE = 0.4
@@ -42,7 +42,7 @@ class Capacity(NamedTuple):
 
 def probe(scene: SceneModel, poses: Poses) -> Capacity:
     """Return the capacity for twice the contacts of a few evenly chosen candidates in C MuJoCo."""
-    pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBED).astype(int))
+    pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBE_CANDIDATES).astype(int))
     batch = open_batch(scene, jax.tree.map(np.asarray, poses)[pick])
     contacts, constraints = [0], [0]
     for k in range(len(pick)):
@@ -65,7 +65,9 @@ class Worlds:
 
     SHARED = int(mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.CCD)
     """Overflows in which any world may lose contacts."""
-    OWN = int(mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.EPA_HORIZON)
+    PER_WORLD = int(
+        mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.EPA_HORIZON
+    )
     """Overflows that affect a single world."""
 
     def __init__(self, static: StaticScene, capacity: Capacity, device: Any) -> None:
@@ -101,12 +103,12 @@ class Worlds:
                 ) from None
             self.model.opt.warn_overflow = 0
             if static.mjm.nmesh and n:
-                self._own_meshes()
+                self._copy_meshes_per_world()
 
-    def grown(self) -> "Worlds":
+    def with_doubled_pool(self) -> "Worlds":
         """Return empty worlds with twice the capacity for contacts."""
-        room = self.capacity._replace(contacts=2 * self.capacity.contacts)
-        return type(self)(self.static, room, self.device)
+        capacity = self.capacity._replace(contacts=2 * self.capacity.contacts)
+        return type(self)(self.static, capacity, self.device)
 
     def load(self, fields: dict[str, Any], qpos: np.ndarray) -> None:
         """Load candidates into the first worlds, at rest.
@@ -119,14 +121,14 @@ class Worlds:
         with wp.ScopedDevice(self.device):
             self._source = {name: _words(_on_device(v, self.device)) for name, v in fields.items()}
             if "mesh_vert" in self._source:
-                into = self.model.mesh_vert
-                wp.copy(_words(into), self._source.pop("mesh_vert").flatten())
-            still = np.zeros((len(qpos), self.static.mjm.nv), np.float32)
+                vertices = self.model.mesh_vert
+                wp.copy(_words(vertices), self._source.pop("mesh_vert").flatten())
+            zeros = np.zeros((len(qpos), self.static.mjm.nv), np.float32)
             self.data.overflow.zero_()
             self.data.time.zero_()
             self.data.qfrc_applied.zero_()
             self._scrub()
-            self._place(np.arange(len(qpos)), qpos, still, still)
+            self._place(np.arange(len(qpos)), qpos, zeros, zeros)
 
     def compact(
         self,
@@ -180,23 +182,25 @@ class Worlds:
         qvel, qacc = (x[:n].numpy() if moving else None for x in (d.qvel, d.qacc_warmstart))
         return d.qpos[:n].numpy(), qvel, qacc, d.overflow[:n].numpy()
 
-    def room(self) -> int:
+    def fitting_worlds(self) -> int:
         """Return the number of worlds that fit into the device's free memory."""
         if not self.device.is_cuda:
             return 1 << 16
-        each = sum(_bytes(x) for x in (self.model, self.data)) / max(self.capacity.worlds, 1)
-        free = self.device.free_memory + each * self.capacity.worlds
-        fit = int(WORLDS_MEMORY_SHARE * free / (2 * each))
+        world_bytes = sum(_memory_bytes(x) for x in (self.model, self.data)) / max(
+            self.capacity.worlds, 1
+        )
+        free = self.device.free_memory + world_bytes * self.capacity.worlds
+        fit = int(WORLDS_MEMORY_SHARE * free / (2 * world_bytes))
         return max(64, 1 << (fit.bit_length() - 1))
 
-    def _own_meshes(self) -> None:
+    def _copy_meshes_per_world(self) -> None:
         """Give every world a separate copy of all meshes, numbered world * nmesh + mesh."""
         m, base, n = self.model, self.static.mjm, self.capacity.worlds
         shift = np.arange(n)[:, None]
-        number = np.where(
+        mesh_ids = np.where(
             base.geom_type == MESH, base.geom_dataid + shift * base.nmesh, base.geom_dataid
         )
-        m.geom_dataid.assign(number.astype(np.int32))
+        m.geom_dataid.assign(mesh_ids.astype(np.int32))
         m.mesh_vertadr = _ints((base.mesh_vertadr + shift * base.nmeshvert).ravel())
         m.mesh_vert = wp.array(np.tile(base.mesh_vert, (n, 1)), dtype=wp.vec3)
         # Addresses into tables of topology and normals, which are independent of scales.
@@ -217,9 +221,9 @@ class Worlds:
             wp.launch(_gather, dim=(count, source.shape[1]), inputs=[index, source, into])
         if self.static.mjm.nmesh:
             base = self.static.mjm
-            number = base.geom_dataid + rows[:, None] * base.nmesh
-            number = np.where(base.geom_type == MESH, number, base.geom_dataid).astype(np.int32)
-            wp.copy(m.geom_dataid[:count], wp.array(number, dtype=int))
+            mesh_ids = base.geom_dataid + rows[:, None] * base.nmesh
+            mesh_ids = np.where(base.geom_type == MESH, mesh_ids, base.geom_dataid).astype(np.int32)
+            wp.copy(m.geom_dataid[:count], wp.array(mesh_ids, dtype=int))
         for into, values in ((d.qpos, qpos), (d.qvel, qvel), (d.qacc_warmstart, qacc)):
             if values.size:
                 wp.copy(into[:count], wp.array(np.ascontiguousarray(values, np.float32)))
@@ -284,17 +288,17 @@ def _ints(values: np.ndarray) -> wp.array:
 
 def _on_device(value: Any, device: Any) -> wp.array:
     """Convert a JAX array to a warp array, without a copy if both are on the same GPU."""
-    where = next(iter(value.devices()))
-    if device.is_cuda and where.platform == "gpu" and where.local_hardware_id == device.ordinal:
+    source = next(iter(value.devices()))
+    if device.is_cuda and source.platform == "gpu" and source.local_hardware_id == device.ordinal:
         return wp.from_jax(value.block_until_ready())
     return wp.array(np.asarray(value), dtype=float, device=device)
 
 
-def _bytes(part: Any) -> int:
+def _memory_bytes(part: Any) -> int:
     total = 0
     for value in vars(part).values():
         if isinstance(value, wp.array):
             total += math.prod(value.shape) * wp.types.type_size_in_bytes(value.dtype)
         elif hasattr(value, "__dataclass_fields__"):
-            total += _bytes(value)
+            total += _memory_bytes(value)
     return total

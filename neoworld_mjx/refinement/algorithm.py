@@ -34,7 +34,7 @@ from ..config import RefineOptions
 from ..physics.array_types import AnyArray
 from ..physics.engine import Rollout
 from ..physics.layout import Layout
-from ..physics.placed import Placed, placed_at_rest
+from ..physics.placed import Placed, measure_settled
 from ..physics.scene_arrays import SceneArrays, on_device
 from .batching import stack
 from .cem import elite_count, elite_rows
@@ -68,7 +68,7 @@ class Problem(eqx.Module):
     optimizer: Optimizer | Strategy
     origin: Layout
     """Initial layout, with a population axis of length 1."""
-    widest: Float[Array, ""]
+    max_factor: Float[Array, ""]
     """Upper limit of the factor that multiplies an object's standard deviations."""
     by_object: bool = eqx.field(static=True)
     """If True, each object is fitted to the candidates in which it rests, until one is valid."""
@@ -90,14 +90,14 @@ class SearchState(eqx.Module):
     """State of the optimizer."""
     seed: UInt32[Array, ""]
     """Seed of the run. Random keys are derived from the seed and the iteration number."""
-    factor: Float[Array, " object"]
+    sigma_factor: Float[Array, " object"]
     """Factor that multiplies the standard deviations of each object."""
     iteration: Int[Array, ""]
     elite_mean: Float[Array, ""]
     """Mean absolute reward of the elites of the last iteration; initially -inf."""
     best: Float[Array, ""]
     """Largest merit of a valid candidate so far; initially -inf."""
-    seen_valid: Bool[Array, ""]
+    any_valid: Bool[Array, ""]
     """True as soon as any candidate has been valid."""
     stalled: Int[Array, ""]
     """Number of consecutive iterations that gained less than `stop_gain`."""
@@ -133,7 +133,7 @@ def open_problem(
         objective=open_objective(o, origin, terms),
         optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem, o.strategy),
         origin=origin,
-        widest=on_device(o.cem.widest),
+        max_factor=on_device(o.cem.widest),
         by_object=o.cem.credit == "object",
         stop_by_best=on_device(np.bool_(o.cem.stop_by == "best")),
         stop_gain=on_device(o.cem.stop_gain),
@@ -145,7 +145,7 @@ def open_problem(
 def init(
     problem: Problem,
     seed: Integer[AnyArray, ""] | int = 0,
-    factor: Float[np.ndarray, " object"] | None = None,
+    sigma_factor: Float[np.ndarray, " object"] | None = None,
 ) -> SearchState:
     """Return the initial state of a run.
 
@@ -154,19 +154,19 @@ def init(
         seed: the run's seed.
         factor: initial factors of the objects' standard deviations. If None, all factors are 1.
     """
-    if factor is None:
-        factor = np.ones(problem.origin.yaw.shape[1])
-    low, none = on_device((-np.inf, np.int32(0)))
+    if sigma_factor is None:
+        sigma_factor = np.ones(problem.origin.yaw.shape[1])
+    minus_infinity, zero = on_device((-np.inf, np.int32(0)))
     return SearchState(
         optimizer=problem.optimizer.init(problem.origin),
         seed=on_device(np.asarray(seed, np.uint32)),
-        factor=on_device(np.asarray(factor, np.float32)),
-        iteration=none,
-        elite_mean=low,
-        best=low,
-        seen_valid=on_device(np.bool_(False)),
-        stalled=none,
-        stuck=on_device(np.zeros(len(factor), bool)),
+        sigma_factor=on_device(np.asarray(sigma_factor, np.float32)),
+        iteration=zero,
+        elite_mean=minus_infinity,
+        best=minus_infinity,
+        any_valid=on_device(np.bool_(False)),
+        stalled=zero,
+        stuck=on_device(np.zeros(len(sigma_factor), bool)),
     )
 
 
@@ -181,9 +181,12 @@ def propose(scene: SceneArrays, problem: Problem, state: SearchState, population
         population: number of candidates, N.
     """
     del scene
-    drawn = problem.optimizer.ask(_key(state), state.optimizer, population)
+    samples = problem.optimizer.ask(_key(state), state.optimizer, population)
     return jax.tree.map(
-        lambda z, o, f: o + f * (z - o), drawn, problem.origin, _factors(state.factor)
+        lambda z, o, f: o + f * (z - o),
+        samples,
+        problem.origin,
+        _layout_factors(state.sigma_factor),
     )
 
 
@@ -192,7 +195,7 @@ def _key(state: SearchState) -> Key[Array, ""]:
     return jax.random.fold_in(jax.random.key(state.seed), state.iteration)
 
 
-def _factors(factor: Float[Array, " object"]) -> Layout:
+def _layout_factors(factor: Float[Array, " object"]) -> Layout:
     """Return the factor of each layout variable. Factors above 1 apply to positions only."""
     least = jnp.minimum(factor, 1.0)[None]
     return Layout(jnp.tile(factor[None, :, None], 2), least, least)
@@ -217,7 +220,7 @@ def evaluate(
             rollout are measured.
     """
     if candidates is None:
-        candidates = placed_at_rest(scene, rollout.start, rollout.start)
+        candidates = measure_settled(scene, rollout.start, rollout.start)
     return score(scene, layouts, candidates, rollout, problem.objective)
 
 
@@ -226,18 +229,18 @@ def update(
     scene: SceneArrays, problem: Problem, state: SearchState, layouts: Layout, scores: Scores
 ) -> SearchState:
     """Fit the optimizer to the elites of the population (Algorithm 1, lines 11 and 12)."""
-    seen_valid = state.seen_valid | jnp.any(scores.valid)
-    credit, never = None, jnp.zeros_like(state.stuck)
+    any_valid = state.any_valid | jnp.any(scores.valid)
+    credit, never_rested = None, jnp.zeros_like(state.stuck)
     if problem.by_object:
-        each = scores.reward[:, None] if scores.credit is None else scores.credit
-        by_object = jnp.where(scores.rested, each, -jnp.inf)
-        credit = jnp.where(seen_valid, scores.reward[:, None], by_object)
-        never = scene.optimised & ~jnp.any(scores.rested, axis=0)
-    drawn = jax.tree.map(
+        object_credit = scores.reward[:, None] if scores.credit is None else scores.credit
+        by_object = jnp.where(scores.rested, object_credit, -jnp.inf)
+        credit = jnp.where(any_valid, scores.reward[:, None], by_object)
+        never_rested = scene.optimised & ~jnp.any(scores.rested, axis=0)
+    samples = jax.tree.map(
         lambda z, o, f: o + jnp.where(f > 0, (z - o) / jnp.maximum(f, 1e-12), 0.0),
         layouts,
         problem.origin,
-        _factors(state.factor),
+        _layout_factors(state.sigma_factor),
     )
     rows, weight = elite_rows(scores.reward, elite_count(problem.elite_ratio, len(scores.reward)))
     absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[rows], 0.0))
@@ -248,22 +251,26 @@ def update(
     gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
     if isinstance(problem.optimizer, Strategy):
         updated = problem.optimizer.tell_with_key(
-            _key(state), state.optimizer, drawn, scores.absolute
+            _key(state), state.optimizer, samples, scores.absolute
         )
     else:
         updated = problem.optimizer.tell(
-            state.optimizer, drawn, scores.reward, absolute=scores.absolute, credit=credit
+            state.optimizer, samples, scores.reward, absolute=scores.absolute, credit=credit
         )
     return SearchState(
         optimizer=updated,
         seed=state.seed,
-        factor=jnp.where(never, jnp.minimum(2 * state.factor, problem.widest), state.factor),
+        sigma_factor=jnp.where(
+            never_rested,
+            jnp.minimum(2 * state.sigma_factor, problem.max_factor),
+            state.sigma_factor,
+        ),
         iteration=state.iteration + 1,
         elite_mean=elite_mean,
         best=best,
-        seen_valid=seen_valid,
+        any_valid=any_valid,
         stalled=jnp.where(gain < problem.stop_gain, state.stalled + 1, 0),
-        stuck=jnp.asarray(never & (state.factor >= problem.widest)),
+        stuck=jnp.asarray(never_rested & (state.sigma_factor >= problem.max_factor)),
     )
 
 
@@ -275,5 +282,5 @@ def converged(problem: Problem, state: SearchState) -> bool:
     converges only after a candidate has been valid. With `stop_by: elites` it is the mean absolute
     reward of the elites.
     """
-    valid = not bool(problem.stop_by_best) or bool(state.seen_valid)
+    valid = not bool(problem.stop_by_best) or bool(state.any_valid)
     return valid and int(state.stalled) >= int(problem.patience)

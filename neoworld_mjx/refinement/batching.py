@@ -11,24 +11,24 @@ from jax.sharding import Mesh
 
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
-from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
+from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Poses
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
-from ..physics.sharding import PART, WHOLE, by_part, mesh_of, put
+from ..physics.sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
 from ..traces import computes_on_cpu
 
 TILE = 8192
 """Number of candidates that are sampled and scored at once on an accelerator."""
-SHAPES = 4
+MAX_BATCH_SIZES = 4
 """Largest number of batch sizes for which rollouts are compiled as runs finish.
 
 Each batch size is half of the previous one.
 """
 
 
-def tile_of(runs: int, population: int) -> int:
+def tile_size(runs: int, population: int) -> int:
     """Return the number of runs that are sampled and scored at once, over all devices."""
     if computes_on_cpu():
         return 1
@@ -43,18 +43,18 @@ def devices() -> list[Any]:
     return jax.local_devices() if chosen is None else jax.local_devices()[:1]
 
 
-def split(tree: Any, length: int) -> Any:
+def shard(tree: Any, length: int) -> Any:
     """Shard the arrays whose leading axis has a given length over the devices; replicate the rest.
 
     If there is one device, or if the length is not a multiple of the number of devices, return the
     tree unchanged.
     """
-    mesh = mesh_of(devices())
+    mesh = device_mesh(devices())
     if mesh is None or length < 1 or length % mesh.size:
         return tree
     arrays, rest = eqx.partition(tree, _is_array)
-    where = lambda x: PART if np.shape(x)[:1] == (length,) else WHOLE
-    return eqx.combine(jax.tree.map(lambda x: put(x, mesh, where(x)), arrays), rest)
+    spec_of = lambda x: SHARDED if np.shape(x)[:1] == (length,) else REPLICATED
+    return eqx.combine(jax.tree.map(lambda x: put(x, mesh, spec_of(x)), arrays), rest)
 
 
 def map_runs(
@@ -78,13 +78,13 @@ def map_runs(
         population: number of candidates of a run; 0 if no argument has a population axis.
     """
     if tile == 1 or len(rows) == 1:
-        return [jax.device_get(fn(scene, *split(row, population))) for row in rows]
-    mapped = _mapped(fn, mesh_of(devices()))
+        return [jax.device_get(fn(scene, *shard(row, population))) for row in rows]
+    mapped = _map_compiled(fn, device_mesh(devices()))
     results = []
     for first in range(0, len(rows), tile):
         tile_rows = list(rows[first : first + tile])
         stacked_rows = stack([*tile_rows, *[tile_rows[-1]] * (tile - len(tile_rows))])
-        stacked_results = jax.device_get(mapped(scene, split(stacked_rows, tile)))
+        stacked_results = jax.device_get(mapped(scene, shard(stacked_rows, tile)))
         results += [
             jax.tree.map(lambda x, k=k: x[k], stacked_results) for k in range(len(tile_rows))
         ]
@@ -92,7 +92,7 @@ def map_runs(
 
 
 @functools.cache
-def _mapped(fn: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
+def _map_compiled(fn: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
     def mapped(scene: SceneArrays, rows: Any) -> Any:
         parts, rest = eqx.partition((scene, rows), eqx.is_array)
 
@@ -100,7 +100,7 @@ def _mapped(fn: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
             scene, rows = eqx.combine((scene_arrays, row_arrays), rest)
             return eqx.filter_vmap(lambda row: fn(scene, *row))(rows)
 
-        return by_part(part, mesh, WHOLE, PART)(*parts)
+        return map_shards(part, mesh, REPLICATED, SHARDED)(*parts)
 
     return eqx.filter_jit(mapped)
 
@@ -114,8 +114,8 @@ def stack(rows: Sequence[Any]) -> Any:
     Raises:
         ValueError: the trees differ in structure, for example because a static option differs.
     """
-    form = jax.tree.structure(rows[0])
-    if any(jax.tree.structure(row) != form for row in rows[1:]):
+    structure = jax.tree.structure(rows[0])
+    if any(jax.tree.structure(row) != structure for row in rows[1:]):
         raise ValueError("stack: the trees differ in structure, for example in a static option")
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
     return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])
@@ -130,7 +130,7 @@ def take(tree: Any, rows: np.ndarray | slice) -> Any:
     return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
-def joined(parts: Sequence[Any]) -> Any:
+def concatenate_candidates(parts: Sequence[Any]) -> Any:
     """Concatenate candidates along their leading axis on the host."""
     return jax.tree.map(lambda *x: np.concatenate([np.asarray(leaf) for leaf in x]), *parts)
 
@@ -154,18 +154,18 @@ def roll_out(
     Returns:
         One rollout per run, on the host and without padded objects.
     """
-    together, rows = _concatenate(poses, len(scene.names), runs)
+    all_poses, rows = _concatenate(poses, len(scene.names), runs)
     r = o.rollout
     if r.duration_s:
         rollout = engine.rollout(
             scene,
-            together,
+            all_poses,
             duration=r.duration_s,
             record_every=r.record_every_s,
             early_stop=early_stop_rule(o) if r.early_stop else None,
         )
     else:
-        rollout = unmoved(scene, together)
+        rollout = zero_duration_rollout(scene, all_poses)
     host = jax.device_get(rollout)
     by_run = []
     for run_rows in rows:
@@ -179,11 +179,13 @@ def settle_candidates(
 ) -> list[Poses]:
     """Settle the placed candidates of several runs at once; the arguments are as in `roll_out`."""
     object_count = len(scene.names)
-    together, rows = _concatenate(poses, object_count, runs)
-    ends = settle(scene, together, engine, o.settle)
+    all_poses, rows = _concatenate(poses, object_count, runs)
+    ends = settle(scene, all_poses, engine, o.settle)
     return [
         jax.tree.map(
-            lambda whole, end, index=index: replaced(whole, end[index], np.s_[:, :object_count]),
+            lambda whole, end, index=index: with_replaced(
+                whole, end[index], np.s_[:, :object_count]
+            ),
             placed,
             ends,
         )
@@ -206,20 +208,23 @@ def _concatenate(poses: Sequence[Poses], object_count: int, runs: int) -> tuple[
         The poses of all candidates, and for each run the slice of its candidates.
     """
     counts = [len(placed.scale) for placed in poses]
-    candidate_count, sizes = sum(counts), [-(-runs // 2**k) * max(counts) for k in range(SHAPES)]
-    missing = min(size for size in sizes if size >= candidate_count) - candidate_count
+    candidate_count, sizes = (
+        sum(counts),
+        [-(-runs // 2**k) * max(counts) for k in range(MAX_BATCH_SIZES)],
+    )
+    padding = min(size for size in sizes if size >= candidate_count) - candidate_count
 
     def concatenate(*arrays: np.ndarray) -> np.ndarray:
         whole = np.concatenate([x[:, :object_count] for x in arrays])
-        widths = [(0, missing), *[(0, 0)] * (whole.ndim - 1)]
+        widths = [(0, padding), *[(0, 0)] * (whole.ndim - 1)]
         return np.pad(whole, widths, constant_values=np.nan)
 
-    together = jax.tree.map(concatenate, *poses)
+    all_poses = jax.tree.map(concatenate, *poses)
     ends = np.cumsum(counts)
-    return together, [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
+    return all_poses, [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
 
-def replaced(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
+def with_replaced(whole: np.ndarray, part: np.ndarray, index: Any) -> np.ndarray:
     """Return a copy of an array in which `part` replaces the entries at `index`."""
     copied = np.array(whole)
     copied[index] = part

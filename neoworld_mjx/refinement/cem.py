@@ -15,7 +15,7 @@ from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
-PLATE = 0.3
+PLATE_THICKNESS = 0.3
 """A box is a plate if its thickness is less than this fraction of its second-shortest side."""
 
 
@@ -59,10 +59,10 @@ class CEM(eqx.Module):
 
         Objects whose standard deviations are zero, such as environment supports, do not move.
         """
-        drawn = draw(key, state.mean, state.std, population)
+        samples = draw(key, state.mean, state.std, population)
         if not self.zero_candidate:
-            return drawn
-        return jax.tree.map(lambda leaf, mean: leaf.at[0].set(mean[0]), drawn, state.mean)
+            return samples
+        return jax.tree.map(lambda leaf, mean: leaf.at[0].set(mean[0]), samples, state.mean)
 
     def tell(
         self,
@@ -90,20 +90,25 @@ class CEM(eqx.Module):
         ranks = jnp.repeat(reward[:, None], count, 1) if credit is None else credit
         rows, weights = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)
         total = jnp.maximum(jnp.sum(weights, axis=0), 1.0)
-        learns = jnp.sum(weights, axis=0) > 0
+        is_fitted = jnp.sum(weights, axis=0) > 0
 
         def fit(
             leaf: Float[Array, "pop object ..."], old: Array, old_std: Array, sigma: Array
         ) -> tuple[Array, Array]:
             chosen = leaf[rows, jnp.arange(count)]
             spread = (1,) * (leaf.ndim - 2)
-            w, learn = (weights / total).reshape(-1, count, *spread), learns.reshape(-1, *spread)
-            mean = jnp.sum(chosen * w, axis=0, keepdims=True)
-            std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * w, axis=0, keepdims=True))
-            keep = self.params.smoothing
-            mean = keep * old + (1 - keep) * mean
-            std = jnp.maximum(keep * old_std + (1 - keep) * std, self.params.floor * sigma)
-            return jnp.where(learn, mean, old), jnp.where(learn, std, old_std)
+            weight, fitted_here = (
+                (weights / total).reshape(-1, count, *spread),
+                is_fitted.reshape(-1, *spread),
+            )
+            mean = jnp.sum(chosen * weight, axis=0, keepdims=True)
+            std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * weight, axis=0, keepdims=True))
+            smoothing = self.params.smoothing
+            mean = smoothing * old + (1 - smoothing) * mean
+            std = jnp.maximum(
+                smoothing * old_std + (1 - smoothing) * std, self.params.floor * sigma
+            )
+            return jnp.where(fitted_here, mean, old), jnp.where(fitted_here, std, old_std)
 
         trees = (layouts, state.mean, state.std, self.params.sigma)
         fitted = [fit(*leaves) for leaves in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
@@ -114,8 +119,8 @@ def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Lay
     """Sample candidates from a diagonal Gaussian; `key` must not be used again."""
     # One key per object, so that samples do not depend on padding.
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(mean.yaw.shape[1]))
-    numbers = jax.vmap(lambda k: jax.random.normal(k, (population, 4)), out_axes=1)(keys)
-    noise = Layout(numbers[..., :2], numbers[..., 2], numbers[..., 3])
+    normals = jax.vmap(lambda k: jax.random.normal(k, (population, 4)), out_axes=1)(keys)
+    noise = Layout(normals[..., :2], normals[..., 2], normals[..., 3])
     return jax.tree.map(lambda m, s, n: m + s * n, mean, std, noise)
 
 
@@ -144,20 +149,20 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
-    fastened = _fastened_along(scene)
+    fixed = _fixed_axes(scene)
     sigma = Layout(
-        (xy[:, None] * ~fastened)[None],
-        (np.radians(options.sigma_yaw_deg) * moves * ~fastened.any(axis=1))[None],
+        (xy[:, None] * ~fixed)[None],
+        (np.radians(options.sigma_yaw_deg) * moves * ~fixed.any(axis=1))[None],
         (options.sigma_log_scale * moves)[None],
     )
     if options.photo_sigma:
-        known = np.asarray(scene.photo_sigma, np.float32)[None]
-        known = Layout(known[..., :2], known[..., 2], known[..., 3])
-        sigma = jax.tree.map(np.minimum, sigma, known)
+        aligned_sigma = np.asarray(scene.photo_sigma, np.float32)[None]
+        aligned_sigma = Layout(aligned_sigma[..., :2], aligned_sigma[..., 2], aligned_sigma[..., 3])
+        sigma = jax.tree.map(np.minimum, sigma, aligned_sigma)
     return on_device(sigma)
 
 
-def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
+def _fixed_axes(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
     """Return a mask of the axes (x and y of the parent) along which an attached object is fixed.
 
     An object is fixed along the thickness direction of its parent if the parent is a plate; see
@@ -169,7 +174,7 @@ def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
     sides = (corners.max(axis=1) - corners.min(axis=1))[parent]
     thin, next_longer, _ = np.sort(sides, axis=1).T
     normal = sides.argmin(axis=1)[:, None] == np.arange(2)
-    return normal & (attached & (thin < PLATE * next_longer))[:, None]
+    return normal & (attached & (thin < PLATE_THICKNESS * next_longer))[:, None]
 
 
 def open_cem(scene: SceneArrays, options: CEMOptions) -> CEM:

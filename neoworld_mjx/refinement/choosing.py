@@ -11,7 +11,7 @@ from ..physics.model import SceneModel
 from ..progress import update
 from ..spec import SceneSpec
 from .finishing import Finished, finish
-from .rounds import Round, ranked
+from .rounds import Round, rank_candidates
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Winner:
         return self.finished.passed
 
 
-def choose(
+def choose_winner(
     model: SceneModel,
     rounds: list[Round],
     o: RefineOptions,
@@ -78,26 +78,26 @@ def choose(
     """
     origin = Layout.zero(1, len(model.names)) if start is None else start
     first = 0 if o.settle.enabled else -1
-    unmoved = Winner((first, first), origin, initial, initial.measure, 0)
+    initial_winner = Winner((first, first), origin, initial, initial.measure, 0)
     if initial.passed and o.settle.enabled and accept_initial:
-        return unmoved
+        return initial_winner
     remaining = [
         entry
-        for entry, absolute in ranked(rounds)
-        if np.isfinite(absolute) and (entry != unmoved.index or initial.passed)
+        for entry, absolute in rank_candidates(rounds)
+        if np.isfinite(absolute) and (entry != initial_winner.index or initial.passed)
     ]
-    best: Winner | None = unmoved if o.settle.enabled or not remaining else None
+    best: Winner | None = initial_winner if o.settle.enabled or not remaining else None
     tries = min(o.finalists, len(remaining))
     for tried, (t, k) in enumerate(remaining[:tries], 1):
         update(done=tried, of=tries, unit="final check", rate=None, left_s=None)
-        if (t, k) == unmoved.index:
+        if (t, k) == initial_winner.index:
             finished = initial
         else:
             finished = finish(model, rounds[t].layouts, k, o, rounds[t].poses, searched)
         winner = Winner((t, k), rounds[t].layouts[k : k + 1], finished, initial.measure, tried)
         if winner.passed:
             return winner
-        if best is None or finished.badness(o) < best.finished.badness(o):
+        if best is None or finished.excess_over_bounds(o) < best.finished.excess_over_bounds(o):
             best = winner
     assert best is not None
     return Winner(best.index, best.layout, best.finished, initial.measure, tries)

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..physics.engine import Engine
-from ..physics.placed import poses_in_chunks
+from ..physics.placed import place_in_chunks
 from ..physics.scene_arrays import pad_objects
-from .batching import joined, take, tile_of
+from .batching import concatenate_candidates, take, tile_size
 from .choosing import Winner
 from .evaluation import Evaluation
 from .objective import Scores
 from .search_run import SearchResult
 
 
-def delivered(
+def final_scene_scores(
     results: Sequence[SearchResult],
     winners: Sequence[Winner],
     engine: Engine,
@@ -49,8 +49,8 @@ def delivered(
     ]
     missing = [k for k, known in enumerate(scores) if known is None]
     if missing:
-        rest = [(results[k], winners[k]) for k in missing]
-        for k, of_run in zip(missing, _scores(rest, engine, s_sem), strict=True):
+        pairs = [(results[k], winners[k]) for k in missing]
+        for k, of_run in zip(missing, _scores(pairs, engine, s_sem), strict=True):
             scores[k] = of_run
     rows = [{"absolute": s.absolute, "merit": s.merit, **s.terms} for s in scores if s is not None]
     return [{name: float(np.asarray(x)[0]) for name, x in row.items()} for row in rows]
@@ -61,14 +61,15 @@ def _scores(
 ) -> list[Scores]:
     first = pairs[0][0]
     o, runs = first.run.options, len(pairs)
-    tile = tile_of(runs, o.cem.population)
+    tile = tile_size(runs, o.cem.population)
     scenes = first.scene, first.arrays, first.padded
     evaluation = Evaluation(*scenes, engine, o, runs, tile, {"score": 0.0}, time.perf_counter())
     layouts = [pad_objects(winner.layout, first.arrays.count) for _, winner in pairs]
-    placed = poses_in_chunks(first.arrays, joined(layouts))
+    placed = place_in_chunks(first.arrays, concatenate_candidates(layouts))
     starts = [take(placed, slice(k, k + 1)) for k in range(runs)]
     rests = [
-        evaluation.resting(winner.scene, z) for (_, winner), z in zip(pairs, layouts, strict=True)
+        evaluation.settled_poses(winner.scene, z)
+        for (_, winner), z in zip(pairs, layouts, strict=True)
     ]
     by_model = None if s_sem is None else np.array([s_sem], np.float32)
-    return evaluation.of_each([result for result, _ in pairs], layouts, starts, rests, by_model)
+    return evaluation.score_each([result for result, _ in pairs], layouts, starts, rests, by_model)

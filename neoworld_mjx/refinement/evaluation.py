@@ -9,19 +9,19 @@ import jax
 import numpy as np
 
 from ..config import RefineOptions
-from ..physics.engine import Engine, Rollout, unmoved
+from ..physics.engine import Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..physics.placed import (
     Placed,
-    measured_in_chunks,
-    placed_at_rest,
-    poses_in_chunks,
+    measure_in_chunks,
+    measure_settled,
+    place_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays, pad_objects
 from ..spec import SceneSpec
 from ..traces import computes_on_cpu
-from .batching import joined, map_runs, pad_rollout, roll_out, settle_candidates
+from .batching import concatenate_candidates, map_runs, pad_rollout, roll_out, settle_candidates
 from .finishing import resting_poses
 from .objective import Scores, evaluate
 from .rounds import Round
@@ -53,7 +53,7 @@ class Evaluation(NamedTuple):
         began = time.perf_counter()
         on_cpu, pop = computes_on_cpu(), self.options.cem.population
         if on_cpu:
-            starts = [poses_in_chunks(self.arrays, z) for z in layouts]
+            starts = [place_in_chunks(self.arrays, z) for z in layouts]
         else:
             rows = [(z,) for z in layouts]
             starts = map_runs(SceneArrays.place, self.arrays, rows, self.tile, pop)
@@ -61,19 +61,19 @@ class Evaluation(NamedTuple):
         if self.options.settle.enabled:
             ends = settle_candidates(self.scene, starts, self.engine, self.options, self.runs)
         settling = time.perf_counter() - began - placing
-        placed = self.measured(list(zip(starts, ends, strict=True)))
+        placed = self.measure(list(zip(starts, ends, strict=True)))
         self.clock["settle"] += settling
         self.clock["score"] += time.perf_counter() - began - settling
         return placed
 
-    def measured(self, pairs: Sequence[tuple[Poses, Poses]]) -> list[Placed]:
+    def measure(self, pairs: Sequence[tuple[Poses, Poses]]) -> list[Placed]:
         """Measure populations, given the placed poses and the settled poses of each."""
         pairs = [pad_objects(pair, self.padded.count) for pair in pairs]
         if computes_on_cpu():
-            placed = [measured_in_chunks(self.padded, *pair) for pair in pairs]
+            placed = [measure_in_chunks(self.padded, *pair) for pair in pairs]
         else:
             population = self.options.cem.population
-            placed = map_runs(placed_at_rest, self.padded, pairs, self.tile, population)
+            placed = map_runs(measure_settled, self.padded, pairs, self.tile, population)
         count = self.arrays.count
         if count == self.padded.count:
             return placed
@@ -90,7 +90,7 @@ class Evaluation(NamedTuple):
 
     def score(
         self,
-        live: Sequence[SearchResult],
+        active: Sequence[SearchResult],
         layouts: Sequence[Layout],
         placed: Sequence[Placed],
         rollouts: Sequence[Rollout],
@@ -108,30 +108,32 @@ class Evaluation(NamedTuple):
         began = time.perf_counter()
         rows: list[tuple[Any, ...]] = [
             (z, candidates, pad_rollout(rollout, self.arrays), r.problem.objective, s_sem)
-            for r, z, candidates, rollout in zip(live, layouts, placed, rollouts, strict=True)
+            for r, z, candidates, rollout in zip(active, layouts, placed, rollouts, strict=True)
         ]
         scored = map_runs(evaluate, self.arrays, rows, self.tile, self.options.cem.population)
         self.clock["score"] += time.perf_counter() - began
         return scored
 
-    def initials(self, results: Sequence[SearchResult]) -> list[Round]:
+    def score_initials(self, results: Sequence[SearchResult]) -> list[Round]:
         """Score the initial layout of each run at its settled poses.
 
         Returns:
             One iteration for each run, with the initial layout as the only candidate.
         """
         layouts = [r.problem.origin for r in results]
-        rests = [self.resting(r.initial.scene, z) for r, z in zip(results, layouts, strict=True)]
-        scores = self.of_each(results, layouts, rests, rests)
+        rests = [
+            self.settled_poses(r.initial.scene, z) for r, z in zip(results, layouts, strict=True)
+        ]
+        scores = self.score_each(results, layouts, rests, rests)
         return [self.unpadded_round(*row) for row in zip(layouts, rests, scores, strict=True)]
 
-    def resting(self, scene: SceneSpec, layout: Layout) -> Poses:
+    def settled_poses(self, scene: SceneSpec, layout: Layout) -> Poses:
         """Return the padded poses of a settled scene, with the scales of the padded layout."""
         scale = np.exp(np.asarray(layout.log_scale)[:, : len(self.scene.names)])
         rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
         return jax.tree.map(np.float32, rest)
 
-    def of_each(
+    def score_each(
         self,
         results: Sequence[SearchResult],
         layouts: Sequence[Layout],
@@ -153,36 +155,38 @@ class Evaluation(NamedTuple):
         """
         population = self.options.cem.population
 
-        def repeated(tree: Any) -> Any:
+        def repeat(tree: Any) -> Any:
             rows = np.zeros(population, int)
             return jax.tree.map(lambda x: np.asarray(x)[rows], tree)
 
         rolled = roll_out(self.scene, rests, self.engine, self.options, len(results))
-        rollouts = [eqx.tree_at(lambda x: x.time, repeated(r), r.time) for r in rolled]
+        rollouts = [eqx.tree_at(lambda x: x.time, repeat(r), r.time) for r in rolled]
         if computes_on_cpu():
-            (measures,) = self.measured([(joined(starts), joined(rests))])
+            (measures,) = self.measure(
+                [(concatenate_candidates(starts), concatenate_candidates(rests))]
+            )
             placed = [
-                repeated(jax.tree.map(lambda x, k=k: np.asarray(x)[k : k + 1], measures))
+                repeat(jax.tree.map(lambda x, k=k: np.asarray(x)[k : k + 1], measures))
                 for k in range(len(results))
             ]
         else:
-            pairs = [(repeated(a), repeated(b)) for a, b in zip(starts, rests, strict=True)]
-            placed = self.measured(pairs)
-        s_sem = None if s_sem is None else repeated(s_sem)
-        scores = self.score(results, [repeated(z) for z in layouts], placed, rollouts, s_sem)
+            pairs = [(repeat(a), repeat(b)) for a, b in zip(starts, rests, strict=True)]
+            placed = self.measure(pairs)
+        s_sem = None if s_sem is None else repeat(s_sem)
+        scores = self.score(results, [repeat(z) for z in layouts], placed, rollouts, s_sem)
         return [jax.tree.map(lambda x: np.asarray(x)[:1], of_run) for of_run in scores]
 
     def before_physics(self, r: SearchResult, layouts: Layout, placed: Placed) -> Scores:
         """Score candidates as if no object moved, with the geometric S_sem."""
-        still = unmoved(self.arrays, placed.poses)
+        still = zero_duration_rollout(self.arrays, placed.poses)
         return jax.device_get(evaluate(self.arrays, layouts, placed, still, r.problem.objective))
 
     def unpadded_round(self, layouts: Layout, poses: Poses, scores: Scores) -> Round:
         """Return an iteration from which padded objects are removed."""
         count = len(self.scene.names)
         per_object = lambda s: (s.drift, s.depth, s.rested)
-        cut = tuple(np.asarray(x)[:, :count] for x in per_object(scores))
-        scores = eqx.tree_at(per_object, scores, cut)
+        unpadded_fields = tuple(np.asarray(x)[:, :count] for x in per_object(scores))
+        scores = eqx.tree_at(per_object, scores, unpadded_fields)
         return Round(self.unpadded(layouts), self.unpadded(poses), scores)
 
     def unpadded(self, tree: Any) -> Any:

@@ -10,8 +10,8 @@ from ..measure import SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from ..physics.placed import settled_by
-from ..physics.settling import moved, settle_scene
+from ..physics.placed import settling_displacement
+from ..physics.settling import settle_scene, with_world_poses
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import pose
 
@@ -40,26 +40,28 @@ class Finished(NamedTuple):
         """
         m = self.measure
         pairs = [*m.depths_m.items(), *m.settled_depths_m.items()]
-        deep = {n for pair, depth in pairs if depth > o.max_depth_m for n in pair.split("|")}
+        penetrating = {n for pair, depth in pairs if depth > o.max_depth_m for n in pair.split("|")}
         unstable = {
             name
             for name, drift in m.drift_m.items()
             if m.diverged or not (drift < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg)
         }
-        turned = {j for j, turn in m.joint_turn_deg.items() if not turn < o.max_tilt_deg}
-        turned |= {j for j, slide in m.joint_slide_m.items() if not slide < o.max_drift_m}
-        unstable |= {joint.split("-", 1)[0] for joint in turned}
-        faulty = deep | unstable | set(self.moved_away)
+        moved_joints = {j for j, turn in m.joint_turn_deg.items() if not turn < o.max_tilt_deg}
+        moved_joints |= {j for j, slide in m.joint_slide_m.items() if not slide < o.max_drift_m}
+        unstable |= {joint.split("-", 1)[0] for joint in moved_joints}
+        faulty = penetrating | unstable | set(self.moved_away)
         return np.array([item.name not in faulty for item in self.scene.objects])
 
-    def badness(self, o: RefineOptions) -> float:
+    def excess_over_bounds(self, o: RefineOptions) -> float:
         """Return how far the scene is from passing; 0 if it passes.
 
         The result is a sum. Every failed check adds 0.1 and the excess of the measure over its
         bound, relative to the bound, but at most 10. Every object that moved away adds 1.
         """
-        over = [c.value / c.threshold - 1 for c in scene_checks(self.measure, o) if not c.passed]
-        return sum(min(max(excess, 0.0) + 0.1, 10.0) for excess in over) + len(self.moved_away)
+        excesses = [
+            c.value / c.threshold - 1 for c in scene_checks(self.measure, o) if not c.passed
+        ]
+        return sum(min(max(excess, 0.0) + 0.1, 10.0) for excess in excesses) + len(self.moved_away)
 
 
 def finish(
@@ -98,18 +100,18 @@ def finish(
         scene = snap_exactly(placed)
         measure = measured(scene, o)
         return Finished(scene, measure, (), passes(measure, o))
-    start = placed if rest is None else _moved_to(model, placed, rest, k)
+    start = placed if rest is None else _at_poses(model, placed, rest, k)
     size = np.asarray(layouts.log_scale)[k, : len(model.names)]
-    finished = _checked(model, placed, settle_scene(start, o.settle), size, o)
+    finished = _check(model, placed, settle_scene(start, o.settle), size, o)
     for _ in range(RELEASES):
         if passes(finished.measure, o) or finished.measure.diverged:
             break
-        lying = _released(finished, o)
-        finished = _checked(model, placed, settle_scene(lying, o.settle), size, o)
+        released = _release_failing(finished, o)
+        finished = _check(model, placed, settle_scene(released, o.settle), size, o)
     return finished
 
 
-def _checked(
+def _check(
     model: SceneModel,
     placed: SceneSpec,
     scene: SceneSpec,
@@ -121,7 +123,7 @@ def _checked(
     return Finished(scene, measure, away, passes(measure, o) and not away)
 
 
-def _released(finished: Finished, o: RefineOptions) -> SceneSpec:
+def _release_failing(finished: Finished, o: RefineOptions) -> SceneSpec:
     """Move the failing objects of a final scene to where a free fall takes them."""
     free = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
     end = settle_scene(finished.scene, free)
@@ -132,16 +134,16 @@ def _released(finished: Finished, o: RefineOptions) -> SceneSpec:
         for item, failing in zip(end.objects, fails, strict=True)
         if failing and not item.static
     }
-    return moved(finished.scene, ends)
+    return with_world_poses(finished.scene, ends)
 
 
-def _moved_to(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> SceneSpec:
+def _at_poses(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> SceneSpec:
     pos, quat = (np.asarray(x)[k].astype(float) for x in (rest.pos, rest.quat))
     ends = {
         model.names[n]: pose(pos[n], quat[n])
         for n in np.flatnonzero(np.asarray(model.movable)[: len(model.names)])
     }
-    return moved(placed, ends)
+    return with_world_poses(placed, ends)
 
 
 def moved_away(
@@ -159,11 +161,16 @@ def moved_away(
         log_scale: log scales of the objects in the layout; shape [object].
     """
     size = np.exp(log_scale)[None]
-    far = settled_by(model, resting_poses(start, size), resting_poses(end, size), np)[0] > 1.0
+    far = (
+        settling_displacement(model, resting_poses(start, size), resting_poses(end, size), np)[0]
+        > 1.0
+    )
     return tuple(model.names[n] for n in np.flatnonzero(far))
 
 
-def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, " object"]:
+def free_to_move(
+    scene: SceneSpec, rests: Bool[np.ndarray, " object"]
+) -> Bool[np.ndarray, " object"]:
     """Return a mask of the objects that are free to move in a search.
 
     An object is free if it does not rest, or if it is supported by a free object.
@@ -175,13 +182,13 @@ def freed(scene: SceneSpec, rests: Bool[np.ndarray, " object"]) -> Bool[np.ndarr
     return np.array([item.name in free for item in scene.objects])
 
 
-def held(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
+def with_resting_fixed(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
     """Return a composed scene in which all objects that are not `freed` are fixed.
 
     Fixed objects have the poses at which they settled; freed objects keep their composed poses. The
     fewer objects move, the faster is a search.
     """
-    free = freed(composed, initial.rests(o))
+    free = free_to_move(composed, initial.rests(o))
     objects = [
         item if is_free else end.model_copy(update={"fixed_base": not item.environment})
         for item, end, is_free in zip(composed.objects, initial.scene.objects, free, strict=True)

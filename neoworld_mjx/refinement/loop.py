@@ -25,10 +25,10 @@ from ..physics.model import SceneModel
 from ..physics.scene_arrays import on_device, pad_objects, pad_scene
 from ..progress import update as update_progress
 from .algorithm import converged, init, open_problem, propose, update
-from .batching import map_runs, take, tile_of
+from .batching import map_runs, take, tile_size
 from .compiling import compile_for_search
 from .evaluation import Evaluation
-from .finishing import Finished, finish, held
+from .finishing import Finished, finish, with_resting_fixed
 from .objective import (
     Scores,
     has_builtin_terms_only,
@@ -40,10 +40,10 @@ from .optimizer import Optimizer
 from .outcome import iteration_summary
 from .rewards import Term
 from .rounds import Round, best_first
-from .scorer import Mark, SemanticScorer
-from .search_run import FirstValid, SearchResult, SearchRun
+from .scorer import ScoreSource, SemanticScorer
+from .search_run import SearchResult, SearchRun, TimeToValid
 
-PADDED = ("cem", "random")
+PADDED_OPTIMIZERS = ("cem", "random")
 """Optimizers that accept a padded scene."""
 CLOCKS = ("propose", "settle", "rollout", "score", "wait")
 """Steps of a search whose time is measured."""
@@ -57,7 +57,7 @@ def search(
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     scorer: SemanticScorer | None = None,
-    keep: bool = True,
+    keep_all: bool = True,
     clock: dict[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> list[SearchResult]:
@@ -88,39 +88,41 @@ def search(
     objective = open_objective(o, terms=terms)
     try_terms(scene, objective, o)
     initials = _initial_scenes(scene, runs, progress)
-    plain = optimizer is None and scorer is None and has_builtin_terms_only(objective)
-    searched = _searched(scene, runs, initials) if plain else scene
+    builtin_only = optimizer is None and scorer is None and has_builtin_terms_only(objective)
+    searched = _scene_to_search(scene, runs, initials) if builtin_only else scene
     padded = pad_scene(searched)
-    accepted = objective.padded and optimizer is None and o.optimizer in PADDED
-    arrays = padded if accepted else searched
-    tile = tile_of(len(runs), o.cem.population)
+    use_padded = objective.padded and optimizer is None and o.optimizer in PADDED_OPTIMIZERS
+    arrays = padded if use_padded else searched
+    tile = tile_size(len(runs), o.cem.population)
     evaluation = Evaluation(searched, arrays, padded, engine, o, len(runs), tile, clock, began)
-    results = _opened(evaluation, runs, initials, terms, optimizer, plain=plain)
+    results = _initialize_runs(
+        evaluation, runs, initials, terms, optimizer, builtin_only=builtin_only
+    )
     for t in range(max(run.options.cem.iterations for run in runs)):
-        live = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
-        if not live:
+        active = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
+        if not active:
             break
-        layouts = _propose(evaluation, live)
+        layouts = _propose(evaluation, active)
         placed = evaluation.place(layouts)
         s_sem = None
         if scorer is not None:
-            s_sem = _submit(evaluation, live[0], layouts[0], placed[0], scorer)
+            s_sem = _submit(evaluation, active[0], layouts[0], placed[0], scorer)
         rollouts = evaluation.roll_out(placed)
         if scorer is not None and s_sem is not None:
-            s_sem = _collect(evaluation, live[0], layouts[0], s_sem, scorer)
-        scores = evaluation.score(live, layouts, placed, rollouts, s_sem)
-        rows = [(r.problem, r.state, z, s) for r, z, s in zip(live, layouts, scores, strict=True)]
+            s_sem = _collect(evaluation, active[0], layouts[0], s_sem, scorer)
+        scores = evaluation.score(active, layouts, placed, rollouts, s_sem)
+        rows = [(r.problem, r.state, z, s) for r, z, s in zip(active, layouts, scores, strict=True)]
         states = map_runs(update, arrays, rows, tile, o.cem.population)
-        for k, (r, state) in enumerate(zip(live, states, strict=True)):
+        for k, (r, state) in enumerate(zip(active, states, strict=True)):
             r.state = state
             status = np.asarray(rollouts[k].status)
-            refuse_not_finite(objective, scores[k], status, f"iteration {_drawn(r) + 1}")
+            refuse_not_finite(objective, scores[k], status, f"iteration {_iterations_done(r) + 1}")
             round_ = evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k])
-            r.rounds.append(round_ if keep else _finalists(round_, r.run.options))
+            r.rounds.append(round_ if keep_all else _finalists(round_, r.run.options))
             r.summaries.append(_summary(scores[k]))
             r.rollouts += len(scores[k].valid)
             if bool(np.any(scores[k].valid)):
-                _note_valid(r, evaluation.began)
+                _record_first_valid(r, evaluation.began)
             if progress is not None:
                 progress(_line(r, scores[k]))
             r.finished = converged(r.problem, state)
@@ -139,22 +141,22 @@ def _initial_scenes(
 
     Runs whose initial layouts and options of the check are equal share one final scene.
     """
-    known: dict[Any, Finished] = {}
+    finished: dict[Any, Finished] = {}
     initials = []
     for run in runs:
         o = run.options
         start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
         key = (o.max_depth_m, o.max_drift_m, o.max_tilt_deg, o.check_duration_s, o.check_timestep_s)
         key += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
-        if key not in known:
-            known[key] = finish(scene, start, 0, o)
+        if key not in finished:
+            finished[key] = finish(scene, start, 0, o)
             if progress is not None:
-                progress(_initial_line(scene, known[key], o))
-        initials.append(known[key])
+                progress(_initial_line(scene, finished[key], o))
+        initials.append(finished[key])
     return initials
 
 
-def _searched(
+def _scene_to_search(
     scene: SceneModel, runs: Sequence[SearchRun], initials: Sequence[Finished]
 ) -> SceneModel:
     """Return the scene to search, in which resting objects are fixed if this suits all runs."""
@@ -164,18 +166,18 @@ def _searched(
     o = runs[0].options
     if not shared or first.passed or not first.rests(o).any():
         return scene
-    searched = compile_for_search(held(scene.spec, first, o), o)
+    searched = compile_for_search(with_resting_fixed(scene.spec, first, o), o)
     return dataclasses.replace(searched, photo=scene.photo)
 
 
-def _opened(
+def _initialize_runs(
     evaluation: Evaluation,
     runs: Sequence[SearchRun],
     initials: Sequence[Finished],
     terms: Sequence[Term],
     optimizer: Optimizer | None,
     *,
-    plain: bool,
+    builtin_only: bool,
 ) -> list[SearchResult]:
     """Initialize every run. With settling, the initial layout is its first iteration.
 
@@ -189,38 +191,38 @@ def _opened(
         start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
         origin = on_device(pad_objects(start, arrays.count))
         problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
-        factor = _factors(arrays.count, initial, o.cem.hold_resting and plain, o)
+        factor = _initial_factors(arrays.count, initial, o.cem.hold_resting and builtin_only, o)
         state = init(problem, run.seed, factor)
-        result = SearchResult(run, problem, state, scene, arrays, padded, initial, plain)
+        result = SearchResult(run, problem, state, scene, arrays, padded, initial, builtin_only)
         results.append(result)
     if evaluation.options.settle.enabled:
-        for result, round_ in zip(results, evaluation.initials(results), strict=True):
+        for result, round_ in zip(results, evaluation.score_initials(results), strict=True):
             result.rounds.append(round_)
             result.summaries.append(_summary(round_.scores))
-            result.marks.append(np.array([Mark.GEOMETRIC], np.int8))
+            result.marks.append(np.array([ScoreSource.GEOMETRIC], np.int8))
             result.rollouts = 1
-            result.finished = result.initial.passed and plain
+            result.finished = result.initial.passed and builtin_only
             if result.initial.passed or bool(round_.scores.valid[0]):
-                _note_valid(result, evaluation.began)
+                _record_first_valid(result, evaluation.began)
     return results
 
 
-def _note_valid(r: SearchResult, began: float) -> None:
+def _record_first_valid(r: SearchResult, began: float) -> None:
     """Record the current iteration as the first one with a valid candidate, if it is the first."""
     if r.first_valid is None:
-        r.first_valid = FirstValid(_drawn(r), r.rollouts)
+        r.first_valid = TimeToValid(_iterations_done(r), r.rollouts)
         r.first_valid_s = time.perf_counter() - began
 
 
-def _factors(
-    count: int, initial: Finished, holds: bool, o: RefineOptions
+def _initial_factors(
+    count: int, initial: Finished, hold_resting: bool, o: RefineOptions
 ) -> Float[np.ndarray, " object"]:
     """Return the initial factor of each object's standard deviations.
 
     The factor is 0 for objects that rest in the initial layout if `holds` is True, and else 1.
     """
     factors = np.ones(count, np.float32)
-    if holds:
+    if hold_resting:
         rests = initial.rests(o)
         factors[: len(rests)][rests] = 0.0
     return factors
@@ -234,9 +236,9 @@ def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str
     return f"{len(failing)} of {int(moving.sum())} objects do not rest: {', '.join(failing)}"
 
 
-def _propose(evaluation: Evaluation, live: Sequence[SearchResult]) -> list[Layout]:
+def _propose(evaluation: Evaluation, active: Sequence[SearchResult]) -> list[Layout]:
     began = time.perf_counter()
-    rows = [(r.problem, r.state, r.run.options.cem.population) for r in live]
+    rows = [(r.problem, r.state, r.run.options.cem.population) for r in active]
     layouts = map_runs(propose, evaluation.arrays, rows, evaluation.tile)
     evaluation.clock["propose"] += time.perf_counter() - began
     return layouts
@@ -264,8 +266,8 @@ def _collect(
     began = time.perf_counter()
     scorer.collect(len(r.rounds))
     evaluation.clock["wait"] += time.perf_counter() - began
-    values, marks = scorer.fill(len(r.rounds), evaluation.unpadded(layouts), geometric)
-    r.marks.append(marks)
+    values, sources = scorer.s_sem_of(len(r.rounds), evaluation.unpadded(layouts), geometric)
+    r.score_sources.append(sources)
     return values
 
 
@@ -290,7 +292,7 @@ def _summary(scores: Scores) -> dict[str, Any]:
     return iteration_summary(values, list(host.terms))
 
 
-def _drawn(r: SearchResult) -> int:
+def _iterations_done(r: SearchResult) -> int:
     """Return the number of iterations so far, not counting the initial layout."""
     return len(r.rounds) - r.run.options.settle.enabled
 
@@ -298,7 +300,7 @@ def _drawn(r: SearchResult) -> int:
 def _line(r: SearchResult, scores: Scores) -> str:
     best = float(np.asarray(scores.absolute).max())
     return (
-        f"iteration {_drawn(r)}/{r.run.options.cem.iterations}: best {best:.3f}, "
+        f"iteration {_iterations_done(r)}/{r.run.options.cem.iterations}: best {best:.3f}, "
         f"elites {float(r.state.elite_mean):.3f}, {float(np.mean(scores.valid)):.0%} valid"
     )
 
@@ -308,7 +310,7 @@ def _update_progress(
 ) -> None:
     """Report the number of iterations, the candidates per second and the longest remaining time."""
     seconds = time.perf_counter() - began
-    done = sum(map(_drawn, results))
+    done = sum(map(_iterations_done, results))
     total = sum(run.options.cem.iterations for run in runs)
     candidates = sum(r.rollouts for r in results)
     update_progress(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..config import RefineOptions
 from ..errors import ConfigError, choices
 from ..physics.array_types import AnyArray
-from ..physics.engine import Rollout, RolloutStatus, record_steps, unmoved
+from ..physics.engine import Rollout, RolloutStatus, record_steps, zero_duration_rollout
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.placed import Placed
@@ -25,13 +25,13 @@ from .rewards import (
     Prior,
     Term,
     TermValue,
-    deeper,
     drift_by_object,
     measured_rollout,
     penetration,
     photo_agreement,
     semantics,
     source,
+    symmetric_depth,
     term_value,
     try_term,
 )
@@ -78,7 +78,7 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
 The weights of the terms in ALWAYS have options of their own. Any other term is used only if
 `refine.reward.terms` names it, with the weight given there.
 """
-ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
+DEFAULT_TERMS = ("s_sem", "prior", "d_pen", "d_drift")
 """Names of the terms that every objective has."""
 PHYSICAL = ("d_pen", "d_drift")
 """Terms whose values the bounds of a valid candidate limit."""
@@ -137,7 +137,9 @@ def open_objective(
     def scalar(x: float) -> Array:
         return jax.device_put(np.float32(x))
 
-    all_terms = [TERMS[name](options) for name in ALWAYS] + named_terms(options) + list(terms)
+    all_terms = (
+        [TERMS[name](options) for name in DEFAULT_TERMS] + named_terms(options) + list(terms)
+    )
     names = [term.name for term in all_terms]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
@@ -161,7 +163,7 @@ def has_builtin_terms_only(objective: Objective) -> bool:
 
     Any other term may reward moving an object that already rests.
     """
-    return all(term.name in ALWAYS for term in objective.terms)
+    return all(term.name in DEFAULT_TERMS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
@@ -176,15 +178,15 @@ def named_terms(options: RefineOptions) -> list[Term]:
     terms: list[Term] = []
     taken = {*TERMS, *RESERVED}
     for path, weight in options.reward.terms.items():
-        if path in ALWAYS:
+        if path in DEFAULT_TERMS:
             raise ConfigError(
                 f"refine.reward.terms: {path} is always included; its weight has a separate option"
             )
         if path in TERMS:
             terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
             continue
-        fn = imported(
-            "refine.reward.terms", path, {n: t for n, t in TERMS.items() if n not in ALWAYS}
+        fn = import_function(
+            "refine.reward.terms", path, {n: t for n, t in TERMS.items() if n not in DEFAULT_TERMS}
         )
         function_name = path.partition(":")[2]
         terms.append(Term(path if function_name in taken else function_name, fn, weight))
@@ -192,7 +194,7 @@ def named_terms(options: RefineOptions) -> list[Term]:
     return terms
 
 
-def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any]:
+def import_function(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any]:
     """Import the function that an option names as "package.module:function".
 
     Args:
@@ -231,9 +233,9 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
     r = options.rollout
     timestep = float(scene.static.mjm.opt.timestep)
     records = record_steps(timestep, r.duration_s, r.record_every_s)[0] if r.duration_s else 1
-    still = still_rollout(scene, layouts, records)
+    motionless = still_rollout(scene, layouts, records)
     for term in user_terms:
-        try_term(term, scene, still, layouts)
+        try_term(term, scene, motionless, layouts)
 
 
 def refuse_not_finite(
@@ -251,10 +253,10 @@ def refuse_not_finite(
         ConfigError: a term is not finite. The message names the term and the file and line of its
             function.
     """
-    went = ~np.isin(status, (RolloutStatus.FAILED, RolloutStatus.TRUNCATED))
+    simulated = ~np.isin(status, (RolloutStatus.FAILED, RolloutStatus.TRUNCATED))
     for term in objective.terms:
         values = np.asarray(scores.terms[term.name])
-        bad = went & ~np.isfinite(values)
+        bad = simulated & ~np.isfinite(values)
         if term.name not in TERMS and bad.any():
             raise ConfigError(
                 f"reward term {term.name} ({source(term.fn)}) is {values[bad][0]} for "
@@ -265,7 +267,7 @@ def refuse_not_finite(
 
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
     """Return a rollout without motion or penetration, in which every object looks as parsed."""
-    still = unmoved(scene, scene.place(layouts))
+    still = zero_duration_rollout(scene, scene.place(layouts))
     motion = (still.pos, still.quat, still.joint_shift)
     still = eqx.tree_at(
         lambda s: (s.time, s.pos, s.quat, s.joint_shift),
@@ -338,17 +340,17 @@ def evaluate(
         score = jnp.asarray(s_sem, jnp.float32)
         values["s_sem"] = TermValue(score, score)
     failed = jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
-    finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
+    finite = jnp.isfinite(sum(value.value + value.reward_value for value in values.values()))
     alive = ~jnp.isin(rollout.status, failed) & finite
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
     drift = jnp.maximum(drift, candidates.settled)
-    deepest = jnp.max(deeper(candidates.depth), axis=2)
+    deepest = jnp.max(symmetric_depth(candidates.depth), axis=2)
 
     def total(contribute: Callable[[Term, AnyArray], AnyArray]) -> Any:
-        return sum(contribute(term, values[term.name].charged) for term in objective.terms)
+        return sum(contribute(term, values[term.name].reward_value) for term in objective.terms)
 
     fidelity = sum(
-        absolute_contribution(term, values[term.name].charged)
+        absolute_contribution(term, values[term.name].reward_value)
         for term in objective.terms
         if term.name not in PHYSICAL
     )
@@ -359,14 +361,14 @@ def evaluate(
     )
     absolute = total(absolute_contribution)
     reward = total(lambda t, x: contribution(t, x, alive, objective.normalisation))
-    shares = [
+    object_values = [
         contribution(term, share, alive[:, None], "fixed")
         for term in objective.terms
         if (share := values[term.name].by_object) is not None
     ]
     credit = None
-    if len(shares) == len(objective.terms):
-        credit = jnp.where(alive[:, None], sum(shares), -jnp.inf)
+    if len(object_values) == len(objective.terms):
+        credit = jnp.where(alive[:, None], sum(object_values), -jnp.inf)
     rested = (drift < 1.0) & (deepest < objective.max_depth) & alive[:, None]
     return Scores(
         terms={name: value.value for name, value in values.items()},

@@ -13,7 +13,7 @@ from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import draw, initial_sigma, open_cem
-from .objective import imported
+from .objective import import_function
 from .strategies import EVOSAX, Strategy, open_strategy, strategy_class
 
 
@@ -127,4 +127,4 @@ def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimize
     if strategy and kind == EVOSAX:
         strategy_class(strategy)
         return partial(open_strategy, strategy, parameters={})
-    return OPTIMIZERS.get(name) or imported("refine.optimizer", name, OPTIMIZERS)
+    return OPTIMIZERS.get(name) or import_function("refine.optimizer", name, OPTIMIZERS)

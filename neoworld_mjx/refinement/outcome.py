@@ -13,8 +13,8 @@ from ..physics.model import SceneModel
 from ..spec import SceneSpec
 from .choosing import Winner
 from .objective import Objective
-from .rounds import NOT_DRAWN, Round, stacked
-from .search_run import FirstValid, SearchResult
+from .rounds import PADDING_STATUS, Round, stack_padded
+from .search_run import SearchResult, TimeToValid
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,13 +54,13 @@ class Refined:
     """Seconds spent on each step."""
     fallbacks: tuple[str, ...] = ()
     """Descriptions of the fallbacks of this and of earlier steps."""
-    kept: tuple[str, ...] = ()
+    resting_objects: tuple[str, ...] = ()
     """Names of the optimized objects that rested in the initial layout."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
     delivered: dict[str, float] = field(default_factory=dict)
     """`absolute`, `merit` and the terms of `scene`; `history` contains those of the candidate."""
-    first_valid: FirstValid | None = None
+    first_valid: TimeToValid | None = None
     """When the search found its first valid candidate; None if no candidate was valid."""
 
     def __repr__(self) -> str:
@@ -80,7 +80,7 @@ class Refined:
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
-        return int(np.sum(self.history["status"] != NOT_DRAWN))
+        return int(np.sum(self.history["status"] != PADDING_STATUS))
 
 
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
@@ -101,15 +101,23 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
-    drawn = int(np.sum(np.asarray(values["status"]) != NOT_DRAWN))
+    population = int(np.sum(np.asarray(values["status"]) != PADDING_STATUS))
     valid = np.asarray(values["valid"])
-    share: dict[str, Any] = {"rollouts": drawn, "valid": float(np.sum(valid) / max(drawn, 1))}
-    share["merit"] = float(np.asarray(values["merit"])[valid].max()) if valid.any() else None
+    summary: dict[str, Any] = {
+        "rollouts": population,
+        "valid": float(np.sum(valid) / max(population, 1)),
+    }
+    summary["merit"] = float(np.asarray(values["merit"])[valid].max()) if valid.any() else None
     if not finite.any():
-        return {"best": None, "mean": None, **share, **dict.fromkeys(terms)}
+        return {"best": None, "mean": None, **summary, **dict.fromkeys(terms)}
     k = int(np.where(finite, absolute, -np.inf).argmax())
     of_best = {name: float(values[name][k]) for name in terms}
-    return {"best": float(absolute[k]), "mean": float(absolute[finite].mean()), **share, **of_best}
+    return {
+        "best": float(absolute[k]),
+        "mean": float(absolute[finite].mean()),
+        **summary,
+        **of_best,
+    }
 
 
 def outcome(
@@ -179,7 +187,7 @@ def outcome(
         passed=winner.passed,
         seconds=clock,
         fallbacks=fallbacks,
-        kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
+        resting_objects=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
         scoring=scoring or {},
         delivered=delivered,
         first_valid=result.first_valid,
@@ -191,19 +199,19 @@ def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> di
         "reward": -np.inf,
         "absolute": -np.inf,
         "merit": -np.inf,
-        "status": NOT_DRAWN,
+        "status": PADDING_STATUS,
         "valid": False,
     }
     history = {
-        name: stacked([getattr(r.scores, name) for r in rounds], empty)
+        name: stack_padded([getattr(r.scores, name) for r in rounds], empty)
         for name, empty in fill.items()
     }
     history |= {
-        term.name: stacked([r.scores.terms[term.name] for r in rounds], np.nan)
+        term.name: stack_padded([r.scores.terms[term.name] for r in rounds], np.nan)
         for term in objective.terms
     }
     history |= {
-        name: stacked([getattr(r.layouts, name) for r in rounds], np.nan)
+        name: stack_padded([getattr(r.layouts, name) for r in rounds], np.nan)
         for name in ("xy", "yaw", "log_scale")
     }
     history["object_names"] = np.array(model.names)

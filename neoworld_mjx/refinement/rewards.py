@@ -39,7 +39,7 @@ class TermValue(eqx.Module):
 
     value: Float[AnyArray, " pop"]
     """Value that is stored in the history."""
-    charged: Float[AnyArray, " pop"]
+    reward_value: Float[AnyArray, " pop"]
     """Value that enters the reward. D_drift, for example, is reduced by its dead zone."""
     by_object: Float[AnyArray, "pop object"] | None = None
     """Charged value of each object, for credit assignment; None if the term has no such values."""
@@ -50,13 +50,13 @@ TermFunction = Callable[[Any, Layout, Rollout], Any]
 The scene is a SceneModel, or the SceneArrays of a padded scene if `Term.padded` is True."""
 
 
-def _number(x: Any) -> Array:
+def _scalar(x: Any) -> Array:
     # Conversion by NumPy compiles nothing.
     return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x, np.float32))
 
 
-def _number_or_none(x: Any) -> Array | None:
-    return None if x is None else _number(x)
+def _scalar_or_none(x: Any) -> Array | None:
+    return None if x is None else _scalar(x)
 
 
 class Term(eqx.Module):
@@ -70,11 +70,11 @@ class Term(eqx.Module):
     """Name of the term in history.npz and in the rows of a sweep."""
     fn: Any
     """A TermFunction; `try_term` reports anything else."""
-    weight: Float[Array, ""] = eqx.field(converter=_number)
+    weight: Float[Array, ""] = eqx.field(converter=_scalar)
     """Positive for a reward, negative for a cost."""
-    scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
+    scale: Float[Array, ""] | None = eqx.field(converter=_scalar_or_none, default=None)
     """Scale of value / (value + scale) in the absolute reward. If None, it uses the plain value."""
-    cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
+    cap: Float[Array, ""] | None = eqx.field(converter=_scalar_or_none, default=None)
     """Cap at which the value is clipped before it is normalized. If None, it is not normalized."""
     padded: bool = eqx.field(static=True, default=False)
     """True if the function accepts a padded scene.
@@ -107,7 +107,9 @@ def measured_rollout(
     return MeasuredRollout(**fields, depth=depth, visible=visible, settled=settled)
 
 
-def deeper(depth: Float[AnyArray, "pop object object"]) -> Float[Array, "pop object object"]:
+def symmetric_depth(
+    depth: Float[AnyArray, "pop object object"],
+) -> Float[Array, "pop object object"]:
     """Return the larger one of the two penetration depths of each pair of objects."""
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
@@ -128,7 +130,7 @@ def _visible(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Vi
 
 def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
     """Compute D_pen [m], and for each object the sum over its pairs; see `d_pen`."""
-    pair = deeper(_depth(scene, layouts, rollout))
+    pair = symmetric_depth(_depth(scene, layouts, rollout))
     total = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
     return TermValue(total, total, jnp.sum(pair, axis=2))
 
@@ -141,7 +143,7 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
     layouts, rollout = lax.stop_gradient((layouts, rollout))
     visible = _visible(scene, layouts, rollout)
     scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
-    return TermValue(scored.total, scored.total, scored.each)
+    return TermValue(scored.total, scored.total, scored.by_object)
 
 
 def photo_agreement(
@@ -150,27 +152,27 @@ def photo_agreement(
     """Compute S_photo, and the contribution of each object; see `s_photo`."""
     visible = _visible(scene, layouts, rollout)
     informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
-    each = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
-    total = jnp.sum(each, axis=1)
-    return TermValue(total, total, each)
+    by_object = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
+    total = jnp.sum(by_object, axis=1)
+    return TermValue(total, total, by_object)
 
 
 class Drift(eqx.Module):
     """D_drift in units of the stability bounds, with a dead zone."""
 
-    distance: Float[Array, ""] = eqx.field(converter=_number)
+    distance: Float[Array, ""] = eqx.field(converter=_scalar)
     """Stability bound of translation [m]."""
-    angle: Float[Array, ""] = eqx.field(converter=_number)
+    angle: Float[Array, ""] = eqx.field(converter=_scalar)
     """Stability bound of rotation [rad]."""
-    free: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    dead_zone: Float[Array, ""] = eqx.field(converter=_scalar, default=0.0)
     """Dead zone: drift of an object that costs nothing, in units of the bounds."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
         """Compute D_drift; see `d_drift`."""
-        each = drift_by_object(scene, rollout, self.distance, self.angle)
-        each = jnp.maximum(each, _settled(rollout))
-        charged = jnp.maximum(each - self.free, 0.0)
-        return TermValue(jnp.sum(each, axis=1), jnp.sum(charged, axis=1), charged)
+        by_object = drift_by_object(scene, rollout, self.distance, self.angle)
+        by_object = jnp.maximum(by_object, _settled(rollout))
+        reward_value = jnp.maximum(by_object - self.free, 0.0)
+        return TermValue(jnp.sum(by_object, axis=1), jnp.sum(reward_value, axis=1), reward_value)
 
 
 def _settled(rollout: Rollout) -> Any:
@@ -183,7 +185,7 @@ class Prior(eqx.Module):
     It is about 1 for a typical sample. Without it, elites drift, and objects shrink to lower D_pen.
     """
 
-    sigma: Float[Array, " 3"] = eqx.field(converter=_number)
+    sigma: Float[Array, " 3"] = eqx.field(converter=_scalar)
     """Standard deviations: x and y as a fraction of an object's diagonal, yaw [rad], log scale."""
     origin: Layout | None = None
     """Initial layout, with a population axis of length 1. If None, it is the composed scene."""
@@ -194,10 +196,10 @@ class Prior(eqx.Module):
         if self.origin is not None:
             layouts = jax.tree.map(jnp.subtract, layouts, self.origin)
         xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-        each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
-        each = jnp.where(scene.optimised, each, 0.0)
-        total = jnp.sum(each, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
-        return TermValue(total, total, each)
+        by_object = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
+        by_object = jnp.where(scene.optimised, by_object, 0.0)
+        total = jnp.sum(by_object, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
+        return TermValue(total, total, by_object)
 
 
 def drifts(
@@ -265,10 +267,10 @@ def _check_shapes(name: str, scene: SceneArrays, layouts: Layout, rollout: Any) 
     pop, count = np.shape(layouts.yaw)[0] if np.ndim(layouts.yaw) else 0, scene.count
     shapes = {"xy": (pop, count, 2), "yaw": (pop, count), "log_scale": (pop, count)}
     for part, shape in shapes.items():
-        found = np.shape(getattr(layouts, part))
-        if found != shape:
+        actual = np.shape(getattr(layouts, part))
+        if actual != shape:
             raise ValueError(
-                f"{name}: layouts.{part} has shape {list(found)}, for {count} objects it must be "
+                f"{name}: layouts.{part} has shape {list(actual)}, for {count} objects it must be "
                 f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
             )
     if rollout is not None:
@@ -387,7 +389,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
         if got is None or not jnp.issubdtype(shape.dtype, jnp.number):
             raise ConfigError(
                 f"{where} must return an array of shape [pop], one number per candidate, "
-                f"got {_described(shape)}"
+                f"got {_type_text(shape)}"
             )
         if got != (pop,):
             raise ConfigError(
@@ -412,7 +414,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
         )
 
 
-def _described(value: Any) -> str:
+def _type_text(value: Any) -> str:
     if hasattr(value, "dtype"):
         return f"dtype {value.dtype}"
     return "None" if value is None else f"a {type(value).__name__}"

@@ -7,7 +7,7 @@ import numpy as np
 from ..physics.layout import Layout, Poses
 from .objective import Scores
 
-NOT_DRAWN = -1
+PADDING_STATUS = -1
 """Status in the history of entries beyond the population of an iteration, which pad it."""
 
 
@@ -20,7 +20,7 @@ class Round(NamedTuple):
     scores: Scores
 
 
-def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
+def rank_candidates(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
     """Rank the candidates of all iterations.
 
     Valid candidates come first and are ranked by merit. All others are ranked by absolute reward.
@@ -30,9 +30,9 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
     """
     if not rounds:
         return []
-    valid = stacked([r.scores.valid for r in rounds], False)
-    absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
-    merit = stacked([r.scores.merit for r in rounds], -np.inf)
+    valid = stack_padded([r.scores.valid for r in rounds], False)
+    absolute = stack_padded([r.scores.absolute for r in rounds], -np.inf)
+    merit = stack_padded([r.scores.merit for r in rounds], -np.inf)
     pop = valid.shape[1]
     order = best_first(valid.ravel(), merit.ravel(), absolute.ravel())
     return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
@@ -43,10 +43,10 @@ def best_first(valid: np.ndarray, merit: np.ndarray, absolute: np.ndarray) -> np
     return np.lexsort((-np.where(valid, merit, absolute), ~valid))
 
 
-def stacked(rows: list[Any], fill: Any) -> np.ndarray:
+def stack_padded(rows: list[Any], fill: Any) -> np.ndarray:
     """Stack iterations, padding each of them to the largest population with `fill`."""
-    full = np.asarray(max(rows, key=len))
-    stacked = np.full((len(rows), *full.shape), fill, full.dtype)
+    largest = np.asarray(max(rows, key=len))
+    stacked = np.full((len(rows), *largest.shape), fill, largest.dtype)
     for t, row in enumerate(rows):
         stacked[t, : len(row)] = row
     return stacked

@@ -18,15 +18,15 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
-from .choosing import choose
+from .choosing import choose_winner
 from .compiling import compile_for_search, with_evidence
-from .delivery import delivered
+from .delivery import final_scene_scores
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
 from .outcome import Refined, outcome
 from .rewards import Term
-from .rounds import Round, ranked, stacked
-from .scorer import Mark, SemanticScorer
+from .rounds import Round, rank_candidates, stack_padded
+from .scorer import ScoreSource, SemanticScorer
 from .search_run import SearchRun
 
 COMPOSED = "compose/scene.json"
@@ -110,13 +110,13 @@ def refine(
                 clock=clock,
                 progress=progress,
             )
-            rounds, marks = result.rounds, result.marks
+            rounds, score_sources = result.rounds, result.score_sources
             began = time.perf_counter()
             if scorer is not None:
-                scorer.await_for([index for index, _ in ranked(rounds)][: o.finalists])
+                scorer.await_for([index for index, _ in rank_candidates(rounds)][: o.finalists])
                 weight = o.reward.w_sem
                 rounds = [
-                    _with_late_scores(scorer, t, round_, marks[t], weight)
+                    _with_late_scores(scorer, t, round_, score_sources[t], weight)
                     for t, round_ in enumerate(rounds)
                 ]
             clock["wait"] += time.perf_counter() - began
@@ -124,7 +124,7 @@ def refine(
             if scorer is not None:
                 scorer.close()
         began = time.perf_counter()
-        winner = choose(
+        winner = choose_winner(
             model,
             rounds,
             o,
@@ -137,7 +137,7 @@ def refine(
         if scorer is not None and winner.index[0] >= 0:
             t, k = winner.index
             by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
-        (values,) = delivered([result], [winner], engine, by_model)
+        (values,) = final_scene_scores([result], [winner], engine, by_model)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,
@@ -147,7 +147,7 @@ def refine(
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
             delivered=values,
-            semantic=None if scorer is None else stacked(marks, 0),
+            semantic=None if scorer is None else stack_padded(score_sources, 0),
             scoring=None if scorer is None else scorer.summary(),
             fallbacks=(tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
             + (() if scorer is None else scorer.fallbacks),
@@ -194,16 +194,16 @@ def read_composed(path: Path) -> SceneSpec:
 
 
 def _with_late_scores(
-    scorer: SemanticScorer, t: int, round_: Round, marks: np.ndarray, weight: float
+    scorer: SemanticScorer, t: int, round_: Round, score_sources: np.ndarray, weight: float
 ) -> Round:
     """Add the scores of an iteration that arrived after its elites had been selected."""
     s_sem = np.asarray(round_.scores.terms["s_sem"])
-    change = np.zeros(len(marks), np.float32)
-    for k in range(len(marks)):
+    change = np.zeros(len(score_sources), np.float32)
+    for k in range(len(score_sources)):
         late = scorer.known((t, k))
         if late is not None and late.value is not None:
             change[k] = late.value - float(s_sem[k])
-            marks[k] = Mark.SCORED
+            score_sources[k] = ScoreSource.SCORED
     scores = eqx.tree_at(
         lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.merit),
         round_.scores,

@@ -21,7 +21,7 @@ from ..io.validation_message import validation_message
 from ..physics.layout import Layout
 from ..spec import SceneSpec
 
-Identity = tuple[int, int]
+CandidateId = tuple[int, int]
 """(iteration, candidate)."""
 SAME_LAYOUT = 1e-3
 """Two layouts are of the same candidate if no variable [m, rad, 1] differs by more than this."""
@@ -71,16 +71,16 @@ class Score(BaseModel):
     """Stage in which the score was first used; None if it was never used."""
 
     @property
-    def identity(self) -> Identity:
+    def identity(self) -> CandidateId:
         """(iteration, candidate)."""
         return self.iteration, self.candidate
 
 
 @dataclass(frozen=True)
-class Job:
+class ScoringJob:
     """One candidate that is to be scored."""
 
-    identity: Identity
+    identity: CandidateId
     rank: int
     """Rank of the candidate; see `Score.rank`."""
     layout: str
@@ -99,7 +99,7 @@ class Job:
                 "candidate": candidate,
                 "rank": self.rank,
                 "layout": self.layout,
-                "numbers": layout_numbers(self.layouts),
+                "numbers": layout_values(self.layouts),
                 **fields,
             }
         )
@@ -112,7 +112,7 @@ def layout_digest(layout: Layout) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-def layout_numbers(layout: Layout) -> tuple[float, ...]:
+def layout_values(layout: Layout) -> tuple[float, ...]:
     """Return the variables of a single candidate's layout, rounded to 1e-6.
 
     The order is x, y [m], yaw [rad] and log scale of the first object, then of the second object,
@@ -169,7 +169,7 @@ def read_scores(path: Path) -> list[Score]:
     return scores
 
 
-class Recorded:
+class RecordedScores:
     """Replay of the scores of an earlier run, each in the stage in which it was first used.
 
     Rounding differs between processors. A candidate therefore matches the recorded candidate if no
@@ -189,7 +189,7 @@ class Recorded:
         self._scores = {score.identity: score for score in read_scores(path)}
         self._put: list[Score] = []
 
-    def put(self, jobs: Sequence[Job]) -> None:
+    def put(self, jobs: Sequence[ScoringJob]) -> None:
         """Look up the scores of candidates.
 
         Raises:
@@ -207,7 +207,7 @@ class Recorded:
                 )
             self._put.append(score)
 
-    def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
+    def take(self, stage: Stage, required: Collection[CandidateId], *, others: bool) -> list[Score]:
         """Return the scores that the recorded run first used at a stage, ordered by identity.
 
         Args:
@@ -216,7 +216,7 @@ class Recorded:
             rest: if True, also return the scores of all other candidates.
         """
         return sorted(
-            (s for s in self._put if s.used == stage and (rest or s.identity in must)),
+            (s for s in self._put if s.used == stage and (others or s.identity in required)),
             key=lambda score: score.identity,
         )
 
@@ -225,10 +225,10 @@ class Recorded:
         return sorted((s for s in self._put if s.used is None), key=lambda s: s.identity)
 
 
-def _same_layout(score: Score, job: Job) -> bool:
+def _same_layout(score: Score, job: ScoringJob) -> bool:
     if score.layout == job.layout:
         return True
-    numbers = layout_numbers(job.layouts)
+    numbers = layout_values(job.layouts)
     if score.numbers is None or len(score.numbers) != len(numbers):
         return False
     return bool(np.max(np.abs(np.subtract(score.numbers, numbers)), initial=0.0) <= SAME_LAYOUT)

@@ -14,10 +14,10 @@ from ..mllm import Picture, Request
 from ..spec import SceneSpec
 
 Level = Literal[0, 1, 2, 3, 4]
-MOST = max(get_args(Level))
+MAX_LEVEL = max(get_args(Level))
 CRITERIA = ("depth_ordering", "relative_size", "relative_orientation", "intersections")
 
-ASK = (
+PROMPT = (
     "The objects and their supports:\n\n{listing}\n\n"
     "Compare the arrangement of the objects in the candidate with that in the photograph."
 )
@@ -62,7 +62,7 @@ class Judgement(BaseModel):
     @property
     def value(self) -> float:
         """S_sem: the sum of the levels over its maximum, in [0, 1]."""
-        return sum(self.levels.values()) / (MOST * len(CRITERIA))
+        return sum(self.levels.values()) / (MAX_LEVEL * len(CRITERIA))
 
 
 @cache
@@ -83,7 +83,7 @@ def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Reque
         role="critic",
         name="score",
         system=system_text(),
-        prompt=ASK.format(listing=listing(scene)),
+        prompt=PROMPT.format(listing=listing(scene)),
         schema=Judgement,
         pictures=[photo, candidate],
     )

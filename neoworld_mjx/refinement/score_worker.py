@@ -24,12 +24,12 @@ from ..mllm.ledger import price_of
 from ..mllm.requests import digest
 from ..render import render_plain, render_scene
 from ..spec import SceneSpec
-from .score_log import Identity, Job, Score, Stage
+from .score_log import CandidateId, Score, ScoringJob, Stage
 from .score_request import Judgement, score_request
 
 Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
 
-AHEAD = 2
+EXTRA_WORKERS = 2
 """Number of workers in excess of the limit of concurrent requests.
 
 These workers render candidates while the others wait for responses.
@@ -37,7 +37,7 @@ These workers render candidates while the others wait for responses.
 _ABANDONED = "abandoned: the search had ended"
 
 
-def drawer(options: SemanticOptions) -> Draw:
+def scene_renderer(options: SemanticOptions) -> Draw:
     """Return a function that renders the scene of a candidate through the parsed camera."""
 
     def draw(scene: SceneSpec) -> UInt8[ndarray, "height width 3"]:
@@ -71,7 +71,7 @@ class ScoreWorkers:
         self.drawing_s = 0.0
         """Time spent on rendering [s]."""
         self._panel, self._photo, self._options = panel, photo, options
-        self._draw = draw or drawer(options)
+        self._draw = draw or scene_renderer(options)
         self._price = price_of(panel.options.critic.model, panel.ledger.prices)
         if options.max_cost_usd is not None and self._price is None and panel.provider.online:
             raise ConfigError(
@@ -81,15 +81,15 @@ class ScoreWorkers:
         self._spent_before = panel.ledger.spent_usd
         self._changed = threading.Condition()
         self._drawing = threading.Lock()
-        self._queue: list[tuple[tuple[bool, int, int, int], Job]] = []
+        self._queue: list[tuple[tuple[bool, int, int, int], ScoringJob]] = []
         """Heap of the candidates. Those that `take` waits for come first, then the order is by
         iteration, rank and order of submission."""
         self._count = 0
-        self._pending: dict[Identity, Job] = {}
+        self._pending: dict[CandidateId, ScoringJob] = {}
         """Candidates that have neither a score nor an error yet."""
-        self._outcomes: dict[Identity, Score] = {}
+        self._outcomes: dict[CandidateId, Score] = {}
         """Scores and errors that `take` has not returned yet."""
-        self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
+        self._pictures: dict[str, Score | list[tuple[ScoringJob, float]]] = {}
         """For the digest of each image, the score; while it is pending, the other candidates with
         this image and the times to render them."""
         self._requests: set[Future[Response[Judgement]]] = set()
@@ -103,7 +103,7 @@ class ScoreWorkers:
         """Cost of all requests whose prices are known so far, including failed requests [USD]."""
         return self._panel.ledger.spent_usd - self._spent_before
 
-    def put(self, jobs: Sequence[Job]) -> None:
+    def put(self, jobs: Sequence[ScoringJob]) -> None:
         """Queue candidates for scoring and return at once."""
         with self._changed:
             for job in jobs:
@@ -114,7 +114,7 @@ class ScoreWorkers:
                     self._count += 1
                     key = (True, job.identity[0], job.rank, self._count)
                     heapq.heappush(self._queue, (key, job))
-            while len(self._threads) < self._panel.options.concurrency + AHEAD:
+            while len(self._threads) < self._panel.options.concurrency + EXTRA_WORKERS:
                 thread = threading.Thread(
                     target=self._work, name=f"neoworld-score-{len(self._threads)}", daemon=True
                 )
@@ -122,7 +122,7 @@ class ScoreWorkers:
                 thread.start()
             self._changed.notify_all()
 
-    def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
+    def take(self, stage: Stage, required: Collection[CandidateId], *, others: bool) -> list[Score]:
         """Wait for scores and return them, ordered by identity. Each score is returned once.
 
         Args:
@@ -131,16 +131,18 @@ class ScoreWorkers:
                 have failed in a row, the call does not wait.
             rest: if True, also return the scores of other candidates that have arrived.
         """
-        must = set(must)
+        required = set(required)
         with self._changed:
-            self._queue = [((job.identity not in must, *key[1:]), job) for key, job in self._queue]
+            self._queue = [
+                ((job.identity not in required, *key[1:]), job) for key, job in self._queue
+            ]
             heapq.heapify(self._queue)
             self._changed.wait_for(
-                lambda: self._crash or self._gave_up or must.isdisjoint(self._pending)
+                lambda: self._crash or self._gave_up or required.isdisjoint(self._pending)
             )
             if self._crash is not None:
                 raise self._crash
-            ready = [key for key in self._outcomes if rest or key in must]
+            ready = [key for key in self._outcomes if others or key in required]
             return [
                 self._outcomes.pop(key).model_copy(update={"used": stage}) for key in sorted(ready)
             ]
@@ -174,18 +176,18 @@ class ScoreWorkers:
                     self._changed.notify_all()
                 return
 
-    def _next(self) -> Job | None:
-        bound = self._options.max_cost_usd
+    def _next(self) -> ScoringJob | None:
+        max_cost_usd = self._options.max_cost_usd
         with self._changed:
             while True:
                 self._changed.wait_for(lambda: self._queue or self._closed)
                 if self._closed:
                     return None
-                if bound is None or self.cost_usd < bound:
+                if max_cost_usd is None or self.cost_usd < max_cost_usd:
                     return heapq.heappop(self._queue)[1]
-                self._stop(f"refine.semantic.max_cost_usd of {bound:g} USD is reached")
+                self._stop(f"refine.semantic.max_cost_usd of {max_cost_usd:g} USD is reached")
 
-    def _serve(self, job: Job) -> None:
+    def _serve(self, job: ScoringJob) -> None:
         assert job.scene is not None
         try:
             with self._drawing:
@@ -201,7 +203,7 @@ class ScoreWorkers:
         with self._changed:
             earlier = self._pictures.get(key)
             if isinstance(earlier, Score):
-                self._finish(_copied(job, draw_s, earlier))
+                self._finish(_copy_score(job, draw_s, earlier))
                 return
             if earlier is not None:
                 earlier.append((job, draw_s))
@@ -262,7 +264,7 @@ class ScoreWorkers:
             self._finish(score)
             assert not isinstance(others, Score)
             for job, draw_s in others:
-                self._finish(_copied(job, draw_s, score))
+                self._finish(_copy_score(job, draw_s, score))
             if score.value is not None:
                 self._failed_in_row = 0
             elif not self._closed:
@@ -289,7 +291,7 @@ class ScoreWorkers:
         self._changed.notify_all()
 
 
-def _copied(job: Job, draw_s: float, score: Score) -> Score:
+def _copy_score(job: ScoringJob, draw_s: float, score: Score) -> Score:
     """Copy a score to another candidate with an identical image."""
     fields = score.model_dump(exclude={"iteration", "candidate", "rank", "layout"})
     return job.score(**fields | {"drawn_s": round(draw_s, 4), "cached": True, "cost_usd": 0.0})

@@ -24,12 +24,20 @@ from ..errors import ConfigError
 from ..mllm import Panel, Picture
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from .score_log import Identity, Job, Recorded, Score, ScoreLog, Stage, layout_digest
+from .score_log import (
+    CandidateId,
+    RecordedScores,
+    Score,
+    ScoreLog,
+    ScoringJob,
+    Stage,
+    layout_digest,
+)
 from .score_worker import Draw, ScoreWorkers
 from .surrogate import surrogate_scores
 
 
-class Mark(IntEnum):
+class ScoreSource(IntEnum):
     """Source of a candidate's S_sem."""
 
     GEOMETRIC = 0
@@ -77,11 +85,11 @@ class SemanticScorer:
         self.waited_s = 0.0
         self._model = model
         self._sigma = cem or CEMOptions()
-        self._moves = np.asarray(model.optimised)
-        self._source: ScoreWorkers | Recorded
+        self._optimised = np.asarray(model.optimised)
+        self._source: ScoreWorkers | RecordedScores
         if recorded is not None:
             # Read this file before the log is opened, because both may be the same file.
-            self._source = Recorded(recorded)
+            self._source = RecordedScores(recorded)
         elif photo is None or panel is None:
             raise ConfigError(
                 "refine.semantic.scorer: mllm needs the photograph and a model; "
@@ -95,11 +103,11 @@ class SemanticScorer:
         else:
             self._source = ScoreWorkers(panel, photo, self.options, draw)
         self._log = ScoreLog(log)
-        self._jobs: dict[Identity, Job] = {}
-        self._geometric: dict[Identity, float] = {}
-        self._known: dict[Identity, Score] = {}
+        self._jobs: dict[CandidateId, ScoringJob] = {}
+        self._geometric: dict[CandidateId, float] = {}
+        self._known: dict[CandidateId, Score] = {}
         """All scores taken so far, including failed ones."""
-        self._left: list[Score] = []
+        self._untaken: list[Score] = []
         """Scores that had not been taken when the scorer was closed."""
         self._closed = False
 
@@ -140,7 +148,7 @@ class SemanticScorer:
             single = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
             rendered = isinstance(self._source, ScoreWorkers)
             scene = self._model.apply(host, k, placed) if rendered else None
-            job = Job((iteration, k), rank, layout_digest(single), single, scene)
+            job = ScoringJob((iteration, k), rank, layout_digest(single), single, scene)
             jobs.append(job)
             self._jobs[job.identity] = job
         self._source.put(jobs)
@@ -159,10 +167,10 @@ class SemanticScorer:
         """
         wait, late = self.options.wait, self.options.late
         newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
-        must = [key for key in self._jobs if key[0] <= newest and key not in self._known]
-        return self._take(iteration, must, rest=True)
+        required = [key for key in self._jobs if key[0] <= newest and key not in self._known]
+        return self._take(iteration, required, others=True)
 
-    def await_for(self, identities: Iterable[Identity]) -> list[Score]:
+    def await_for(self, identities: Iterable[CandidateId]) -> list[Score]:
         """Wait for the scores of the given candidates, and return the new scores.
 
         These candidates are requested before all others.
@@ -171,15 +179,15 @@ class SemanticScorer:
             identities: (iteration, candidate) of each. Candidates that were never submitted are
                 skipped.
         """
-        must = [key for key in identities if key in self._jobs and key not in self._known]
-        return self._take("final", must, rest=False)
+        required = [key for key in identities if key in self._jobs and key not in self._known]
+        return self._take("final", required, others=False)
 
-    def known(self, identity: Identity) -> Score | None:
+    def known(self, identity: CandidateId) -> Score | None:
         """Return the score of a candidate; None if it is pending or has failed."""
         score = self._known.get(identity)
         return score if score is not None and score.value is not None else None
 
-    def fill(
+    def s_sem_of(
         self, iteration: int, layouts: Layout, geometric: Float[ArrayLike, " pop"]
     ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
         """Return the S_sem of a whole population, based on the scores that are known now.
@@ -193,24 +201,32 @@ class SemanticScorer:
             S_sem of each candidate in [0, 1] (float32), and the `Mark` of each candidate. As long
             as no candidate of the run has a score, all candidates have the geometric S_sem.
         """
-        base = np.asarray(geometric, float)
+        geometric_scores = np.asarray(geometric, float)
         for key in self._jobs:
             if key[0] == iteration:
-                self._geometric[key] = float(base[key[1]])
+                self._geometric[key] = float(geometric_scores[key[1]])
         scored = sorted(key for key in self._geometric if self.known(key) is not None)
-        marks = np.full(len(base), Mark.ESTIMATED if scored else Mark.GEOMETRIC, np.int8)
-        values = base
+        sources = np.full(
+            len(geometric_scores),
+            ScoreSource.ESTIMATED if scored else ScoreSource.GEOMETRIC,
+            np.int8,
+        )
+        values = geometric_scores
         if scored:
-            rows = [self._numbers(self._jobs[key].layouts) for key in scored]
+            variables = [self._normalized_variables(self._jobs[key].layouts) for key in scored]
             base_scores = np.array([self._geometric[key] for key in scored])
             model_scores = np.array([self._known[key].value for key in scored])
             values = surrogate_scores(
-                self._numbers(layouts), base, np.concatenate(rows), base_scores, model_scores
+                self._normalized_variables(layouts),
+                geometric_scores,
+                np.concatenate(variables),
+                base_scores,
+                model_scores,
             )
         for key in scored:
             if key[0] == iteration:
-                values[key[1]], marks[key[1]] = self._known[key].value, Mark.SCORED
-        return np.asarray(values, np.float32), marks
+                values[key[1]], sources[key[1]] = self._known[key].value, ScoreSource.SCORED
+        return np.asarray(values, np.float32), sources
 
     @property
     def stopped(self) -> str | None:
@@ -238,7 +254,7 @@ class SemanticScorer:
 
     def summary(self) -> dict[str, Any]:
         """Return the statistics for run.json. They are complete after `close`."""
-        scores = [*self._known.values(), *self._left]
+        scores = [*self._known.values(), *self._untaken]
         live = self._source if isinstance(self._source, ScoreWorkers) else None
         return {
             "scorer": "recorded" if live is None else "mllm",
@@ -246,7 +262,7 @@ class SemanticScorer:
             "scored": sum(s.value is not None for s in self._known.values()),
             "equal_pictures": sum(s.cached for s in scores),
             "failed": sum(s.error is not None for s in self._known.values()),
-            "unused": len(self._left),
+            "unused": len(self._untaken),
             "stopped": self.stopped,
             "cost_usd": None if live is None else round(live.cost_usd, 6),
             "drawing_s": None if live is None else round(live.drawing_s, 3),
@@ -257,8 +273,8 @@ class SemanticScorer:
         """End all requests. In the log, pending candidates are marked as abandoned."""
         if not self._closed:
             self._closed = True
-            self._left = self._source.close()
-            self._log.add(self._left)
+            self._untaken = self._source.close()
+            self._log.add(self._untaken)
 
     def __enter__(self) -> "SemanticScorer":
         return self
@@ -266,21 +282,21 @@ class SemanticScorer:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _take(self, stage: Stage, must: Sequence[Identity], *, rest: bool) -> list[Score]:
+    def _take(self, stage: Stage, required: Sequence[CandidateId], *, others: bool) -> list[Score]:
         began = time.perf_counter()
-        scores = self._source.take(stage, must, rest=rest)
+        scores = self._source.take(stage, required, others=others)
         self.waited_s += time.perf_counter() - began
         self._known |= {score.identity: score for score in scores}
         self._log.add(scores)
         return scores
 
-    def _numbers(self, layouts: Layout) -> np.ndarray:
+    def _normalized_variables(self, layouts: Layout) -> np.ndarray:
         """Divide the variables of optimized objects by their initial standard deviations.
 
         Returns:
             Array [pop, variable].
         """
-        o, moves = self._sigma, self._moves
+        o, moves = self._sigma, self._optimised
         diagonal = np.asarray(self._model.diagonal, float)[moves]
         xy = np.asarray(layouts.xy, float)[:, moves] / (_nonzero(o.sigma_xy) * diagonal[:, None])
         yaw = np.asarray(layouts.yaw, float)[:, moves] / _nonzero(np.radians(o.sigma_yaw_deg))

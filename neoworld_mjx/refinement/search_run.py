@@ -23,7 +23,7 @@ class SearchRun(NamedTuple):
     """Initial layout, with a population axis of length 1. If None, it is the composed scene."""
 
 
-class FirstValid(NamedTuple):
+class TimeToValid(NamedTuple):
     """When a search found its first valid candidate."""
 
     iteration: int
@@ -56,9 +56,9 @@ class SearchResult:
     """Summary of each iteration; see `outcome.iteration_summary`."""
     first_valid_s: float = float("nan")
     """Time from the start of the search to the score of the first valid candidate [s]."""
-    first_valid: FirstValid | None = None
+    first_valid: TimeToValid | None = None
     """When the search found its first valid candidate; None if no candidate was valid."""
-    marks: list[np.ndarray] = field(default_factory=list)
+    score_sources: list[np.ndarray] = field(default_factory=list)
     """Source of each candidate's S_sem, by iteration; see `scorer.Mark`."""
     stuck: tuple[str, ...] = ()
     """Names of objects that rested in no candidate, if the search ended for this reason."""

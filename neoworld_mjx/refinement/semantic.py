@@ -32,7 +32,7 @@ TURN_TOLERANCE = np.radians(45.0)
 """Difference between directions [rad] at which the orientation score of a pair is zero."""
 BOX_TOLERANCE = 0.25
 """Mean distance of box edges, relative to the size of the box, at which its score is zero."""
-SEEN_DEPTH = 0.01
+VISIBLE_DEPTH = 0.01
 """Penetration depth [m] at which an intersection is certainly visible."""
 
 
@@ -46,7 +46,7 @@ class Semantic(eqx.Module):
     """S_sem of candidates, in [0, 1]."""
 
     total: Float[Array, " pop"]
-    each: Float[Array, "pop object"]
+    by_object: Float[Array, "pop object"]
     """Score of each object from the criteria that involve it; 1 for objects that are not judged."""
 
 
@@ -66,33 +66,35 @@ def semantic_score(
     parsed_size, size = _extent(v.boxes), jnp.maximum(_extent(boxes), 1.0)
     edge_error = jnp.mean(jnp.abs(boxes - v.boxes), axis=-1) / parsed_size
     box_score = _score(edge_error, BOX_TOLERANCE)
-    cut = jnp.mean(jnp.abs(visible.boxes - visible.outlines.boxes), axis=-1) / parsed_size
-    whole_score = jnp.where(v.whole & v.parsed, _score(cut, BOX_TOLERANCE), 1.0)
-    single = (box_score + whole_score) / 2
-    judged = jnp.sum(v.judged)
+    hidden = jnp.mean(jnp.abs(visible.boxes - visible.outlines.boxes), axis=-1) / parsed_size
+    full_visibility_score = jnp.where(
+        v.fully_visible & v.parsed, _score(hidden, BOX_TOLERANCE), 1.0
+    )
+    single = (box_score + full_visibility_score) / 2
+    scored_count = jnp.sum(v.scored)
 
     def mean(x: Array) -> Array:
-        return jnp.sum(jnp.where(v.judged, x, 0.0), axis=1) / jnp.maximum(judged, 1)
+        return jnp.sum(jnp.where(v.scored, x, 0.0), axis=1) / jnp.maximum(scored_count, 1)
 
     # Pair criteria are symmetric arrays [candidate, i, j].
-    def between(x: AnyArray) -> AnyArray:
+    def pairwise_difference(x: AnyArray) -> AnyArray:
         return x[..., :, None] - x[..., None, :]
 
     # Depth ordering: the difference of two depths must have the sign of the parsed difference. If
     # the parsed depths are nearly equal, either sign is accepted.
-    parsed = between(v.depth)
+    parsed = pairwise_difference(v.depth)
     slack = NOISE * (v.depth[:, None] + v.depth) / 2
-    order = 0.5 + 0.5 * (jnp.sign(parsed) * between(depth) + slack) / slack
+    order = 0.5 + 0.5 * (jnp.sign(parsed) * pairwise_difference(depth) + slack) / slack
     order = jnp.where(jnp.abs(parsed) < slack, 1.0, jnp.clip(order, 0.0, 1.0))
 
     # Relative size: log ratio of the visible sizes.
-    ratio = between(jnp.log(size)) - between(jnp.log(parsed_size))
+    ratio = pairwise_difference(jnp.log(size)) - pairwise_difference(jnp.log(parsed_size))
     relative = _score(ratio, SIZE_TOLERANCE)
 
     # Relative orientation: direction from one object to the other in the image. The direction
     # between nearly concentric objects is undefined; their offset is compared with their size.
     def direction(b: AnyArray) -> list[AnyArray]:
-        return [between((b[..., k] + b[..., k + 2]) / 2) for k in range(2)]
+        return [pairwise_difference((b[..., k] + b[..., k + 2]) / 2) for k in range(2)]
 
     def length(x: AnyArray, y: AnyArray) -> Array:
         return jnp.sqrt(x * x + y * y)
@@ -107,21 +109,21 @@ def semantic_score(
     turn = _score(2.0 * jnp.arcsin(jnp.minimum(deviation / 2, 1.0)), TURN_TOLERANCE)
 
     overlap = jnp.maximum(depths, jnp.swapaxes(depths, 1, 2))
-    separation = jnp.clip(1.0 - overlap / SEEN_DEPTH, 0.0, 1.0)
+    separation = jnp.clip(1.0 - overlap / VISIBLE_DEPTH, 0.0, 1.0)
 
     # Half of the scores of depth order and orientation comes from pairs, the other half from single
     # objects.
     pairs = (order / 2 + relative + turn / 2 + separation) / 4
-    pair_mask = v.judged[:, None] & v.judged & ~jnp.eye(scene.count, dtype=bool)
+    pair_mask = v.scored[:, None] & v.scored & ~jnp.eye(scene.count, dtype=bool)
     partners = jnp.sum(pair_mask, axis=1)
     sums = jnp.sum(jnp.where(pair_mask, pairs, 0.0), axis=2)
-    paired = jnp.sum(partners) > 0
+    has_pairs = jnp.sum(partners) > 0
     pair_mean = jnp.sum(sums, axis=1) / jnp.maximum(jnp.sum(partners), 1)
-    each = jnp.where(paired, sums / jnp.maximum(partners, 1) + single / 4, single)
+    by_object = jnp.where(has_pairs, sums / jnp.maximum(partners, 1) + single / 4, single)
     total = jnp.where(
-        paired, pair_mean + mean(single) / 4, jnp.where(judged > 0, mean(single), 1.0)
+        has_pairs, pair_mean + mean(single) / 4, jnp.where(scored_count > 0, mean(single), 1.0)
     )
-    return Semantic(total, jnp.where(v.judged, each, 1.0))
+    return Semantic(total, jnp.where(v.scored, by_object, 1.0))
 
 
 def _score(error: AnyArray, tolerance: float) -> Array:

@@ -65,7 +65,7 @@ class Strategy(eqx.Module):
         """Return the initial state."""
         es, key = self._es(), jax.random.key(0)
         origin = jnp.zeros(len(self.free))
-        if _by_population(es):
+        if _is_population_based(es):
             population = jnp.zeros((self.population, len(self.free)))
             inner = es.init(key, population, jnp.full(self.population, jnp.inf), self.params)
         else:
@@ -86,14 +86,14 @@ class Strategy(eqx.Module):
                 f"(refine.cem.population), asked for {population}"
             )
         es = self._es()
-        drawn, _ = es.ask(key, state.inner, self.params)
-        if _by_population(es):
-            first = jax.random.normal(key, drawn.shape)
-            drawn = jnp.where(state.started, drawn, first)
-        center, free = _flat(state.mean), jnp.asarray(self.free)
-        offset = drawn * _flat(self.sigma)[:, free]
+        samples, _ = es.ask(key, state.inner, self.params)
+        if _is_population_based(es):
+            first = jax.random.normal(key, samples.shape)
+            samples = jnp.where(state.started, samples, first)
+        center, free = _flatten(state.mean), jnp.asarray(self.free)
+        offset = samples * _flatten(self.sigma)[:, free]
         flat = jnp.repeat(center, population, axis=0).at[:, free].add(offset)
-        return _unflat(flat, state.mean)
+        return _unflatten(flat, state.mean)
 
     def tell_with_key(
         self,
@@ -113,22 +113,22 @@ class Strategy(eqx.Module):
                 others.
         """
         es, free = self._es(), jnp.asarray(self.free)
-        unit = (_flat(layouts) - _flat(state.mean))[:, free] / _flat(self.sigma)[:, free]
+        unit = (_flatten(layouts) - _flatten(state.mean))[:, free] / _flatten(self.sigma)[:, free]
         finite = jnp.isfinite(reward)
         worst = jnp.max(jnp.where(finite, -reward, -jnp.inf))
         loss = jnp.where(finite, -reward, jnp.where(jnp.isfinite(worst), worst + 1.0, 0.0))
-        _, asked = es.ask(key, state.inner, self.params)
-        later = jax.random.fold_in(key, 1)
-        updated, _ = es.tell(later, unit, loss, asked, self.params)
-        if _by_population(es):
-            first = es.init(later, unit, loss, self.params)
+        _, asked_state = es.ask(key, state.inner, self.params)
+        tell_key = jax.random.fold_in(key, 1)
+        updated, _ = es.tell(tell_key, unit, loss, asked_state, self.params)
+        if _is_population_based(es):
+            first = es.init(tell_key, unit, loss, self.params)
             pick = lambda new, old: jnp.where(state.started, new, old)
             updated = jax.tree.map(pick, updated, first)
         elif self.restart_spread is not None:
-            updated = self._restarted(later, unit, loss, updated, self.restart_spread)
+            updated = self._restart_if_flat(tell_key, unit, loss, updated, self.restart_spread)
         return StrategyState(state.mean, updated, jnp.asarray(True))
 
-    def _restarted(
+    def _restart_if_flat(
         self, key: Key[Array, ""], unit: Any, loss: Any, state: Any, spread: float
     ) -> Any:
         """Return the state of evosax, reinitialized if the losses differ by less than `spread`."""
@@ -137,30 +137,30 @@ class Strategy(eqx.Module):
         limit = restart.RestartParams(min_fitness_spread=spread)
         control = restart.SimpleRestart((restart.spread_cond,), limit)
         count = control.init()
-        again, _ = control.restart(key, self._es(), state, self.params, count)
+        restarted, _ = control.restart(key, self._es(), state, self.params, count)
         stuck = control.should_restart(unit, loss, state, self.params, count)
-        return jax.tree.map(lambda new, old: jnp.where(stuck, new, old), again, state)
+        return jax.tree.map(lambda new, old: jnp.where(stuck, new, old), restarted, state)
 
     def _es(self) -> Any:
-        return _built(self.name, self.population, len(self.free), self.learning_rate)
+        return _build(self.name, self.population, len(self.free), self.learning_rate)
 
 
 @functools.cache
-def _built(name: str, population: int, numbers: int, learning_rate: float | None) -> Any:
+def _build(name: str, population: int, variables: int, learning_rate: float | None) -> Any:
     """Return the strategy object of evosax.
 
     Equal arguments give the same object, because `init` stores constants in some of these objects.
     """
-    more = {}
+    extra = {}
     if learning_rate is not None:
         import optax
 
-        more["optimizer"] = optax.adam(learning_rate)
+        extra["optimizer"] = optax.adam(learning_rate)
     with jax.ensure_compile_time_eval():  # The cached object outlives any trace.
-        return _strategies()[name](population, np.zeros(numbers, np.float32), **more)
+        return _strategies()[name](population, np.zeros(variables, np.float32), **extra)
 
 
-def _by_population(es: Any) -> bool:
+def _is_population_based(es: Any) -> bool:
     return "fitness" in inspect.signature(es.init).parameters
 
 
@@ -187,10 +187,10 @@ def strategy_class(name: str) -> Any:
         ConfigError: there is no strategy of this name.
         EngineError: evosax is not installed.
     """
-    known = _strategies()
-    if name not in known:
-        raise ConfigError(f"refine.optimizer: evosax: {choices(name, known)}")
-    return known[name]
+    strategies = _strategies()
+    if name not in strategies:
+        raise ConfigError(f"refine.optimizer: evosax: {choices(name, strategies)}")
+    return strategies[name]
 
 
 def open_strategy(
@@ -211,7 +211,7 @@ def open_strategy(
     """
     strategy = strategy_class(name)
     sigma = initial_sigma(scene, options)
-    free = tuple(int(k) for k in np.flatnonzero(np.asarray(_flat(sigma))[0] > 0))
+    free = tuple(int(k) for k in np.flatnonzero(np.asarray(_flatten(sigma))[0] > 0))
     values = dict(parameters)
     rate = values.pop(LEARNING_RATE, None)
     has_rate = "optimizer" in inspect.signature(strategy).parameters
@@ -220,7 +220,7 @@ def open_strategy(
     spread = values.pop(RESTART, None)
     built = Strategy(name, options.population, sigma, None, free, rate, spread)
     try:
-        if spread is not None and _by_population(built._es()):
+        if spread is not None and _is_population_based(built._es()):
             raise ConfigError(
                 f"refine.strategy: {name} takes no {RESTART}: it keeps a population, and evosax "
                 "can only restart distribution-based strategies"
@@ -248,12 +248,12 @@ def open_strategy(
     return built
 
 
-def _flat(layout: Layout) -> Float[Array, "pop number"]:
+def _flatten(layout: Layout) -> Float[Array, "pop number"]:
     pop = layout.yaw.shape[0]
     return jnp.concatenate([leaf.reshape(pop, -1) for leaf in jax.tree.leaves(layout)], axis=1)
 
 
-def _unflat(flat: Float[Array, "pop number"], like: Layout) -> Layout:
+def _unflatten(flat: Float[Array, "pop number"], like: Layout) -> Layout:
     count = like.yaw.shape[1]
     xy, yaw, log_scale = flat[:, : 2 * count], flat[:, 2 * count : 3 * count], flat[:, 3 * count :]
     return Layout(xy.reshape(len(flat), count, 2), yaw, log_scale)

@@ -10,9 +10,9 @@ zero, so a few scores hardly change the geometric scores.
 import numpy as np
 from numpy.typing import NDArray
 
-LAMBDAS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Ridge penalties that are tried. The variance of the features is about 1."""
-FEWEST = 6
+MIN_SCORED = 6
 """Number of scored candidates that the regression requires."""
 
 
@@ -48,9 +48,12 @@ def surrogate_scores(
     difference = np.asarray(scores, float) - scored_geometric
     # The mean is shrunk as if there were one more candidate, with a difference of zero.
     mean = difference.sum() / (count + 1)
-    known, targets = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
-    center = known.mean(axis=0)
-    predicted = _regressed(known - center, difference - mean, targets - center)
+    scored_features, targets = (
+        _features(scored_layouts, scored_geometric),
+        _features(layouts, geometric),
+    )
+    center = scored_features.mean(axis=0)
+    predicted = _ridge_predictions(scored_features - center, difference - mean, targets - center)
     return np.clip(geometric + mean + predicted, 0.0, 1.0)
 
 
@@ -60,23 +63,25 @@ def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
     return np.concatenate([z, z**2 - 1.0, 5.0 * np.asarray(geometric, float)[:, None]], axis=1)
 
 
-def _regressed(known: NDArray, residuals: NDArray, targets: NDArray) -> NDArray:
+def _ridge_predictions(scored_features: NDArray, residuals: NDArray, targets: NDArray) -> NDArray:
     """Predict residuals at `targets` by ridge regression, shrunk by its leave-one-out gain."""
     count = len(residuals)
     zeros = np.zeros(len(targets))
-    if count < FEWEST or not np.any(residuals):
+    if count < MIN_SCORED or not np.any(residuals):
         return zeros
     # Compute the principal axes from the smaller one of the two Gram matrices.
-    wide = known.shape[1] > count
-    eigenvalues, vectors = np.linalg.eigh(known @ known.T if wide else known.T @ known)
+    wide = scored_features.shape[1] > count
+    eigenvalues, vectors = np.linalg.eigh(
+        scored_features @ scored_features.T if wide else scored_features.T @ scored_features
+    )
     significant = eigenvalues > 1e-9 * eigenvalues[-1]
     eigenvalues, vectors = eigenvalues[significant], vectors[:, significant]
-    axes = known.T @ vectors / np.sqrt(eigenvalues) if wide else vectors
-    along = known @ axes
+    axes = scored_features.T @ vectors / np.sqrt(eigenvalues) if wide else vectors
+    along = scored_features @ axes
     projected = along.T @ residuals
     base = float(np.mean(residuals**2))
     best, slopes = base, None
-    for penalty in LAMBDAS:
+    for penalty in PENALTIES:
         weight = 1.0 / (eigenvalues + penalty)
         # Leave-one-out residuals follow from the diagonal of the hat matrix.
         left_out = (residuals - along @ (weight * projected)) / (1.0 - (along**2) @ weight)

@@ -44,7 +44,7 @@ class Axes(NamedTuple):
     """Ranges without `n`, from which values are sampled."""
 
 
-def read_axes(axes: Mapping[str, Any], whole: Callable[[str], bool]) -> Axes:
+def read_axes(axes: Mapping[str, Any], takes_integers: Callable[[str], bool]) -> Axes:
     """Validate the axes of a plan.
 
     Args:
@@ -55,12 +55,12 @@ def read_axes(axes: Mapping[str, Any], whole: Callable[[str], bool]) -> Axes:
     Raises:
         ConfigError: an axis has no values, or is neither a list nor a range.
     """
-    found = Axes({}, {})
+    result = Axes({}, {})
     for path, value in axes.items():
         if isinstance(value, list | tuple):
             if not value:
                 raise ConfigError(f"axes: {path} has no values")
-            found.lists[path] = list(value)
+            result.lists[path] = list(value)
             continue
         if not isinstance(value, Mapping):
             raise ConfigError(
@@ -69,13 +69,13 @@ def read_axes(axes: Mapping[str, Any], whole: Callable[[str], bool]) -> Axes:
             )
         limits = _range(path, value)
         if limits.n is None:
-            found.ranges[path] = limits
+            result.ranges[path] = limits
             continue
         values: list[Any] = [limits.at(k / (limits.n - 1)) for k in range(limits.n)]
-        if whole(path):
+        if takes_integers(path):
             values = list(dict.fromkeys(map(round, values)))
-        found.lists[path] = values
-    return found
+        result.lists[path] = values
+    return result
 
 
 def _range(path: str, value: Mapping[str, Any]) -> AxisRange:
@@ -98,7 +98,7 @@ def combinations(
     zipped: Sequence[Sequence[str]],
     samples: int,
     draw_seed: int,
-    whole: Callable[[str], bool],
+    takes_integers: Callable[[str], bool],
 ) -> list[dict[str, Any]]:
     """Return the values of every point, by the paths of the options.
 
@@ -132,7 +132,7 @@ def combinations(
         [dict(zip(group, row, strict=True)) for row in _rows(axes.lists, group)] for group in groups
     ]
     if axes.ranges:
-        steps.append(drawn(axes.ranges, samples, draw_seed, whole))
+        steps.append(sample_values(axes.ranges, samples, draw_seed, takes_integers))
     merged = [
         {path: value for part in parts for path, value in part.items()}
         for parts in itertools.product(*steps)
@@ -141,8 +141,8 @@ def combinations(
     return [{path: point[path] for path in order} for point in merged]
 
 
-def drawn(
-    ranges: Mapping[str, AxisRange], samples: int, seed: int, whole: Callable[[str], bool]
+def sample_values(
+    ranges: Mapping[str, AxisRange], samples: int, seed: int, takes_integers: Callable[[str], bool]
 ) -> list[dict[str, Any]]:
     """Sample values uniformly from ranges.
 
@@ -151,7 +151,7 @@ def drawn(
     rows = np.random.default_rng(seed).random((samples, len(ranges)))
     return [
         {
-            path: round(limits.at(float(x))) if whole(path) else limits.at(float(x))
+            path: round(limits.at(float(x))) if takes_integers(path) else limits.at(float(x))
             for (path, limits), x in zip(ranges.items(), row, strict=True)
         }
         for row in rows
@@ -173,9 +173,9 @@ def _groups(lists: Mapping[str, list[Any]], zipped: Sequence[Sequence[str]]) -> 
             group_of[path] = list(group)
         lengths = {path: len(lists[path]) for path in group}
         if len(set(lengths.values())) > 1:
-            said = ", ".join(f"{path} has {n}" for path, n in lengths.items())
+            lengths_text = ", ".join(f"{path} has {n}" for path, n in lengths.items())
             raise ConfigError(
-                f"zip: axes that advance together must have equal numbers of values: {said}"
+                f"zip: axes that advance together must have equal numbers of values: {lengths_text}"
             )
     groups: list[list[str]] = []
     for path in lists:

@@ -41,7 +41,7 @@ EFFECTS = (
 
 
 def draw(
-    rows: Sequence[Row], axes: Sequence[str], form: Literal["svg", "pdf"] = "svg"
+    rows: Sequence[Row], axes: Sequence[str], file_format: Literal["svg", "pdf"] = "svg"
 ) -> bytes | None:
     """Draw a sweep as SVG or PDF. If matplotlib is missing, log this and return None.
 
@@ -66,7 +66,7 @@ def draw(
             _effect(figure, plot, rows, axes, effect)
         _terms(last, rows)
 
-    return plots.plot((3.4 * (2 + len(effects)), 3.2), fill, form)
+    return plots.plot((3.4 * (2 + len(effects)), 3.2), fill, file_format)
 
 
 def _convergence(plot: Any, rows: Sequence[Row]) -> None:
@@ -86,17 +86,21 @@ def _convergence(plot: Any, rows: Sequence[Row]) -> None:
                 [np.quantile(c, (0.25, 0.5, 0.75)) if len(c) else [np.nan] * 3 for c in known]
             ).T
     ranked = sorted(quartiles, key=lambda point: quartiles[point][1, -1], reverse=True)
-    shown = ranked[:MAX_LINES]
-    for point in (point for point in quartiles if point in shown):
+    drawn_points = ranked[:MAX_LINES]
+    for point in (point for point in quartiles if point in drawn_points):
         low, median, high = quartiles[point]
         # The populations of a point's runs are equal, so the counts of the longest run fit all.
         counts = max(rollouts[point], key=len)
         (line,) = plot.plot(counts, median, marker=".", label=_short(point))
         plot.fill_between(counts, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
-    best_of = f" of the best {len(shown)} of {len(ranked)}" if len(shown) < len(ranked) else ""
+    best_of = (
+        f" of the best {len(drawn_points)} of {len(ranked)}"
+        if len(drawn_points) < len(ranked)
+        else ""
+    )
     plot.set(title=f"convergence{best_of}", xlabel="rollouts", ylabel="best reward so far")
     plot.xaxis.get_major_locator().set_params(integer=True)
-    if shown:
+    if drawn_points:
         plot.legend(fontsize=6)
 
 

@@ -126,7 +126,9 @@ class SweepFolder:
                 f"{self.path} has {len(lost)} rows that this plan does not contain, such as scene "
                 f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {run: rows[mark] for run, mark in expected.items() if mark in rows}
+        return {
+            run: rows[fingerprint] for run, fingerprint in expected.items() if fingerprint in rows
+        }
 
     def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
         """Write all rows so far, and further text files.

@@ -19,13 +19,13 @@ from ..physics.native import NativeEngine
 from ..physics.simulate import open_engine
 from ..refinement.batching import TILE
 from ..refinement.compiling import S_PHOTO, compile_for_search, reach_of, with_evidence
-from ..refinement.delivery import delivered
+from ..refinement.delivery import final_scene_scores
 from ..refinement.loop import search
 from ..refinement.scene_refinement import refine
 from ..refinement.search_run import SearchRun
 from ..traces import computes_on_cpu
 from .cases import Case
-from .grouping import TRACED, holding_part
+from .grouping import TRACED, fixing_key
 from .model_scores import ModelScores, scored_by_model
 from .plan import Point
 from .run_rows import Row, iteration_rows, row_of_refined, row_of_search, summaries
@@ -44,7 +44,7 @@ class SweepPart(NamedTuple):
     """Options with which the scene is compiled."""
     runs: tuple[tuple[Point, int], ...]
     """Point and seed of each run."""
-    fold: bool
+    together: bool
     """If True, the runs are searched together; if False, they are refined one by one."""
     engine: Engine | None
     """Physics engine. If None, the engine that the options name is opened."""
@@ -70,7 +70,7 @@ class CompiledScene:
     models: dict[tuple[float, int, float, bool], SceneModel] = field(default_factory=dict)
     """Compiled models by time step, number of samples, reach, and whether the model contains the
     evidence of the photograph."""
-    kinds: set[str] = field(default_factory=set)
+    compiled_static: set[str] = field(default_factory=set)
     """Static options, as JSON, for which a search has been compiled."""
 
 
@@ -81,7 +81,7 @@ def forget_compiled(scene_hash: str = "") -> None:
     """Discard the compiled models, before another scene or another sweep."""
     COMPILED.scene_hash = scene_hash
     COMPILED.models.clear()
-    COMPILED.kinds.clear()
+    COMPILED.compiled_static.clear()
 
 
 def compute(part: SweepPart, scores: ModelScores | None = None) -> Iterator[ComputedPart]:
@@ -110,11 +110,11 @@ def compute(part: SweepPart, scores: ModelScores | None = None) -> Iterator[Comp
         for point, seed in part.runs
     ]
     clock: dict[str, float] = {}
-    if part.fold:
+    if part.together:
         rows = search_together(case, options, model, runs, engine, clock)
     else:
         pairs = [(point, run) for (point, _), run in zip(part.runs, runs, strict=True)]
-        rows = refine_separately(case, model, pairs, engine, COMPILED.kinds, scores)
+        rows = refine_separately(case, model, pairs, engine, COMPILED.compiled_static, scores)
     programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
     timing = {
         "scene": case.name,
@@ -150,20 +150,20 @@ def search_together(
         clock: seconds spent on each step; updated in place.
     """
     clock = {} if clock is None else clock
-    alike: dict[str, list[int]] = {}
+    by_fixing_key: dict[str, list[int]] = {}
     for k, run in enumerate(runs):
-        alike.setdefault(holding_part(run.options), []).append(k)
+        by_fixing_key.setdefault(fixing_key(run.options), []).append(k)
     rows: list[Row] = [{}] * len(runs)
-    for members in alike.values():
+    for members in by_fixing_key.values():
         before = compiled().seconds
         group = [runs[k] for k in members]
-        results = search(model, group, engine, keep=False, clock=clock)
+        results = search(model, group, engine, keep_all=False, clock=clock)
         seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(group)
         shared = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
         began = time.perf_counter()
         chosen = winners(case.scene, compile_options, model, results)
         checked = time.perf_counter()
-        values_of_runs = delivered(results, chosen, engine)
+        values_of_runs = final_scene_scores(results, chosen, engine)
         clock["check"] = clock.get("check", 0.0) + checked - began
         clock["deliver"] = clock.get("deliver", 0.0) + time.perf_counter() - checked
         for k, result, winner, values in zip(members, results, chosen, values_of_runs, strict=True):
@@ -189,7 +189,7 @@ def refine_separately(
     model: SceneModel,
     runs: Sequence[tuple[Point, SearchRun]],
     engine: Engine,
-    compiled_kinds: set[str],
+    compiled_static: set[str],
     scores: ModelScores | None,
 ) -> list[Row]:
     """Refine runs one by one, and exclude compilation from their times.
@@ -209,9 +209,9 @@ def refine_separately(
     rows = []
     for point, run in runs:
         static = {name: v for name, v in option_values(run.options).items() if name not in TRACED}
-        kind = json.dumps([static, list(run.options.reward.terms)], sort_keys=True)
-        if kind not in compiled_kinds:
-            compiled_kinds.add(kind)
+        static_json = json.dumps([static, list(run.options.reward.terms)], sort_keys=True)
+        if static_json not in compiled_static:
+            compiled_static.add(static_json)
             semantic = run.options.semantic.model_copy(update={"scorer": "geometric"})
             unscored = run.options.model_copy(update={"semantic": semantic})
             refine(model, unscored, seed=run.seed, start=run.start, engine=engine)

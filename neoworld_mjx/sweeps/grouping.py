@@ -27,7 +27,7 @@ class PointGroup(NamedTuple):
     """Options with which scenes are compiled: the options of the first member."""
 
 
-def holding_part(options: RefineOptions) -> str:
+def fixing_key(options: RefineOptions) -> str:
     """Return the values that determine which objects a search fixes, as JSON.
 
     All runs of one search fix the same objects. Runs whose values differ here are therefore
@@ -38,7 +38,7 @@ def holding_part(options: RefineOptions) -> str:
     return json.dumps(bounds if o.cem.hold_resting else None)
 
 
-def static_part(options: RefineOptions) -> str:
+def static_key(options: RefineOptions) -> str:
     """Return the values that must be equal for runs to share a computation, as JSON."""
     values = option_values(options)
     static = {path: values[path] for path in STATIC}
@@ -50,22 +50,22 @@ def static_part(options: RefineOptions) -> str:
     return json.dumps(static, sort_keys=True)
 
 
-def grouped(points: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
+def group_points(points: Sequence[RefineOptions], *, together: bool = True) -> list[PointGroup]:
     """Group points whose static options are equal. If `fold` is False, do not group points."""
     groups: dict[str, list[int]] = {}
     for k, options in enumerate(points):
-        groups.setdefault(static_part(options) if fold else str(k), []).append(k)
+        groups.setdefault(static_key(options) if together else str(k), []).append(k)
     return [PointGroup(tuple(members), points[members[0]]) for members in groups.values()]
 
 
-def reasons(points: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
+def grouping_reasons(points: Sequence[RefineOptions], *, together: bool = True) -> list[str]:
     """Return a line for each static option that splits the points into groups, and their number.
 
     If there is only one group, or if `fold` is False, there are no lines.
     """
     tables = [option_values(options) for options in points]
-    count = len({static_part(options) for options in points})
-    if count == 1 or not fold:
+    count = len({static_key(options) for options in points})
+    if count == 1 or not together:
         return []
     lines = []
     early_stop = any(options.rollout.early_stop for options in points)

@@ -64,8 +64,8 @@ def _estimate(values: Sequence[float], scenes: Sequence[str], *, share: bool) ->
     count = len(set(scenes))
     names = scenes if count > 1 else [str(k) for k in range(len(values))]
     parts = [(name, float(value), 1.0) for name, value in zip(names, values, strict=True)]
-    found = ratio_interval(parts, share=share)
-    center, low, high = (math.nan if x is None else x for x in found)
+    interval = ratio_interval(parts, share=share)
+    center, low, high = (math.nan if x is None else x for x in interval)
     return Estimate(center, low, high, len(values), count)
 
 
@@ -86,10 +86,10 @@ def rate_difference(
     if not len(hits):
         return UNKNOWN
     differences = (np.asarray(hits, float) - np.asarray(others, float)).tolist()
-    each, count = by_scene(differences, scenes), len(set(scenes))
-    adjusted_n = len(each) + 2.0
-    center = each.sum() / adjusted_n
-    variance = max(((each**2).sum() + 1.0) / adjusted_n - center**2, 0.0) / adjusted_n
+    scene_means, count = by_scene(differences, scenes), len(set(scenes))
+    adjusted_n = len(scene_means) + 2.0
+    center = scene_means.sum() / adjusted_n
+    variance = max(((scene_means**2).sum() + 1.0) / adjusted_n - center**2, 0.0) / adjusted_n
     half = float(stats.norm.ppf((1 + LEVEL) / 2)) * math.sqrt(variance)
     low, high = max(-1.0, center - half), min(1.0, center + half)
     return Estimate(float(np.mean(differences)), float(low), float(high), len(hits), count)
@@ -126,11 +126,11 @@ def paired_test(differences: Sequence[float], scenes: Sequence[str]) -> PairedTe
         differences: difference of each pair.
         scenes: scene of each pair.
     """
-    each = by_scene(differences, scenes)
-    wins, losses = int((each > 0).sum()), int((each < 0).sum())
+    scene_means = by_scene(differences, scenes)
+    wins, losses = int((scene_means > 0).sum()), int((scene_means < 0).sum())
     p = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
-    spread = float(np.std(each, ddof=1)) if len(each) > 1 else 0.0
-    return PairedTest(wins, losses, p, float(each.mean()) / spread if spread else math.nan)
+    spread = float(np.std(scene_means, ddof=1)) if len(scene_means) > 1 else 0.0
+    return PairedTest(wins, losses, p, float(scene_means.mean()) / spread if spread else math.nan)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -9,7 +9,7 @@ from .folder import HISTORIES, RESULTS, SweepFolder, sweep_of
 from .result import SweepResult, stored_result
 from .run_rows import Key, Row, add_iterations, read_runs, row_key
 
-ALIKE = ("kind", "plan", "points", "scenes", "versions", "commit")
+SHARED_ENTRIES = ("kind", "plan", "points", "scenes", "versions", "commit")
 """Entries of sweep.json that must be equal in all shards of a sweep."""
 
 
@@ -37,12 +37,12 @@ def merge(
         raise RunError("merge: name the folders of the shards")
     if len({path.resolve() for path in [*paths, Path(out)]}) < len(paths) + 1:
         raise RunError("merge: a folder appears twice")
-    abouts = [_about(path) for path in paths]
+    abouts = [_read_about(path) for path in paths]
     for path, about in zip(paths[1:], abouts[1:], strict=True):
-        for name in ALIKE:
+        for name in SHARED_ENTRIES:
             if about.get(name) != abouts[0].get(name):
-                said = _difference(abouts[0].get(name), about.get(name))
-                raise RunError(f"merge: {paths[0]} and {path} differ in {name}: {said}")
+                difference = _difference(abouts[0].get(name), about.get(name))
+                raise RunError(f"merge: {paths[0]} and {path} differ in {name}: {difference}")
     rows = _rows(paths)
     first = abouts[0]
     order = [
@@ -65,9 +65,9 @@ def merge(
         return stored_result(ordered, merged, folder, finished=not missing)
 
 
-def _about(path: Path) -> dict[str, Any]:
+def _read_about(path: Path) -> dict[str, Any]:
     about = sweep_of(path)
-    if about is None or not all(name in about for name in ALIKE):
+    if about is None or not all(name in about for name in SHARED_ENTRIES):
         raise RunError(f"merge: {path} holds no sweep or ablation of this version")
     return about
 

@@ -108,7 +108,7 @@ BASE = "base"
 Request = TypeVar("Request", Plan, Ablation)
 
 
-def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) -> Request:
+def read_plan(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) -> Request:
     """Read a plan from a YAML file or a mapping. Return an instance of `kind` unchanged.
 
     Raises:
@@ -178,16 +178,16 @@ def _points(plan: Plan, base: dict[str, Any]) -> list[Point]:
         for value in values:
             _with_values(base, {path: round(value) if path in ends and takes_integers(path)
                                 else value}, "axes")  # fmt: skip
-    found: dict[str, Point] = {}
+    points_by_label: dict[str, Point] = {}
     every = combinations(axes, plan.zip, plan.samples, plan.draw_seed, takes_integers)
     for chosen in every:
         point = point_of(base, chosen)
-        if point.label in found and plan.samples:
+        if point.label in points_by_label and plan.samples:
             continue  # The same integers were sampled before.
-        if point.label in found:
+        if point.label in points_by_label:
             raise ConfigError(f"axes: the point {point.label} appears twice")
-        found[point.label] = point
-    return list(found.values())
+        points_by_label[point.label] = point
+    return list(points_by_label.values())
 
 
 def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
@@ -204,7 +204,9 @@ def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
     # Validated values make 1 and 1.0 the same point.
     dump = {ROOT: options.model_dump(mode="json")}
     values = {path: _value_at(dump, path) for path in chosen}
-    label = ", ".join(f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in chosen)
+    label = ", ".join(
+        f"{path.removeprefix(ROOT + '.')} {_format_value(values[path])}" for path in chosen
+    )
     return Point(label or BASE, values, options)
 
 
@@ -223,12 +225,12 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
             tree = tree.setdefault(name, {})
         tree[last] = value
     try:
-        return Config.model_validate(_replaced(base, overrides)).refine
+        return Config.model_validate(_override(base, overrides)).refine
     except ValidationError as error:
         raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
 
 
-def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+def _override(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     result = merged(base, overrides)
     terms = overrides.get(ROOT, {}).get("reward", {}).get("terms")
     if isinstance(terms, dict):  # The terms replace all terms of the base.
@@ -264,10 +266,10 @@ def _value_at(tree: dict[str, Any], path: str) -> Any:
     return value
 
 
-def _shown(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(plain(value))
+def _format_value(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(plain_value(value))
 
 
-def plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """Return a number, a string or a boolean unchanged, and any other value as JSON."""
     return value if isinstance(value, bool | int | float | str) else json.dumps(value)

@@ -10,7 +10,7 @@ from scipy import stats
 from ..render.plots import plot
 from .run_rows import Row
 
-RANKED = (("xy_error_m", "xy error"), ("d_drift", "D_drift"))
+RANK_COLUMNS = (("xy_error_m", "xy error"), ("d_drift", "D_drift"))
 """Columns by which points can be ranked, and their titles; the smallest value ranks first.
 
 These columns do not depend on the weights of the reward, which variants may change.
@@ -49,18 +49,22 @@ def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
     Returns:
         The mean ranks; None if there are fewer than three points, or if there is no such column.
     """
-    for name, title in RANKED:
+    for name, title in RANK_COLUMNS:
         cells: dict[str, dict[str, list[float]]] = {}
         for row in rows:
             value = row.get(name)
             if value is not None and math.isfinite(value):
                 cells.setdefault(row["scene"], {}).setdefault(row["point"], []).append(value)
-        whole = [scene for scene in cells.values() if all(point in scene for point in points)]
-        if len(points) < 3 or len(whole) < 2:
+        complete_scenes = [
+            scene for scene in cells.values() if all(point in scene for point in points)
+        ]
+        if len(points) < 3 or len(complete_scenes) < 2:
             continue
-        values = np.array([[np.mean(scene[point]) for point in points] for scene in whole])
+        values = np.array(
+            [[np.mean(scene[point]) for point in points] for scene in complete_scenes]
+        )
         means = stats.rankdata(values, axis=1).mean(axis=0)
-        count, number = len(points), len(whole)
+        count, number = len(points), len(complete_scenes)
         quantile = stats.studentized_range.ppf(1 - LEVEL, count, np.inf) / math.sqrt(2)
         critical = float(quantile) * math.sqrt(count * (count + 1) / (6 * number))
         tied = bool((values == values[:, :1]).all())
@@ -71,21 +75,23 @@ def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
     return None
 
 
-def cliques(found: Ranks) -> list[tuple[int, int]]:
+def cliques(mean_ranks: Ranks) -> list[tuple[int, int]]:
     """Return the maximal groups of points that do not differ significantly.
 
     Returns:
         Index of the first and of the last point of each group.
     """
     groups: list[tuple[int, int]] = []
-    for first, low in enumerate(found.means):
-        last = max(k for k, mean in enumerate(found.means) if mean - low <= found.critical)
+    for first, low in enumerate(mean_ranks.means):
+        last = max(
+            k for k, mean in enumerate(mean_ranks.means) if mean - low <= mean_ranks.critical
+        )
         if last > first and (not groups or last > groups[-1][1]):
             groups.append((first, last))
     return groups
 
 
-def draw_ranks(found: Ranks, form: Literal["svg", "pdf"]) -> bytes | None:
+def draw_ranks(mean_ranks: Ranks, file_format: Literal["svg", "pdf"]) -> bytes | None:
     """Draw mean ranks on an axis, and a bar for each group of `cliques`.
 
     If matplotlib is missing, return None.
@@ -93,29 +99,30 @@ def draw_ranks(found: Ranks, form: Literal["svg", "pdf"]) -> bytes | None:
 
     def fill(figure: Any) -> None:
         axes = figure.subplots()
-        bars = cliques(found)
+        bars = cliques(mean_ranks)
         for k, (first, last) in enumerate(bars):
             axes.plot(
-                [found.means[first] - 0.03, found.means[last] + 0.03], [-0.4 - 0.3 * k] * 2, "k",
+                [mean_ranks.means[first] - 0.03, mean_ranks.means[last] + 0.03], [-0.4 - 0.3 * k] * 2, "k",
                 linewidth=3,
             )  # fmt: skip
         top = -0.4 - 0.3 * len(bars)
-        for k, (point, mean) in enumerate(zip(found.points, found.means, strict=True)):
+        for k, (point, mean) in enumerate(zip(mean_ranks.points, mean_ranks.means, strict=True)):
             height = top - 0.5 * (k + 1)
             axes.plot([mean, mean], [0, height], color="0.6", linewidth=0.7)
             axes.text(mean, height, f" {point} ({mean:.2f})", fontsize=7, va="center")
-        axes.plot([1, 1 + found.critical], [0.6, 0.6], "k", linewidth=1.5)
-        axes.text(1, 0.8, f"critical difference {found.critical:.2f}", fontsize=7)
+        axes.plot([1, 1 + mean_ranks.critical], [0.6, 0.6], "k", linewidth=1.5)
+        axes.text(1, 0.8, f"critical difference {mean_ranks.critical:.2f}", fontsize=7)
         axes.set(
-            xlim=(0.9, len(found.points) + 1.5), ylim=(top - 0.5 * len(found.points) - 0.6, 1.3)
+            xlim=(0.9, len(mean_ranks.points) + 1.5),
+            ylim=(top - 0.5 * len(mean_ranks.points) - 0.6, 1.3),
         )
         axes.xaxis.tick_top()
         axes.yaxis.set_visible(False)
         for side in ("left", "right", "bottom"):
             axes.spines[side].set_visible(False)
         axes.set_title(
-            f"mean rank by {found.title} over {found.scenes} scenes; Friedman p "
-            f"{found.friedman_p:.2g}", fontsize=8,
+            f"mean rank by {mean_ranks.title} over {mean_ranks.scenes} scenes; Friedman p "
+            f"{mean_ranks.friedman_p:.2g}", fontsize=8,
         )  # fmt: skip
 
-    return plot((6.4, 1.6 + 0.17 * len(found.points)), fill, form)
+    return plot((6.4, 1.6 + 0.17 * len(mean_ranks.points)), fill, file_format)

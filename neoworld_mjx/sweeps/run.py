@@ -22,9 +22,9 @@ from ..spec import SceneSpec
 from .cases import Case, Source, case
 from .folder import FORMAT, RESULTS, SweepFolder
 from .group_runs import SweepPart, compute, forget_compiled, runs_at_once
-from .grouping import grouped, reasons
+from .grouping import group_points, grouping_reasons
 from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, Request, points, read, shared_config
+from .plan import Ablation, Plan, Request, points, read_plan, shared_config
 from .result import SweepResult, commit, stored_result
 from .run_rows import Key, Row, read_runs, row_key
 from .study import StudyTask, check_study, run_study
@@ -71,7 +71,7 @@ def sweep(
         RunError: the folder cannot be written, is in use, or contains files that must not be
             replaced.
     """
-    plan = read(plan, Plan)
+    plan = read_plan(plan, Plan)
     if plan.study is not None:
         if shard != (1, 1):
             raise ConfigError(
@@ -124,7 +124,7 @@ def ablate(
     static options runs twice, so that times exclude compilation. The arguments and errors are those
     of `sweep`.
     """
-    runner = _Runner(read(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
+    runner = _Runner(read_plan(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
     return runner.run(out, resume=resume, overwrite=overwrite)
 
 
@@ -157,13 +157,13 @@ def check(
         RunError: a row has another fingerprint or belongs to no run of the plan, or the folder
             cannot be read.
     """
-    runner = _Runner(read(plan, kind), cases, sources, engine, (1, 1), HERE, None)
+    runner = _Runner(read_plan(plan, kind), cases, sources, engine, (1, 1), HERE, None)
     rows = {row_key(row): row["fingerprint"] for row in read_runs(Path(out) / RESULTS)}
-    unlike = [key for key, mark in rows.items() if runner.fingerprints.get(key) != mark]
-    if unlike:
-        scene, point, seed = unlike[0]
+    mismatched = [key for key, mark in rows.items() if runner.fingerprints.get(key) != mark]
+    if mismatched:
+        scene, point, seed = mismatched[0]
         raise RunError(
-            f"{out}: {len(unlike)} of {len(rows)} rows come from other scenes, options or versions "
+            f"{out}: {len(mismatched)} of {len(rows)} rows come from other scenes, options or versions "
             f"than those of this plan here, such as scene {scene}, point {point}, seed {seed}: "
             "they must not be compared; compute them again with --resume"
         )
@@ -207,9 +207,11 @@ class _Runner:
         place: Place,
         on_iteration: OnIteration | None,
     ) -> None:
-        number, of = self.shard = shard
-        if not 1 <= number <= of:
-            raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{of}")
+        shard_number, shard_count = self.shard = shard
+        if not 1 <= shard_number <= shard_count:
+            raise ConfigError(
+                f"shard: K/N with K from 1 to N, such as 2/4, got {shard_number}/{shard_count}"
+            )
         self.plan, self.engine, self.place = plan, engine, place
         self.threads = place.threads
         self.on_iteration = on_iteration
@@ -220,17 +222,19 @@ class _Runner:
         self.by_model = any(scored_by_model(point.options) for point in self.points)
         _check_ledger(self.by_model, place)
         # Runs that wait for responses of a model cannot share a computation.
-        self.fold = plan.fold and not self.by_model
+        self.together = plan.fold and not self.by_model
         options = [point.options for point in self.points]
-        self.groups = grouped(options, fold=self.fold)
-        self.static = reasons(options, fold=self.fold)
+        self.groups = group_points(options, together=self.together)
+        self.static = grouping_reasons(options, together=self.together)
         if plan.fold and self.by_model:
             self.static.append("scores by a model: every run is a separate refinement")
         # Successive runs cost about the same, so taking every N-th run balances the shards.
-        every = list(self._fingerprints().items())
-        self.fingerprints = dict(every[number - 1 :: of])
+        all_runs = list(self._fingerprints().items())
+        self.fingerprints = dict(all_runs[shard_number - 1 :: shard_count])
         if not self.fingerprints:
-            raise ConfigError(f"shard: {number}/{of} of {len(every)} runs is empty")
+            raise ConfigError(
+                f"shard: {shard_number}/{shard_count} of {len(all_runs)} runs is empty"
+            )
         self.total = len(self.fingerprints)
         self.completed: dict[Key, Row] = {}
         self.folder: SweepFolder | None = None
@@ -239,12 +243,16 @@ class _Runner:
 
     def run(self, out: Path | str | None, *, resume: bool, overwrite: bool) -> SweepResult:
         """Compute all runs that `out` does not contain yet, and save the rows after each part."""
-        number, of = self.shard
-        share = f", of which shard {number}/{of} has {self.total}" if of > 1 else ""
-        every = len(self.points) * len(self.plan.seeds) * len(self.cases)
+        shard_number, shard_count = self.shard
+        share = (
+            f", of which shard {shard_number}/{shard_count} has {self.total}"
+            if shard_count > 1
+            else ""
+        )
+        run_count = len(self.points) * len(self.plan.seeds) * len(self.cases)
         report(
             f"{self.kind}: {len(self.points)} points x {len(self.plan.seeds)} seeds x "
-            f"{len(self.cases)} scenes = {every} runs{share}",
+            f"{len(self.cases)} scenes = {run_count} runs{share}",
             step=f"{self.kind} of {self.total} runs",
         )
         for line in self.static:
@@ -252,9 +260,9 @@ class _Runner:
         if out is None:
             return self._run_groups()
         with SweepFolder(Path(out), self.kind, resume=resume, overwrite=overwrite) as self.folder:
-            heads = self._heads()
+            run_columns = self._run_columns()
             completed = self.folder.completed(self.fingerprints)
-            self.completed = {key: row | heads[key] for key, row in completed.items()}
+            self.completed = {key: row | run_columns[key] for key, row in completed.items()}
             if self.completed:
                 report(f"{len(self.completed)} of {self.total} runs are complete")
             return self._run_groups()
@@ -264,13 +272,15 @@ class _Runner:
             self.scores = self._open_scores()
         self.about = self._about()
         forget_compiled()
-        began, before, heads = time.perf_counter(), len(self.completed), self._heads()
+        began, before, run_columns = time.perf_counter(), len(self.completed), self._run_columns()
         work = partial(compute, scores=self.scores)
         try:
             for part, rows, timing in run_tasks(work, self._parts(), self.place):
                 for (point, seed), row in zip(part.runs, rows, strict=True):
                     key = (part.case.name, point.label, seed)
-                    self.completed[key] = heads[key] | row | {"fingerprint": self.fingerprints[key]}
+                    self.completed[key] = (
+                        run_columns[key] | row | {"fingerprint": self.fingerprints[key]}
+                    )
                     _track(self.on_iteration, self.completed[key], point.values)
                 self.about["groups"].append(timing)
                 done = len(self.completed)
@@ -291,7 +301,7 @@ class _Runner:
             self.scores.close()
         return result
 
-    def _heads(self) -> dict[Key, Row]:
+    def _run_columns(self) -> dict[Key, Row]:
         """Return the columns that identify each run: scene, point, seed and values of the point."""
         values = {point.label: point.values for point in self.points}
         return {
@@ -313,13 +323,13 @@ class _Runner:
                     if (key := (scene.name, point.label, seed)) in self.fingerprints
                     and key not in self.completed
                 ]
-                size = runs_at_once(options) if self.fold else 1
+                size = runs_at_once(options) if self.together else 1
                 if self.place.processes > 1 or self.place.remote:
                     size = min(size, len(self.plan.seeds))  # One point per task.
                 for first in range(0, len(pending), size):
                     runs = tuple(pending[first : first + size])
                     parts.append(
-                        SweepPart(scene, scene_hash, options, runs, self.fold, self.engine,
+                        SweepPart(scene, scene_hash, options, runs, self.together, self.engine,
                              self.threads)
                     )  # fmt: skip
         return parts
@@ -347,7 +357,7 @@ class _Runner:
         """Return the fingerprint of every run, a hash of its inputs, in the order of the table."""
         shared = {
             "versions": versions(),
-            "fold": self.fold,
+            "fold": self.together,
             "engine": None if self.engine is None else self.engine.name,
         }
         config = shared_config(self.plan)
@@ -400,7 +410,7 @@ def _cases(
     if sources is None and not place.remote:
         # Scenes of the benchmark are composed here, which takes seconds.
         report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
-        named = {each.name: each for each in run_tasks(_read_case, plan.scenes, place)}
+        named = {loaded.name: loaded for loaded in run_tasks(_read_case, plan.scenes, place)}
         cases = [named[name] for name in plan.scenes]
     else:
         cases = [case(name, sources) for name in plan.scenes]

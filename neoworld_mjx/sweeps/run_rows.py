@@ -13,10 +13,10 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..refinement.choosing import Winner
 from ..refinement.outcome import Refined, iteration_summary
-from ..refinement.search_run import FirstValid, SearchResult
+from ..refinement.search_run import SearchResult, TimeToValid
 from ..spec import SceneSpec
 from .cases import Case
-from .plan import plain
+from .plan import plain_value
 
 Row = dict[str, Any]
 """Row of a run (scene, point, seed, values of the point, and results), or of an iteration."""
@@ -149,7 +149,7 @@ def row_of_search(
     }
 
 
-def _first_valid_columns(first: FirstValid | None) -> Row:
+def _first_valid_columns(first: TimeToValid | None) -> Row:
     return {
         "iterations_to_valid": None if first is None else first.iteration,
         "rollouts_to_valid": None if first is None else first.rollouts,
@@ -205,8 +205,8 @@ def iteration_rows(steps: Sequence[Row]) -> list[Row]:
     for t, step in enumerate(steps, start=1):
         rollouts += step["rollouts"]
         for name, value in so_far.items():
-            known = [x for x in (value, step[name]) if x is not None]
-            so_far[name] = max(known, default=None)
+            values = [x for x in (value, step[name]) if x is not None]
+            so_far[name] = max(values, default=None)
         columns = {TERM_COLUMNS.get(name, name): value for name, value in step.items()}
         rows.append({"iteration": t, **columns, **so_far, "rollouts": rollouts})
     return rows
@@ -229,8 +229,8 @@ def write_runs(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:
     Raises:
         RunError: the file cannot be written.
     """
-    kinds = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
-    _write(path, rows, kinds | COLUMNS | dict.fromkeys(term_columns(rows), float))
+    column_types = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
+    _write(path, rows, column_types | COLUMNS | dict.fromkeys(term_columns(rows), float))
 
 
 def write_iterations(path: Path, rows: Sequence[Row]) -> None:
@@ -271,14 +271,16 @@ def add_iterations(path: Path, rows: Sequence[Row]) -> list[Row]:
     return [row | {"history": histories[row_key(row)]} for row in rows]
 
 
-def _write(path: Path, rows: Sequence[Row], kinds: Mapping[str, type]) -> None:
-    cells = [{name: _cell(row.get(name), kind) for name, kind in kinds.items()} for row in rows]
-    parquet_files.write_rows(path, cells, kinds, RunError)
+def _write(path: Path, rows: Sequence[Row], column_types: Mapping[str, type]) -> None:
+    cells = [
+        {name: _cell(row.get(name), kind) for name, kind in column_types.items()} for row in rows
+    ]
+    parquet_files.write_rows(path, cells, column_types, RunError)
 
 
 def _column_type(values: Sequence[Any]) -> type:
     """Return the type of a column that can contain all values of an axis."""
-    types = {type(plain(value)) for value in values if value is not None}
+    types = {type(plain_value(value)) for value in values if value is not None}
     if types == {int, float}:
         return float
     return types.pop() if len(types) == 1 else str
@@ -287,4 +289,4 @@ def _column_type(values: Sequence[Any]) -> type:
 def _cell(value: Any, kind: type) -> Any:
     if value is None:
         return None
-    return kind(plain(value) if kind is str else value)
+    return kind(plain_value(value) if kind is str else value)

@@ -141,66 +141,75 @@ def _trials(
     rows: list[Row],
     earlier: Mapping[str, Any] | None,
 ) -> SweepResult:
-    optuna, wanted = open_optuna(), plan.study
-    assert wanted is not None
+    optuna, options = open_optuna(), plan.study
+    assert options is not None
     study = _open_study(plan, optuna, folder)
     complete = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
-    ended = [trial for trial in study.get_trials(deepcopy=False) if trial.state in complete]
-    labels = {trial.user_attrs["point"] for trial in ended}
+    finished_trials = [
+        trial for trial in study.get_trials(deepcopy=False) if trial.state in complete
+    ]
+    labels = {trial.user_attrs["point"] for trial in finished_trials}
     by_point = {label: [row for row in rows if row["point"] == label] for label in labels}
-    found = list((earlier or {}).get("points", []))
-    about: dict[str, Any] = {"points": [p for p in found if p["label"] in labels], "groups": []}
+    earlier_points = list((earlier or {}).get("points", []))
+    about: dict[str, Any] = {
+        "points": [p for p in earlier_points if p["label"] in labels],
+        "groups": [],
+    }
     base = shared_config(plan).model_dump(mode="json")
     result: SweepResult | None = None
-    for first in range(len(ended), wanted.trials, width):
-        asked = [study.ask() for _ in range(first, min(first + width, wanted.trials))]
-        chosen = [point_of(base, _suggested(plan, trial)) for trial in asked]
-        for trial, point in zip(asked, chosen, strict=True):
+    for first in range(len(finished_trials), options.trials, width):
+        trials = [study.ask() for _ in range(first, min(first + width, options.trials))]
+        trial_points = [point_of(base, _suggest_values(plan, trial)) for trial in trials]
+        for trial, point in zip(trials, trial_points, strict=True):
             trial.set_user_attr("point", point.label)
-        collected: list[list[Row]] = [[] for _ in asked]
-        left = list(range(len(asked)))
+        collected: list[list[Row]] = [[] for _ in trials]
+        running = list(range(len(trials)))
         # With pruning, scenes are run one after the other; otherwise all are run at once.
-        for scenes in [[case] for case in cases] if wanted.prune else [cases]:
-            tasks = [StudyTask(k, _alone(plan, chosen[k]), case) for k in left for case in scenes]
+        for scenes in [[case] for case in cases] if options.prune else [cases]:
+            tasks = [
+                StudyTask(k, _single_point_plan(plan, trial_points[k]), case)
+                for k in running
+                for case in scenes
+            ]
             for k, part in run_points(tasks):
                 collected[k] += part.rows
                 groups = about["groups"] + part.about["groups"]
                 about = {**part.about, "points": about["points"], "groups": groups}
-            for k in left:
+            for k in running:
                 step = len({row["scene"] for row in collected[k]})
-                asked[k].report(_value(collected[k], plan), step=step)
-            if wanted.prune and scenes[-1] is not cases[-1]:
-                ending = [k for k in left if asked[k].should_prune()]
+                trials[k].report(_value(collected[k], plan), step=step)
+            if options.prune and scenes[-1] is not cases[-1]:
+                ending = [k for k in running if trials[k].should_prune()]
                 for k in ending:
-                    study.tell(asked[k], state=optuna.trial.TrialState.PRUNED)
-                left = [k for k in left if k not in ending]
-        for k, point in enumerate(chosen):
-            if k in left:
-                study.tell(asked[k], _value(collected[k], plan))
+                    study.tell(trials[k], state=optuna.trial.TrialState.PRUNED)
+                running = [k for k in running if k not in ending]
+        for k, point in enumerate(trial_points):
+            if k in running:
+                study.tell(trials[k], _value(collected[k], plan))
             if point.label not in by_point:
                 about["points"].append({"label": point.label, **point.values})
             order = [case.name for case in cases]
             by_point[point.label] = sorted(
                 collected[k], key=lambda row: (order.index(row["scene"]), row["seed"])
             )
-            report(f"trial {first + k + 1} of {wanted.trials}: {point.label}: "
-                   f"{wanted.goal} {_value(collected[k], plan):.4g}")  # fmt: skip
-        result = _saved(plan, cases, about, by_point, folder, first + width >= wanted.trials)
+            report(f"trial {first + k + 1} of {options.trials}: {point.label}: "
+                   f"{options.goal} {_value(collected[k], plan):.4g}")  # fmt: skip
+        result = _save(plan, cases, about, by_point, folder, first + width >= options.trials)
     if result is None:
         if earlier is None or "kind" not in earlier:
             raise RunError("the study is complete, but its sweep.json is damaged; use --overwrite")
         about = {**earlier, "points": about["points"]}
-        result = _saved(plan, cases, about, by_point, folder, finished=True)
+        result = _save(plan, cases, about, by_point, folder, finished=True)
     return result
 
 
-def _alone(plan: Plan, point: Point) -> Plan:
+def _single_point_plan(plan: Plan, point: Point) -> Plan:
     """Return a plan whose only point is the given one, without scenes."""
     axes = {path: [value] for path, value in point.values.items()}
     return plan.model_copy(update={"axes": axes, "study": None, "scenes": ()})
 
 
-def _saved(
+def _save(
     plan: Plan,
     cases: Sequence[Case],
     about: dict[str, Any],
@@ -208,22 +217,22 @@ def _saved(
     folder: SweepFolder | None,
     finished: bool,
 ) -> SweepResult:
-    wanted = plan.study
-    assert wanted is not None
+    options = plan.study
+    assert options is not None
     values = {label: _value(rows, plan) for label, rows in by_point.items()}
-    pick = max if wanted.direction == "maximize" else min
+    best_of = max if options.direction == "maximize" else min
     # A pruned trial lacks the rows of some scenes.
-    whole = {
+    complete = {
         label: value
         for label, value in values.items()
         if len(by_point[label]) == len(cases) * len(plan.seeds)
     }
-    best = pick(whole, key=lambda label: whole[label]) if whole else None
+    best = best_of(complete, key=lambda label: complete[label]) if complete else None
     about = {
         **about,
         "plan": _json(plan),
         "scenes": [case.name for case in cases],
-        "best": None if best is None else {"point": best, wanted.goal: whole[best]},
+        "best": None if best is None else {"point": best, options.goal: complete[best]},
     }
     rows = [row for point in about["points"] for row in by_point[point["label"]]]
     return stored_result(rows, about, folder, finished=finished)
@@ -263,19 +272,19 @@ def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
     return study
 
 
-def _suggested(plan: Plan, trial: Any) -> dict[str, Any]:
+def _suggest_values(plan: Plan, trial: Any) -> dict[str, Any]:
     axes = read_axes(plan.axes, takes_integers)
-    chosen: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for path in plan.axes:
         limits = axes.ranges.get(path)
         if limits is None:
-            chosen[path] = trial.suggest_categorical(path, axes.lists[path])
+            values[path] = trial.suggest_categorical(path, axes.lists[path])
         elif takes_integers(path):
             ends = round(limits.low), round(limits.high)
-            chosen[path] = trial.suggest_int(path, *ends, log=limits.log)
+            values[path] = trial.suggest_int(path, *ends, log=limits.log)
         else:
-            chosen[path] = trial.suggest_float(path, limits.low, limits.high, log=limits.log)
-    return chosen
+            values[path] = trial.suggest_float(path, limits.low, limits.high, log=limits.log)
+    return values
 
 
 def _value(rows: Sequence[Row], plan: Plan) -> float:

@@ -82,7 +82,7 @@ def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, An
         if point != BASE
     ]
     for name in TESTED:
-        tested = [each[name] for each in compared if name in each]
+        tested = [entry[name] for entry in compared if name in entry]
         for entry, p in zip(tested, holm([entry["sign_p"] for entry in tested]), strict=True):
             entry["holm_p"] = p
     return compared
@@ -98,14 +98,14 @@ def _estimates(
     result: dict[str, Any] = {"point": point, "n": len(groups), "scenes": len(set(scenes))}
     for column in _columns(rows):
         values = [tuple(row.get(column.name) for row in group) for group in groups]
-        known = [k for k, group in enumerate(values) if all(map(_known, group))]
+        known = [k for k, group in enumerate(values) if all(map(_is_finite, group))]
         if known:
-            of = [scenes[k] for k in known]
-            result[column.name] = estimate(column.name, [values[k] for k in known], of)
+            known_scenes = [scenes[k] for k in known]
+            result[column.name] = estimate(column.name, [values[k] for k in known], known_scenes)
     return result
 
 
-def _known(value: Any) -> bool:
+def _is_finite(value: Any) -> bool:
     return value is not None and math.isfinite(value)
 
 
@@ -121,11 +121,11 @@ def _of_values(name: str, values: Sequence[tuple[Any]], scenes: Sequence[str]) -
 
 def _of_pairs(name: str, pairs: Sequence[tuple[Any, Any]], scenes: Sequence[str]) -> dict[str, Any]:
     differences = [float(a) - float(b) for a, b in pairs]
-    found: Estimate = mean(differences, scenes)
+    estimate: Estimate = mean(differences, scenes)
     if name in RATES:
-        found = rate_difference([a for a, _ in pairs], [b for _, b in pairs], scenes)
+        estimate = rate_difference([a for a, _ in pairs], [b for _, b in pairs], scenes)
     tested = paired_test(differences, scenes)._asdict() if name in TESTED else {}
-    return found._asdict() | tested
+    return estimate._asdict() | tested
 
 
 def flat(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import ConfigError, EngineError, RunError, choices
-from .plan import plain
+from .plan import plain_value
 
 
 class TrackedRun(NamedTuple):
@@ -102,7 +102,7 @@ def _wandb(module: Any, place: str) -> Iterator[OnIteration]:
         if run.title not in runs:
             for name in list(runs):  # The previous run is complete.
                 runs.pop(name).finish()
-            config = {name: plain(value) for name, value in run.values.items()}
+            config = {name: plain_value(value) for name, value in run.values.items()}
             runs[run.title] = module.init(
                 project=place, name=run.title, group=run.point, reinit="create_new",
                 config=config | {"scene": run.scene, "seed": run.seed},
@@ -129,7 +129,7 @@ def _mlflow(module: Any, place: str) -> Iterator[OnIteration]:
             runs[run.title] = client.create_run(experiment, run_name=run.title).info.run_id
             names = {"scene": run.scene, "point": run.point, "seed": run.seed, **run.values}
             for name, value in names.items():
-                client.log_param(runs[run.title], name, plain(value))
+                client.log_param(runs[run.title], name, plain_value(value))
         for name, value in _numbers(summary).items():
             client.log_metric(runs[run.title], name, value, step=summary["iteration"])
 

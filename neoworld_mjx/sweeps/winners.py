@@ -19,7 +19,7 @@ from ..config import RefineOptions
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..progress import report
-from ..refinement.choosing import Winner, choose
+from ..refinement.choosing import Winner, choose_winner
 from ..refinement.compiling import compile_for_search
 from ..refinement.finishing import Finished
 from ..refinement.rounds import Round
@@ -87,10 +87,10 @@ def choose_in_processes(
     environment = os.environ | {"PYTHONPATH": path, "JAX_PLATFORMS": "cpu"}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-    def choose(share: list[_Job]) -> list[Winner] | str:
+    def run_process(jobs_of_process: list[_Job]) -> list[Winner] | str:
         process = subprocess.run(
             [sys.executable, "-m", __name__],
-            input=pickle.dumps((scene, compile_options, share)),
+            input=pickle.dumps((scene, compile_options, jobs_of_process)),
             capture_output=True,
             env=environment,
             check=False,
@@ -101,7 +101,7 @@ def choose_in_processes(
         return pickle.loads(process.stdout)
 
     with ThreadPoolExecutor(processes) as pool:
-        outcomes = list(pool.map(choose, [jobs[k::processes] for k in range(processes)]))
+        outcomes = list(pool.map(run_process, [jobs[k::processes] for k in range(processes)]))
     chosen: list[Any] = [None] * len(jobs)
     for k, outcome in enumerate(outcomes):
         if isinstance(outcome, str):
@@ -119,7 +119,7 @@ def _job(result: SearchResult) -> _Job:
 
 
 def _winner(model: SceneModel, job: _Job, searched: SceneModel) -> Winner:
-    return choose(
+    return choose_winner(
         model,
         job.rounds,
         job.options,

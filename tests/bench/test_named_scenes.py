@@ -8,7 +8,7 @@ from neoworld_bench.named_scenes import SOURCES
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.sweeps.cases import case
-from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
+from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read_plan
 from tests.support.scenes import compile_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -57,7 +57,7 @@ def test_photo_scenes_have_a_photograph_and_box_overlap():
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.name)
 def test_plans_of_the_repository_name_existing_scenes(path):
-    plan = read(path, Ablation if path.parent.name == "ablations" else Plan)
+    plan = read_plan(path, Ablation if path.parent.name == "ablations" else Plan)
     assert len(points(plan)) > 1
     for name in plan.scenes:
         kind, colon, inner = name.partition("#")[0].partition("@")[0].partition(":")

@@ -10,7 +10,7 @@ from neoworld_bench.measures import parse_measure
 from neoworld_bench.measures.parse_measure import match
 
 from neoworld_mjx.measure import iou_2d, iou_3d
-from neoworld_mjx.measure.boxes import shared_footprint, upright
+from neoworld_mjx.measure.boxes import polygon_intersection, upright
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, SceneTree, TreeNode
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=0.6, pitch=0.7)
@@ -92,7 +92,7 @@ def test_shared_footprint_agrees_with_monte_carlo(at, size, turn):
         return (np.abs(local) <= np.array(box.size[:2]) / 2).all(axis=1)
 
     counted = (inside(a) & inside(b)).sum() / 1600
-    assert shared_footprint(footprint(a), footprint(b)) == pytest.approx(counted, abs=0.06)
+    assert polygon_intersection(footprint(a), footprint(b)) == pytest.approx(counted, abs=0.06)
 
 
 def test_upright_box_of_a_lying_object():

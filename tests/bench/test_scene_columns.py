@@ -19,7 +19,7 @@ from neoworld_mjx.spec import (
     SceneObject,
     SceneSpec,
 )
-from neoworld_mjx.sweeps.plan import Ablation, points, read
+from neoworld_mjx.sweeps.plan import Ablation, points, read_plan
 
 LABELS = {
     "without_s_sem": "without S_sem",
@@ -30,7 +30,9 @@ LABELS = {
 
 
 def test_ablation_methods_match_the_configured_ablations():
-    by_label = {p.label: p.options for p in points(read("configs/ablations/refine.yaml", Ablation))}
+    by_label = {
+        p.label: p.options for p in points(read_plan("configs/ablations/refine.yaml", Ablation))
+    }
     assert set(LABELS) == set(ABLATIONS)
     for method, label in LABELS.items():
         changed = SEARCHES[method](RefineOptions())

@@ -27,8 +27,8 @@ from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.io.parquet_files import write_rows
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.settling import moved
-from neoworld_mjx.physics.support import footprint
+from neoworld_mjx.physics.settling import with_world_poses
+from neoworld_mjx.physics.support import underside_points
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
 from tests.support.scenes import compile_scene
@@ -176,7 +176,7 @@ def test_moved_objects_have_their_new_poses():
     scene = truth_scene(declarations()["pipes_and_plank"])
     poses = world_poses(scene)
     ends = {"plank": poses["brick"], "tin": poses["plank"]}
-    placed = world_poses(moved(scene, ends))
+    placed = world_poses(with_world_poses(scene, ends))
     for name, end in ends.items():
         np.testing.assert_allclose(placed[name].pos, end.pos, atol=1e-9)
         assert abs(placed[name].quat @ end.quat) == pytest.approx(1.0)
@@ -324,7 +324,7 @@ def test_warm_up_engine_simulates_one_candidate_for_all():
 
 def test_footprint_of_a_lid_has_rim_and_plug():
     truth = truth_scene(declarations()["nested_lids"])
-    foot = footprint(truth.object("lid_0"))
+    foot = underside_points(truth.object("lid_0"))
     foot = foot[np.isfinite(foot[:, 2])]
     rim = foot[:, 2] > foot[:, 2].min() + 0.005
     radius = np.linalg.norm(foot[:, :2], axis=1)

@@ -10,9 +10,9 @@ from benchmarks import page, sweep_figures
 from benchmarks.sweep_figures import Swept, overview, sweep_figure
 from neoworld_mjx.sweeps import Ablation, Plan
 from neoworld_mjx.sweeps.folder import SweepFolder
-from neoworld_mjx.sweeps.plan import points, read
+from neoworld_mjx.sweeps.plan import points, read_plan
 from neoworld_mjx.sweeps.result import stored_result
-from neoworld_mjx.sweeps.run_rows import plain
+from neoworld_mjx.sweeps.run_rows import plain_value
 
 XY, SMOOTH, DRIFT = "refine.cem.sigma_xy", "refine.cem.smoothing", "refine.max_drift_m"
 ROOT = figure_files.ROOT
@@ -25,7 +25,7 @@ def written(tmp_path, plan, row, kind=Plan, *, finished=True):
     (tmp_path / verb).mkdir(exist_ok=True)
     file = tmp_path / verb / "plan.yaml"
     file.write_text(yaml.safe_dump({"scenes": SCENES, "seeds": 2} | plan))
-    read_plan = read(file, kind)
+    read_plan = read_plan(file, kind)
     rows = [
         {"scene": scene, "point": point.label, "seed": seed, "fingerprint": "0"}
         | point.values
@@ -197,11 +197,11 @@ def test_plans_of_figures_have_the_base_among_their_values(name):
     """Plans that `sweep_figure` would refuse after hours are refused at once."""
     swept = page.read_contents().swept[name]
     file, ablation = ROOT / swept.plan, "ablations" in swept.plan
-    plan = read(file, Ablation) if ablation else read(file, Plan)
+    plan = read_plan(file, Ablation) if ablation else read_plan(file, Plan)
     assert swept.command.split()[:3] == ["neoworld", "ablate" if ablation else "sweep",
                                          swept.plan]  # fmt: skip
     rows = [
-        {path: plain(value) for path, value in point.values.items()} | {"scene": scene}
+        {path: plain_value(value) for path, value in point.values.items()} | {"scene": scene}
         for point in points(plan)
         for scene in plan.scenes
     ]

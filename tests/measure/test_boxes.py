@@ -7,11 +7,11 @@ import pytest
 
 from neoworld_mjx.measure.boxes import (
     footprint,
+    intersection_2d,
+    intersection_3d,
     iou_2d,
     iou_3d,
-    shared_2d,
-    shared_3d,
-    shared_footprint,
+    polygon_intersection,
     support_footprint,
     upright,
 )
@@ -39,7 +39,7 @@ def node(box, **fields):
 )
 def test_the_shared_area_of_boxes_in_pixels(a, b, shared):
     area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
-    assert shared_2d(a, b) == shared_2d(b, a) == shared
+    assert intersection_2d(a, b) == intersection_2d(b, a) == shared
     assert iou_2d(a, b) == pytest.approx(shared / (area(a) + area(b) - shared))
 
 
@@ -92,7 +92,9 @@ def test_a_tilted_box_has_an_upright_one_around_it():
     corners = box.corners(leaning)
     flat = footprint(around)
     for corner in corners[:, :2]:
-        assert shared_footprint(flat, corner + 1e-4 * (footprint(around) - flat.mean(axis=0))) > 0
+        assert (
+            polygon_intersection(flat, corner + 1e-4 * (footprint(around) - flat.mean(axis=0))) > 0
+        )
     assert around.position[2] == corners[:, 2].min() == 0.5
     assert around.size[2] == pytest.approx(np.ptp(corners[:, 2]))
     assert around.yaw == 0.3
@@ -103,24 +105,24 @@ def test_a_tilted_box_has_an_upright_one_around_it():
 def test_the_shared_area_of_polygons():
     square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
     triangle = np.array([[1.0, 1], [3, 1], [1, 3]])
-    assert shared_footprint(square, square) == pytest.approx(4.0)
-    assert shared_footprint(square, triangle) == pytest.approx(1.0)
-    assert shared_footprint(triangle, square) == pytest.approx(1.0)
-    assert shared_footprint(square, square + [3.0, 0.0]) == 0.0
-    assert shared_footprint(square, square + [2.0, 0.0]) == 0.0
-    assert shared_footprint(square, 0.25 * square + 0.5) == pytest.approx(0.25)
+    assert polygon_intersection(square, square) == pytest.approx(4.0)
+    assert polygon_intersection(square, triangle) == pytest.approx(1.0)
+    assert polygon_intersection(triangle, square) == pytest.approx(1.0)
+    assert polygon_intersection(square, square + [3.0, 0.0]) == 0.0
+    assert polygon_intersection(square, square + [2.0, 0.0]) == 0.0
+    assert polygon_intersection(square, 0.25 * square + 0.5) == pytest.approx(0.25)
     # A concave one, of which the other covers the notch.
     ell = np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
-    assert shared_footprint(ell, square) == pytest.approx(3.0)
-    assert shared_footprint(ell, square + 1.0) == pytest.approx(0.0, abs=1e-12)
+    assert polygon_intersection(ell, square) == pytest.approx(3.0)
+    assert polygon_intersection(ell, square + 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_shared_volume_of_boxes():
     a = Box3D(position=(0.0, 0.0, 0.0), size=(2.0, 1.0, 3.0))
     above = a.model_copy(update={"position": (1.0, 0.5, 2.0)})
-    assert shared_3d(a, above) == shared_3d(above, a) == pytest.approx(0.5)
+    assert intersection_3d(a, above) == intersection_3d(above, a) == pytest.approx(0.5)
     assert iou_3d(a, above) == pytest.approx(0.5 / 11.5)
-    assert shared_3d(a, a.model_copy(update={"position": (0.0, 0.0, 3.0)})) == 0.0
+    assert intersection_3d(a, a.model_copy(update={"position": (0.0, 0.0, 3.0)})) == 0.0
     assert iou_3d(a, a.model_copy(update={"position": (0.0, 0.0, 4.0)})) == 0.0
     across = a.model_copy(update={"yaw": math.pi / 2, "size": (2.0, 1.0, 1.0)})
-    assert shared_3d(a, across) == pytest.approx(1.0)
+    assert intersection_3d(a, across) == pytest.approx(1.0)

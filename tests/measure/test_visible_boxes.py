@@ -56,9 +56,9 @@ def test_a_side_is_an_objects_own_without_an_occluder(scene):
     )
     shown = shown_sides(scenes.on_table(near, far, cut))
     assert set(shown) == {"near", "far", "cut"}
-    assert shown["near"].ends.all() and shown["near"].inside.all()
+    assert shown["near"].object_ends.all() and shown["near"].inside.all()
     # Left, top, right, bottom: the near one stands before the lower side of the far one.
-    assert shown["far"].ends.tolist() == [True, True, True, False]
+    assert shown["far"].object_ends.tolist() == [True, True, True, False]
     assert shown["far"].inside.all()
-    assert not shown["cut"].inside[0] and not shown["cut"].ends[0]
-    assert shown["cut"].ends[2]
+    assert not shown["cut"].inside[0] and not shown["cut"].object_ends[0]
+    assert shown["cut"].object_ends[2]

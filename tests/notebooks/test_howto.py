@@ -9,7 +9,7 @@ import numpy as np
 
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import measured_in_chunks
+from neoworld_mjx.physics.placed import measure_in_chunks
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from tests.support import scenes
@@ -35,7 +35,7 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
     layouts = jax.device_put(scenes.noisy_layouts(scene, 4))
     poses = scene.place(layouts)
     rollout = NativeEngine().rollout(scene, poses, duration=0.1)
-    placed = measured_in_chunks(scene, poses, poses)
+    placed = measure_in_chunks(scene, poses, poses)
 
     def scored(of):
         return evaluate(scene, layouts, placed, rollout, open_objective(of))

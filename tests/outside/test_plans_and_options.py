@@ -11,7 +11,7 @@ from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.refinement.objective import named_terms
 from neoworld_mjx.sweeps.folder import SweepFolder
-from neoworld_mjx.sweeps.plan import Plan, points, read
+from neoworld_mjx.sweeps.plan import Plan, points, read_plan
 from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
 
 
@@ -47,9 +47,9 @@ def test_a_sweep_of_too_many_points_or_seeds_is_an_error_at_once():
         for name in ("w_sem", "w_pen", "w_drift", "w_prior")
     }
     with pytest.raises(ConfigError, match="axes: 1000000000000 points, at most 10000"):
-        points(read({"axes": axes}, Plan))
+        points(read_plan({"axes": axes}, Plan))
     with pytest.raises(ConfigError, match="10000000 seeds, at most 10000"):
-        read({"seeds": tuple(range(10**7))}, Plan)
+        read_plan({"seeds": tuple(range(10**7))}, Plan)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from neoworld_mjx.engines import share_gpu_memory
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics import automatic, engine_costs
 from neoworld_mjx.physics.automatic import AutomaticEngine
-from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.settling import with_damped_joints
@@ -36,7 +36,7 @@ class Timed:
         pop = poses.scale.shape[0]
         self.sizes.append(pop)
         self.clock[0] += self.fixed + self.each * pop
-        return unmoved(scene, poses)
+        return zero_duration_rollout(scene, poses)
 
 
 def test_a_scene_with_damped_joints_counts_as_started_with_its_scene(clock):

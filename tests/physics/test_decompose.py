@@ -10,9 +10,15 @@ from scipy.spatial import ConvexHull
 from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
-from neoworld_mjx.physics.decompose import _coacd, _filled, _simplified, convex_pieces, installed
+from neoworld_mjx.physics.decompose import (
+    _coacd,
+    _fill_small_holes,
+    _simplify,
+    coacd_installed,
+    convex_pieces,
+)
 
-pytestmark = pytest.mark.skipif(not installed(), reason="CoACD is not installed")
+pytestmark = pytest.mark.skipif(not coacd_installed(), reason="CoACD is not installed")
 OUTER, INNER = 0.1, 0.085
 
 
@@ -74,9 +80,9 @@ def tray_of_a_box() -> trimesh.Trimesh:
 
 def test_small_holes_alone_are_filled():
     tray = tray_of_a_box()
-    assert _filled(tray) is tray
+    assert _fill_small_holes(tray) is tray
     column = _without(trimesh.creation.box((0.04, 0.04, 0.4)).subdivide(), 0)
-    assert _filled(column).is_watertight
+    assert _fill_small_holes(column).is_watertight
 
 
 @pytest.mark.slow
@@ -91,7 +97,7 @@ def test_an_open_box_stays_hollow():
 
 def test_simplification_moves_the_surface_by_a_few_thousandths_of_the_size():
     mesh = bowl(50, 200)
-    vertices, faces = _simplified(mesh)
+    vertices, faces = _simplify(mesh)
     coarse = trimesh.Trimesh(vertices, faces)
     assert coarse.is_watertight
     assert len(faces) < len(mesh.faces) / 4
@@ -101,5 +107,5 @@ def test_simplification_moves_the_surface_by_a_few_thousandths_of_the_size():
 def test_a_surface_that_is_not_orientable_is_left_as_it_is():
     mesh = trimesh.creation.box()
     flipped = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces[:6], mesh.faces[6:, ::-1]]))
-    vertices, faces = _simplified(flipped)
+    vertices, faces = _simplify(flipped)
     assert len(faces) == len(flipped.faces) and len(vertices) == len(flipped.vertices)

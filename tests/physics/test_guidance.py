@@ -8,12 +8,12 @@ from neoworld_mjx.physics.exact import start_state
 from neoworld_mjx.physics.guidance import (
     FreeBodies,
     Guidance,
-    Held,
+    GuidedBodies,
     Springs,
-    forces,
     free_bodies,
-    held,
-    limited,
+    guided_bodies,
+    limit_speed,
+    spring_forces,
     springs,
 )
 from neoworld_mjx.physics.layout import Layout
@@ -40,7 +40,7 @@ def floating(gravity=(0.0, 0.0, 0.0)):
 def released(data, model, guidance, seconds):
     """Move under springs to the start pose; return the times and the coordinates."""
     bodies = free_bodies(model, model.key("start").qpos)
-    hold = Held(bodies, springs(bodies, model.key("start").qpos[bodies.qpos]))
+    hold = GuidedBodies(bodies, springs(bodies, model.key("start").qpos[bodies.qpos]))
     times, states = [], []
     for _ in range(round(seconds / STEP)):
         data.qfrc_applied[:], data.qvel[:] = hold.push(guidance, data.time, data.qpos, data.qvel)
@@ -97,7 +97,7 @@ def test_an_object_sags_by_gravity_over_the_squared_rate():
 
 def test_the_speed_is_limited_and_its_direction_kept():
     qvel = np.array([[[3.0, 0.0, -4.0, 9.0, 8.0, 7.0], [0.1, 0.2, 0.3, 0.0, 0.0, 50.0]]])
-    slow = limited(qvel, 2.0)
+    slow = limit_speed(qvel, 2.0)
     np.testing.assert_allclose(slow[0, 0], np.array([3.0, 0.0, -4.0, 9.0, 8.0, 7.0]) * 2 / 5)
     np.testing.assert_array_equal(slow[0, 1], qvel[0, 1])
     model, data = floating(gravity=(0.0, 0.0, -9.81))
@@ -111,10 +111,12 @@ def test_the_speed_is_limited_and_its_direction_kept():
 
 def test_springs_fade_linearly_to_zero():
     guidance = Guidance(rate=RATE, fade_s=0.8, max_speed=10.0)
-    np.testing.assert_allclose(guidance.share(np.array([0.0, 0.2, 0.8, 5.0])), [1, 0.75, 0, 0])
+    np.testing.assert_allclose(
+        guidance.fade_factor(np.array([0.0, 0.2, 0.8, 5.0])), [1, 0.75, 0, 0]
+    )
     model, data = floating()
     bodies = free_bodies(model, data.qpos)
-    hold = Held(bodies, springs(bodies, data.qpos[bodies.qpos]))
+    hold = GuidedBodies(bodies, springs(bodies, data.qpos[bodies.qpos]))
     data.qpos[0] += 0.1
     full, quarter, none = (hold.push(guidance, t, data.qpos, data.qvel)[0] for t in (0.0, 0.6, 0.8))
     mass = model.body_subtreemass[1]
@@ -137,7 +139,7 @@ def test_forces_have_no_singularity_at_half_a_turn_or_at_rest():
             body.center,
             body.inertia,
         )
-        force = forces(spring, RATE, at, np.zeros((1, 1, 6)))
+        force = spring_forces(spring, RATE, at, np.zeros((1, 1, 6)))
         np.testing.assert_allclose(force[0, 0], [0, 0, 0, 0, 0, -angle * RATE**2], rtol=1e-4)
 
 
@@ -146,7 +148,7 @@ def test_scaled_candidates_have_the_masses_and_centers_of_their_models():
     logs = np.tile(np.float32([[-0.2], [0.0], [0.3]]), (1, len(scene.names)))
     layouts = Layout.zero(3, len(scene.names))
     poses = scene.place_exactly(Layout(layouts.xy, layouts.yaw, logs * np.asarray(scene.optimised)))
-    found = held(scene, poses, np)
+    found = guided_bodies(scene, poses, np)
     for k in range(3):
         model, data = start_state(scene.apply(Layout(layouts.xy, layouts.yaw, logs), k))
         exact = free_bodies(model, data.qpos)

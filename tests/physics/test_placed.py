@@ -10,13 +10,13 @@ import pytest
 from neoworld_mjx.physics import placed
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.placed import (
-    TILTED,
-    TOPPLED,
-    measured_in_chunks,
+    TILT_BOUND_LYING,
+    TILT_BOUND_UPRIGHT,
+    measure_in_chunks,
     pair_depths,
     pair_gaps,
-    poses_in_chunks,
-    settled_by,
+    place_in_chunks,
+    settling_displacement,
 )
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.spec import Box, Sphere
@@ -67,7 +67,7 @@ def test_chunks_are_the_whole_population_in_order(shelf, monkeypatch):
     xy = np.zeros((5, 4, 2), np.float32)
     xy[:, 3, 0] = 0.01 * np.arange(5)
     layouts = Layout(xy, zero.yaw, zero.log_scale)
-    poses = poses_in_chunks(shelf, layouts)
+    poses = place_in_chunks(shelf, layouts)
     assert poses.pos[:, 3, 0] - poses.pos[0, 3, 0] == pytest.approx(xy[:, 3, 0], abs=1e-6)
     lower = jax.tree.map(np.array, poses)
     lower.pos[3, 3, 2] -= 0.02
@@ -79,7 +79,7 @@ def test_chunks_are_the_whole_population_in_order(shelf, monkeypatch):
         return x[:, :, None] + np.zeros(4, np.float32), as_parsed(scene.photo, len(x))
 
     monkeypatch.setattr(placed, "measured_poses", measure)
-    found = measured_in_chunks(shelf, poses, lower)
+    found = measure_in_chunks(shelf, poses, lower)
     assert sizes == [2, 2, 2]
     assert found.depth[:, 3, 0] == pytest.approx(lower.pos[:, 3, 0])
     assert len(found.visible.boxes) == 5 and found.poses is lower
@@ -108,7 +108,7 @@ def turned(scene, name, *, about_x=0.0, shift=(0.0, 0.0, 0.0), tilt=0.0, scale=1
         pos[0, k] = np.array(moved) - [x, c * y - s * z, s * y + c * z]
         size = np.full((1, count), scale)
         poses.append(Poses(pos, quat, size, np.zeros((1, count))))
-    return settled_by(scene, *poses, np)[0, k]
+    return settling_displacement(scene, *poses, np)[0, k]
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def bodies():
 
 
 def test_tilt_is_compared_with_the_bound_of_what_the_object_is(bodies):
-    assert np.degrees([TILTED, TOPPLED]) == pytest.approx([15.0, 45.0])
+    assert np.degrees([TILT_BOUND_UPRIGHT, TILT_BOUND_LYING]) == pytest.approx([15.0, 45.0])
     assert turned(bodies, "plate", about_x=SMALL_TURN) == pytest.approx(9 / 15)
     assert turned(bodies, "plate", about_x=-SMALL_TURN) == pytest.approx(9 / 15)
     # Placed tilted by 3 degrees, or compact enough to roll: the bound is wider.

@@ -10,13 +10,13 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import (
-    DOWN,
-    SIDEWAYS,
-    TILTED,
-    TOPPLED,
-    settled_by,
+    HORIZONTAL,
+    TILT_BOUND_LYING,
+    TILT_BOUND_UPRIGHT,
+    VERTICAL,
+    settling_displacement,
 )
-from neoworld_mjx.physics.settling import moved, settle, settle_scene, with_damped_joints
+from neoworld_mjx.physics.settling import settle, settle_scene, with_damped_joints, with_world_poses
 from neoworld_mjx.spec import Box, Sphere, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose, quat_mul
 from tests.support import scenes
@@ -81,11 +81,13 @@ def test_a_candidate_that_fails_stays_where_it_was_placed(settled):
 
 def test_settling_is_measured_in_units_of_its_bounds(settled):
     model, start, end = settled
-    shares = settled_by(model, *(jax.tree.map(lambda x: x[:1], p) for p in (start, end)), np)
+    shares = settling_displacement(
+        model, *(jax.tree.map(lambda x: x[:1], p) for p in (start, end)), np
+    )
     by = dict(zip(model.names, shares[0], strict=True))
     assert by["table"] == 0.0 and by["block"] < 0.05
     # The slab was placed tilted, but moves less in height than in angle.
-    assert by["slab"] == pytest.approx(np.radians(3.4) / TOPPLED, rel=0.05)
+    assert by["slab"] == pytest.approx(np.radians(3.4) / TILT_BOUND_LYING, rel=0.05)
 
 
 def test_native_and_mjx_settle_candidates_at_the_same_places():
@@ -180,10 +182,10 @@ SIZE = float(np.linalg.norm([0.1, 0.1, 0.02]))
 @pytest.mark.parametrize(
     ("shift", "degrees", "expected"),
     [
-        ((SIDEWAYS * SIZE, 0.0, 0.0), 0.0, 1.0),
-        ((0.0, -0.5 * SIDEWAYS * SIZE, 0.0), 0.0, 0.5),
-        ((0.0, 0.0, -(DOWN[0] * SIZE + DOWN[1])), 0.0, 1.0),
-        ((0.0, 0.0, 2 * (DOWN[0] * SIZE + DOWN[1])), 0.0, 2.0),
+        ((HORIZONTAL * SIZE, 0.0, 0.0), 0.0, 1.0),
+        ((0.0, -0.5 * HORIZONTAL * SIZE, 0.0), 0.0, 0.5),
+        ((0.0, 0.0, -(VERTICAL[0] * SIZE + VERTICAL[1])), 0.0, 1.0),
+        ((0.0, 0.0, 2 * (VERTICAL[0] * SIZE + VERTICAL[1])), 0.0, 2.0),
         ((0.0, 0.0, 0.0), 15.0, 1.0),
         ((0.0, 0.0, 0.0), -5.0, 1 / 3),
     ],
@@ -200,7 +202,7 @@ def test_displacement_is_in_units_of_the_bounds(shift, degrees, expected):
     if degrees:
         half = np.array([0.0, 0.0, 0.01])
         end.pos[0, slab] += half - from_z(turn, 0.01)
-    found = settled_by(model, start, end, np)[0]
+    found = settling_displacement(model, start, end, np)[0]
     assert found[slab] == pytest.approx(expected, rel=0.02)
     assert found[model.names.index("table")] == 0.0 == found[model.names.index("block")]
 
@@ -215,7 +217,7 @@ def test_objects_placed_tilted_may_turn_farther_and_balls_at_will():
     upright = compile_scene(tilted(0.0), samples=16)
     leaning = compile_scene(tilted(5.0), samples=16)
     round_ = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})), samples=16)
-    turn = np.array(from_axis_angle((1, 0, 0), TILTED))
+    turn = np.array(from_axis_angle((1, 0, 0), TILT_BOUND_UPRIGHT))
     shares = []
     for model in (upright, leaning, round_):
         start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, len(model.names))))
@@ -224,16 +226,16 @@ def test_objects_placed_tilted_may_turn_farther_and_balls_at_will():
         end.quat[0, 1] = quat_mul(turn, start.quat[0, 1])
         end.pos[0, 1] += pose((0, 0, 0), start.quat[0, 1]).apply(center)
         end.pos[0, 1] -= pose((0, 0, 0), end.quat[0, 1]).apply(center)
-        shares.append(settled_by(model, start, end, np)[0, 1])
+        shares.append(settling_displacement(model, start, end, np)[0, 1])
     assert shares[0] == pytest.approx(1.0, rel=1e-3)
-    assert shares[1] == pytest.approx(TILTED / TOPPLED, rel=1e-3)
+    assert shares[1] == pytest.approx(TILT_BOUND_UPRIGHT / TILT_BOUND_LYING, rel=1e-3)
     assert shares[2] < 1e-3
 
 
 def test_children_move_with_their_parent():
     scene = scenes.blocks()
     end = pose([0.3, 0.1, 0.5])
-    there = moved(scene, {"low": end})
+    there = with_world_poses(scene, {"low": end})
     before, after = world_poses(scene), world_poses(there)
     np.testing.assert_allclose(after["low"].pos, [0.3, 0.1, 0.5], atol=1e-12)
     np.testing.assert_allclose(after["ball"].pos, before["ball"].pos)

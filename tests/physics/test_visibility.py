@@ -55,7 +55,7 @@ def test_boxes_and_shares_match_a_rendered_image(photographed, picture):
     seen = see(scene, Layout.zero(1, scene.count))
     parsed, judged = np.asarray(scene.photo.boxes), np.asarray(scene.photo.judged)
     size = parsed[:, 2:] - parsed[:, :2]
-    share = np.asarray(seen.share[0])
+    share = np.asarray(seen.visible_fraction[0])
     shown = judged & (share > 0.05)
     assert shown.sum() >= 5
     error = np.abs(np.asarray(seen.boxes[0]) - parsed) / np.tile(size, 2)
@@ -77,7 +77,7 @@ def test_an_occluder_reduces_the_share_and_cuts_the_box():
     xy = np.zeros((3, 3, 2), np.float32)
     xy[1, 2, 1], xy[2, 2, 1] = 0.08, 5.0
     seen = see(scene, Layout(jnp.asarray(xy), jnp.zeros((3, 3)), jnp.zeros((3, 3))))
-    share, sides = np.asarray(seen.share[:, 1]), np.asarray(seen.own_sides[:, 1])
+    share, sides = np.asarray(seen.visible_fraction[:, 1]), np.asarray(seen.unoccluded_sides[:, 1])
     assert share[0] < 0.1 < share[1] < 0.9
     assert share[2] == pytest.approx(1.0, abs=0.01)
     assert sides[2].all() and not sides[1, 0] and sides[1, 2]
@@ -104,7 +104,10 @@ def test_a_pane_of_glass_is_visible_but_occludes_nothing():
         spec = scenes.on_table((far, (0, 0), 0.0, {}), (near, (-0.2, 0), 0.0, {}))
         scene = pad_scene(compile_scene(spec, samples=64))
         seen = see(scene, Layout.zero(1, scene.count))
-        shown[kind] = np.asarray(seen.share[0])[1:3], np.asarray(seen.own_sides[0])[1]
+        shown[kind] = (
+            np.asarray(seen.visible_fraction[0])[1:3],
+            np.asarray(seen.unoccluded_sides[0])[1],
+        )
     (far_share, near_share), sides = shown["clear"]
     assert far_share > 0.99 and near_share > 0.5 and sides.all()
     (far_share, near_share), sides = shown["opaque"]

@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
-from neoworld_mjx.physics.decompose import installed
+from neoworld_mjx.physics.decompose import coacd_installed
 from neoworld_mjx.program.assemble import assemble
 from neoworld_mjx.program.blender import blender_availability
 from neoworld_mjx.program.blender.blender_objects import build_object
@@ -192,7 +192,7 @@ def test_a_rotated_box_is_recognized_and_a_skewed_one_is_not():
     assert isinstance(shape_of(split_solids(skewed, FACES, np.zeros(12, int))[0], False)[0], Mesh)
 
 
-@pytest.mark.skipif(not installed(), reason="needs CoACD")
+@pytest.mark.skipif(not coacd_installed(), reason="needs CoACD")
 def test_a_cavity_stays_open():
     vertices, faces, slots = two(CUBE * 0.8)
     faces[12:] = faces[12:, ::-1]

@@ -105,7 +105,7 @@ def test_with_the_papers_options_the_updates_are_those_of_algorithm_1(scene):
         np.testing.assert_allclose(flat(state.optimizer.std)[0], std, atol=2e-6)
     assert int(state.iteration) == iterations
     assert toy_reward(mean) > toy_reward(0.0 * mean) + 0.2
-    np.testing.assert_array_equal(state.factor, 1.0)
+    np.testing.assert_array_equal(state.sigma_factor, 1.0)
 
 
 def test_the_papers_configuration_has_these_options():
@@ -126,9 +126,9 @@ def test_the_factor_doubles_while_an_object_rests_in_no_candidate(scene):
     for _ in range(5):
         layouts = propose(scene, problem, state, POP)
         state = update(scene, problem, state, layouts, scored(np.arange(POP), rested=rested))
-        seen.append((float(state.factor[high]), bool(state.stuck[high])))
+        seen.append((float(state.sigma_factor[high]), bool(state.stuck[high])))
     assert seen == [(2.0, False), (4.0, False), (8.0, False), (12.0, False), (12.0, True)]
-    assert float(state.factor[low]) == float(state.factor[ball]) == 1.0
+    assert float(state.sigma_factor[low]) == float(state.sigma_factor[ball]) == 1.0
     assert not np.asarray(state.stuck)[[low, ball, scene.names.index("table")]].any()
 
 
@@ -156,7 +156,7 @@ def test_an_object_of_factor_zero_stays_at_the_initial_layout(scene):
         for name in LEAVES:
             assert not np.asarray(getattr(layouts, name))[:, low].any()
         state = update(scene, problem, state, layouts, scored(np.arange(POP)))
-    assert float(state.factor[low]) == 0.0
+    assert float(state.sigma_factor[low]) == 0.0
 
 
 def test_the_mean_is_fitted_in_units_of_the_factor(scene):
@@ -261,7 +261,7 @@ def test_the_best_candidate_is_the_valid_one_of_highest_merit(scene):
     merit = np.linspace(5, 6, POP).astype(np.float32)
     scores = eqx.tree_at(lambda s: s.merit, scores, merit)
     state = update(scene, problem, state, layouts, scores)
-    assert float(state.best) == pytest.approx(merit[3]) and bool(state.seen_valid)
+    assert float(state.best) == pytest.approx(merit[3]) and bool(state.any_valid)
 
 
 def test_the_elites_mean_leaves_out_candidates_that_failed(scene):

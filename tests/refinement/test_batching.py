@@ -11,21 +11,21 @@ from neoworld_mjx.physics.engine import Rollout
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
-from neoworld_mjx.physics.sharding import PART, WHOLE
+from neoworld_mjx.physics.sharding import REPLICATED, SHARDED
 from neoworld_mjx.refinement import batching
 from neoworld_mjx.refinement.batching import (
-    SHAPES,
+    MAX_BATCH_SIZES,
+    concatenate_candidates,
     early_stop_rule,
-    joined,
     map_runs,
     pad_rollout,
-    replaced,
     roll_out,
     settle_candidates,
-    split,
+    shard,
     stack,
     take,
-    tile_of,
+    tile_size,
+    with_replaced,
 )
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -68,9 +68,9 @@ def assert_equal(a, b):
 )
 def test_a_tile_fills_every_device_evenly(monkeypatch, runs, population, count, tile):
     monkeypatch.setattr(batching, "devices", lambda: [None] * count)
-    assert tile_of(runs, population) == 1, "on a CPU, runs are computed one by one"
+    assert tile_size(runs, population) == 1, "on a CPU, runs are computed one by one"
     monkeypatch.setattr(batching, "computes_on_cpu", lambda: False)
-    assert tile_of(runs, population) == tile
+    assert tile_size(runs, population) == tile
 
 
 def test_work_stays_on_the_device_that_jax_is_told_to_use():
@@ -81,14 +81,14 @@ def test_work_stays_on_the_device_that_jax_is_told_to_use():
 
 def test_arrays_of_the_split_length_are_divided_and_others_copied(monkeypatch):
     tree = {"part": np.zeros((4, 2)), "whole": np.zeros(3), "number": np.float32(1), "name": "x"}
-    assert split(tree, 4) is tree, "a single device keeps everything"
+    assert shard(tree, 4) is tree, "a single device keeps everything"
     monkeypatch.setattr(batching, "mesh_of", lambda devices: SimpleNamespace(size=2))
     monkeypatch.setattr(batching, "put", lambda array, mesh, spec: spec)
-    divided = split(tree, 4)
-    assert divided == {"part": PART, "whole": WHOLE, "number": WHOLE, "name": "x"}
+    divided = shard(tree, 4)
+    assert divided == {"part": SHARDED, "whole": REPLICATED, "number": REPLICATED, "name": "x"}
     for length in (3, 5, 0, -2):
-        assert split(tree, length) is tree
-    assert split({"two": np.zeros(2)}, 2) == {"two": PART}
+        assert shard(tree, length) is tree
+    assert shard({"two": np.zeros(2)}, 2) == {"two": SHARDED}
 
 
 @pytest.mark.parametrize("tile", [1, 2, 3, 5, 8])
@@ -125,9 +125,12 @@ def test_candidates_are_taken_joined_and_replaced():
     tree = {"x": np.arange(6).reshape(3, 2)}
     assert_equal(take(tree, slice(1, 3)), {"x": [[2, 3], [4, 5]]})
     assert_equal(take(tree, np.array([2, 0])), {"x": [[4, 5], [0, 1]]})
-    assert_equal(joined([take(tree, slice(1)), take(tree, slice(2, 3))]), {"x": [[0, 1], [4, 5]]})
+    assert_equal(
+        concatenate_candidates([take(tree, slice(1)), take(tree, slice(2, 3))]),
+        {"x": [[0, 1], [4, 5]]},
+    )
     whole = np.zeros((2, 3))
-    assert_equal(replaced(whole, np.ones((2, 2)), np.s_[:, :2]), [[1, 1, 0], [1, 1, 0]])
+    assert_equal(with_replaced(whole, np.ones((2, 2)), np.s_[:, :2]), [[1, 1, 0], [1, 1, 0]])
     assert not whole.any(), "the array that was given is unchanged"
 
 
@@ -143,7 +146,7 @@ def test_candidates_are_taken_joined_and_replaced():
     ],
 )
 def test_runs_are_concatenated_to_few_shapes(counts, runs, rows):
-    assert SHAPES == 4
+    assert MAX_BATCH_SIZES == 4
     poses = [
         Poses(*(np.full((n, 5, *last), k + 1.0) for last in ((3,), (4,), (), ())))
         for k, n in enumerate(counts)

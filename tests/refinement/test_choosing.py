@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import choosing
-from neoworld_mjx.refinement.choosing import choose
+from neoworld_mjx.refinement.choosing import choose_winner
 from neoworld_mjx.refinement.finishing import finish
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
@@ -59,20 +59,20 @@ def searched(model, plate_x, valid):
 
 
 def test_an_initial_layout_that_passes_wins_over_better_candidates(models):
-    chosen = choose(*searched(models[0.0], [STANDS], [True]))
+    chosen = choose_winner(*searched(models[0.0], [STANDS], [True]))
     assert chosen.passed and chosen.index == (0, 0) and chosen.tried == 0
     assert not np.asarray(chosen.layout.xy).any()
 
 
 def test_it_is_ranked_as_a_candidate_if_objects_may_move_for_other_reasons(models):
     model, rounds, o, initial = searched(models[0.0], [STANDS], [True])
-    chosen = choose(model, rounds, o, initial, accept_initial=False)
+    chosen = choose_winner(model, rounds, o, initial, accept_initial=False)
     assert chosen.passed and chosen.index == (1, 0) and chosen.tried == 1
 
 
 @pytest.mark.parametrize("plate_x", [[STANDS, 0.0], [FALLS, STANDS], [FALLS, FALLS, STANDS]])
 def test_the_first_candidate_that_passes_wins(models, plate_x):
-    chosen = choose(*searched(models[FALLS], plate_x, [True] * len(plate_x)))
+    chosen = choose_winner(*searched(models[FALLS], plate_x, [True] * len(plate_x)))
     first = plate_x.index(STANDS)
     assert chosen.passed and chosen.index == (1, first) and chosen.tried == first + 1
     assert chosen.before.max_drift_m > chosen.measure.max_drift_m
@@ -82,12 +82,12 @@ def test_the_first_candidate_that_passes_wins(models, plate_x):
 
 
 def test_no_more_finalists_are_checked_than_the_options_say(models):
-    chosen = choose(*searched(models[FALLS], [*NEAR, STANDS], [True] * 7))
+    chosen = choose_winner(*searched(models[FALLS], [*NEAR, STANDS], [True] * 7))
     assert not chosen.passed and chosen.tried == OPTIONS.finalists
 
 
 def test_invalid_candidates_are_checked_after_valid_ones(models):
-    chosen = choose(*searched(models[FALLS], [FALLS, STANDS], [False, True]))
+    chosen = choose_winner(*searched(models[FALLS], [FALLS, STANDS], [False, True]))
     assert chosen.passed and chosen.index == (1, 1) and chosen.tried == 1
 
 
@@ -101,7 +101,7 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
         measure = initial.measure.model_copy(update={"max_drift_m": worst[k], "s_stab": False})
         measure = measure.model_copy(update={"max_depth_m": 0.0, "settled_depth_m": 0.0})
         found = initial._replace(measure=measure, moved_away=(), passed=False)
-        badness[k] = found.badness(o)
+        badness[k] = found.excess_over_bounds(o)
         return found
 
     monkeypatch.setattr(choosing, "finish", graded)
@@ -112,18 +112,25 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
     initial = initial._replace(
         measure=drifts.model_copy(update={"settled_depth_m": 0.0}), moved_away=()
     )
-    chosen = choose(model, rounds, o, initial)
-    assert min(badness.values()) > chosen.finished.badness(o) == initial.badness(o) > 0
+    chosen = choose_winner(model, rounds, o, initial)
+    assert (
+        min(badness.values())
+        > chosen.finished.excess_over_bounds(o)
+        == initial.excess_over_bounds(o)
+        > 0
+    )
     assert chosen.index == (0, 0) and chosen.finished is initial
     worst = [5.0, 0.02, 0.03]
-    chosen = choose(model, rounds, o, initial)
-    assert chosen.index == (1, 1) and chosen.finished.badness(o) < initial.badness(o)
+    chosen = choose_winner(model, rounds, o, initial)
+    assert chosen.index == (1, 1) and chosen.finished.excess_over_bounds(
+        o
+    ) < initial.excess_over_bounds(o)
 
 
 def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models):
     model, rounds, _, _ = searched(models[FALLS], NEAR, [True] * 6)
     initial = finish(model, rounds[0].layouts, 0, UNSETTLED)
-    chosen = choose(model, rounds[1:], UNSETTLED, initial)
+    chosen = choose_winner(model, rounds[1:], UNSETTLED, initial)
     assert not chosen.passed and chosen.index[0] == 0 and chosen.tried == 3
-    nothing = choose(model, [], UNSETTLED, initial)
+    nothing = choose_winner(model, [], UNSETTLED, initial)
     assert nothing.index == (-1, -1) and nothing.finished is initial

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import placed_at_rest
+from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
 from neoworld_mjx.refinement import evaluation as module
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.evaluation import Evaluation
-from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _opened
+from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _initialize_runs
 from neoworld_mjx.refinement.objective import evaluate
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.spec import world_poses
@@ -47,7 +47,7 @@ def opened(model, o, starts=(None, None)):
     clock = dict.fromkeys(CLOCKS, 0.0)
     evaluation = Evaluation(model, *[pad_scene(model)] * 2, ENGINE, o, len(runs), 1, clock, 0.0)
     initials = _initial_scenes(model, runs, None)
-    return evaluation, _opened(evaluation, runs, initials, (), None, plain=True)
+    return evaluation, _initialize_runs(evaluation, runs, initials, (), None, builtin_only=True)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_populations_are_measured_where_they_settled(model, settled):
         start = jax.device_get(evaluation.arrays.place(z))
         moved = np.abs(np.asarray(candidates.poses.pos) - start.pos).max(axis=(1, 2))
         assert (moved > 1e-5).all()
-        assert_near(candidates, placed_at_rest(evaluation.arrays, start, candidates.poses))
+        assert_near(candidates, measure_settled(evaluation.arrays, start, candidates.poses))
         assert np.asarray(candidates.settled).any()
     assert not np.array_equal(placed[0].poses.pos, placed[1].poses.pos)
 
@@ -126,7 +126,7 @@ def test_before_physics_nothing_has_moved(model, settled):
     layouts = populations(evaluation, model)[0]
     (placed,) = evaluation.place([layouts])
     scores = evaluation.before_physics(runs[0], layouts, placed)
-    still = unmoved(evaluation.arrays, placed.poses)
+    still = zero_duration_rollout(evaluation.arrays, placed.poses)
     assert_near(
         scores, evaluate(evaluation.arrays, layouts, placed, still, runs[0].problem.objective)
     )
@@ -187,7 +187,7 @@ def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
 
     monkeypatch.setattr(module, "map_runs", noted)
     assert_near(everything(), on_cpu)
-    assert {placed_at_rest, module.SceneArrays.place} <= {fn for fn, *_ in calls}
+    assert {measure_settled, module.SceneArrays.place} <= {fn for fn, *_ in calls}
     assert {call[1:] for call in calls} == {(1, POP)}
 
 

@@ -8,7 +8,7 @@ from neoworld_mjx.measure import passes
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import finishing
-from neoworld_mjx.refinement.finishing import finish, freed, held, moved_away
+from neoworld_mjx.refinement.finishing import finish, free_to_move, moved_away, with_resting_fixed
 from neoworld_mjx.spec import Box, Ellipsoid, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
@@ -52,16 +52,16 @@ def test_what_fell_does_not_rest(initial):
 def test_a_search_frees_what_does_not_rest_and_what_it_supports(initial):
     model, _ = initial
     rests = np.array([name != "plate" for name in model.names])
-    assert named(model, freed(model.spec, rests)) == {"plate", "cube"}
+    assert named(model, free_to_move(model.spec, rests)) == {"plate", "cube"}
     rests = np.array([name != "base" for name in model.names])
-    assert named(model, freed(model.spec, rests)) == {"base", "top"}
+    assert named(model, free_to_move(model.spec, rests)) == {"base", "top"}
     rests = np.array([name != "table" for name in model.names])
-    assert not freed(model.spec, rests).any()
+    assert not free_to_move(model.spec, rests).any()
 
 
 def test_the_others_are_fixed_where_they_came_to_rest(initial):
     model, found = initial
-    scene = held(model.spec, found, OPTIONS)
+    scene = with_resting_fixed(model.spec, found, OPTIONS)
     ends, starts = world_poses(found.scene), world_poses(model.spec)
     for item in scene.objects:
         at, free = world_poses(scene)[item.name], item.name in ("plate", "cube")
@@ -79,13 +79,13 @@ def test_the_others_are_fixed_where_they_came_to_rest(initial):
 
 def test_a_candidate_of_a_held_scene_is_finished_with_every_object_free(initial):
     model, found = initial
-    searched = compile_scene(held(model.spec, found, OPTIONS), samples=16)
+    searched = compile_scene(with_resting_fixed(model.spec, found, OPTIONS), samples=16)
     xy = np.zeros((1, len(model.names), 2), np.float32)
     xy[0, model.names.index("plate"), 0] = -0.06
     zero = np.zeros((1, len(model.names)), np.float32)
     layouts = Layout(xy, zero, zero)
     done = finish(model, layouts, 0, OPTIONS, searched.place(layouts), searched)
-    assert done.passed and done.moved_away == () and done.badness(OPTIONS) == 0.0
+    assert done.passed and done.moved_away == () and done.excess_over_bounds(OPTIONS) == 0.0
     assert done.measure.movable == 5
     assert all(item.fixed_base is False for item in done.scene.objects)
     assert done.scene.object("plate").xy[0] == pytest.approx(0.0, abs=1e-3)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.spec import Box
@@ -93,7 +93,7 @@ def motion(still, dx, turn, time):
 @pytest.mark.parametrize("where", ["still", "moved", "turned"])
 def test_d_drift_has_the_gradient_of_finite_differences_at_every_object(scene, where):
     zero = Layout.zero(1, 3)
-    still = unmoved(scene, scene.place(zero))
+    still = zero_duration_rollout(scene, scene.place(zero))
     size = {"still": (0.0, 0.0), "moved": (0.004, 0.0), "turned": (0.0, 0.05)}[where]
     dx = np.zeros((3, 3), np.float32) + size[0] * np.array([[1.0, 2.0, -1.0]]) / np.sqrt(6)
     turn = np.full(3, size[1], np.float32)
@@ -119,7 +119,7 @@ def test_d_drift_has_the_gradient_of_finite_differences_at_every_object(scene, w
 
 def test_gradients_by_position_are_finite_and_zero_for_the_environment(scene):
     zero = Layout.zero(1, 3)
-    still = unmoved(scene, scene.place(zero))
+    still = zero_duration_rollout(scene, scene.place(zero))
     slope = eqx.filter_grad(lambda r: jnp.sum(rewards.d_drift(scene, zero, r)))(still)
     for leaf in (slope.pos, slope.quat):
         np.testing.assert_array_equal(np.asarray(leaf), 0.0)

@@ -14,9 +14,9 @@ from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import CLOCKS, search
 from neoworld_mjx.refinement.optimizer import RandomSearch
 from neoworld_mjx.refinement.rewards import Term
-from neoworld_mjx.refinement.rounds import ranked
-from neoworld_mjx.refinement.scorer import Mark
-from neoworld_mjx.refinement.search_run import FirstValid, SearchRun
+from neoworld_mjx.refinement.rounds import rank_candidates
+from neoworld_mjx.refinement.scorer import ScoreSource
+from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
@@ -75,7 +75,7 @@ def test_each_run_has_its_own_iterations_and_ends_by_itself(model):
     assert [r.rollouts for r in (short, long, resting)] == [1 + POP, 1 + 3 * POP, 1]
     assert [r.finished for r in (short, long, resting)] == [False, False, True]
     assert [r.summaries[0]["rollouts"] for r in (short, long, resting)] == [1, 1, 1]
-    assert resting.first_valid == FirstValid(0, 1) and 0 < resting.first_valid_s < 600
+    assert resting.first_valid == TimeToValid(0, 1) and 0 < resting.first_valid_s < 600
     assert lines[0] == "1 of 3 objects do not rest: plate"
     assert lines[1] == "all 3 objects rest where they were placed"
     assert [line.partition(":")[0] for line in lines[2:]] == [
@@ -95,10 +95,10 @@ def test_the_first_valid_candidate_is_dated_once(model):
     (result,) = search(model, [SearchRun(options(2), 1)], ENGINE)
     valid = [bool(np.any(r.scores.valid)) for r in result.rounds]
     assert valid[0] and sum(valid) > 1, "otherwise there is nothing to confuse"
-    assert not result.initial.passed and result.first_valid == FirstValid(0, 1)
+    assert not result.initial.passed and result.first_valid == TimeToValid(0, 1)
     (plain,) = search(model, [SearchRun(options(2, **UNSETTLED), 1)], ENGINE)
     valid = [bool(np.any(r.scores.valid)) for r in plain.rounds]
-    assert plain.first_valid == FirstValid(valid.index(True) + 1, POP * (valid.index(True) + 1))
+    assert plain.first_valid == TimeToValid(valid.index(True) + 1, POP * (valid.index(True) + 1))
     assert plain.rollouts == 2 * POP and len(plain.rounds) == 2
 
 
@@ -151,10 +151,12 @@ def test_runs_with_equal_layouts_and_checks_share_the_initial_scene(model):
 
 def test_only_possible_finalists_are_kept_on_request(model):
     o = options(2, cem={"hold_resting": False})
-    whole, part = (search(model, [SearchRun(o, 1)], ENGINE, keep=keep)[0] for keep in (True, False))
+    whole, part = (
+        search(model, [SearchRun(o, 1)], ENGINE, keep_all=keep)[0] for keep in (True, False)
+    )
     assert whole.summaries == part.summaries and whole.rollouts == part.rollouts
     for t, (every, kept) in enumerate(zip(whole.rounds[1:], part.rounds[1:], strict=True)):
-        best = [k for (_, k), _ in ranked([every])[: o.finalists]]
+        best = [k for (_, k), _ in rank_candidates([every])[: o.finalists]]
         assert len(kept.scores.reward) == o.finalists
         np.testing.assert_array_equal(
             kept.layouts.xy, np.asarray(every.layouts.xy)[sorted(best)], str(t)
@@ -175,7 +177,7 @@ def test_progress_reports_the_rate_and_the_longest_time_left(model, monkeypatch)
     loop._update_progress([nothing], runs[:1], 4.0)
     assert reported[-1]["done"] == 0 and reported[-1]["left_s"] == 10.0
     never = replace(done, first_valid=None)
-    loop._note_valid(never, 4.0)
+    loop._record_first_valid(never, 4.0)
     assert never.first_valid_s == 10.0
 
 
@@ -202,4 +204,4 @@ def test_scores_of_a_model_are_those_of_the_iterations_candidates(model):
     assert len(scorer.seen) == 1
     np.testing.assert_array_equal(scorer.seen[0].xy, result.rounds[0].layouts.xy)
     assert (np.asarray(result.rounds[0].scores.terms["s_sem"]) == 0.25).all()
-    assert (result.marks[-1] == Mark.SCORED).all()
+    assert (result.score_sources[-1] == ScoreSource.SCORED).all()

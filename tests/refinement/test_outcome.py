@@ -13,8 +13,8 @@ from neoworld_mjx.refinement.choosing import Winner
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import search
 from neoworld_mjx.refinement.outcome import iteration_summary, outcome
-from neoworld_mjx.refinement.rounds import NOT_DRAWN
-from neoworld_mjx.refinement.search_run import FirstValid, SearchRun
+from neoworld_mjx.refinement.rounds import PADDING_STATUS
+from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
 from tests.support import scenes
 
 OPTIONS = RefineOptions.model_validate(
@@ -39,7 +39,9 @@ def values(absolute, valid, status=None):
 
 
 def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
-    given = values([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_DRAWN])
+    given = values(
+        [1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, PADDING_STATUS]
+    )
     assert iteration_summary(given, ["d_pen"]) == {
         "best": 4.0, "mean": 2.5, "rollouts": 3, "valid": pytest.approx(2 / 3), "merit": 1.0,
         "d_pen": 10.0,
@@ -53,7 +55,7 @@ def test_the_merit_of_an_iteration_is_that_of_its_best_valid_candidate():
 
 
 def test_an_iteration_without_a_finite_reward_has_no_best():
-    found = iteration_summary(values([-np.inf], [False], [NOT_DRAWN]), ["d_pen"])
+    found = iteration_summary(values([-np.inf], [False], [PADDING_STATUS]), ["d_pen"])
     assert found == {
         "best": None, "mean": None, "rollouts": 0, "valid": 0.0, "merit": None, "d_pen": None
     }  # fmt: skip
@@ -104,7 +106,7 @@ def test_a_scene_in_which_nothing_moves_has_means_of_zero():
     (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
     found = refined((model, result))
     assert (found.mean_shift_m, found.mean_turn_deg, found.mean_log_scale) == (0.0, 0.0, 0.0)
-    assert found.kept == ()
+    assert found.resting_objects == ()
 
 
 def test_the_history_has_all_candidates_and_terms(searched):
@@ -128,10 +130,10 @@ def test_the_history_has_all_candidates_and_terms(searched):
 
 def test_what_was_done_is_stated(searched):
     _, known = searched
-    result = refined(searched, result=replace(known, first_valid=FirstValid(1, 4)))
+    result = refined(searched, result=replace(known, first_valid=TimeToValid(1, 4)))
     assert (result.iterations, result.rollouts, result.winner) == (1, 8, (0, 2))
     assert (result.finalists_tried, result.engine, result.first_valid) == (3, "native", (1, 4))
-    assert set(result.kept) == {"low", "high", "ball"} and result.passed
+    assert set(result.resting_objects) == {"low", "high", "ball"} and result.passed
     assert result.fallbacks == () and result.scoring == {}
     assert refined(searched, scoring={"calls": 3}).scoring == {"calls": 3}
     m = result.measure

@@ -7,7 +7,7 @@ from jax import monitoring
 
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics import model
-from neoworld_mjx.physics.placed import placed_at_rest
+from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import (
     SMALLEST_BUCKET,
     Bucket,
@@ -61,7 +61,7 @@ def test_padded_equals_unpadded(scene):
     jax.tree.map(np.testing.assert_array_equal, unpadded(drawn, scene), unpadded(layouts, scene))
     objective = open_objective(o)
     one, two = (
-        placed_at_rest(s, p := s.place(z), p) for s, z in ((scene, layouts), (padded, drawn))
+        measure_settled(s, p := s.place(z), p) for s, z in ((scene, layouts), (padded, drawn))
     )
     moved = rollout(scene, layouts, engine="native", duration=0.2)
     first = evaluate(scene, layouts, one, moved, objective)

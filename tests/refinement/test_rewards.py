@@ -11,7 +11,7 @@ import pytest
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.physics.engine import RolloutStatus, unmoved
+from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed, pair_depths
@@ -137,9 +137,9 @@ def test_each_term_has_its_sign_in_the_reward(weight, absolute, by_iteration, no
     depth = np.zeros((2, 3, 3), np.float32)
     depth[1, 0, b] = 0.002
     placed = Placed(poses, depth, as_parsed(scene.photo, 2), np.zeros((2, 3), np.float32))
-    pos = np.array(unmoved(scene, poses).pos)
+    pos = np.array(zero_duration_rollout(scene, poses).pos)
     pos[1, 0, b, 1] += 0.03
-    rollout = eqx.tree_at(lambda r: r.pos, unmoved(scene, poses), jnp.asarray(pos))
+    rollout = eqx.tree_at(lambda r: r.pos, zero_duration_rollout(scene, poses), jnp.asarray(pos))
     agreement = np.array([0.25, 0.75], np.float32)
     scores = evaluate(scene, layouts, placed, rollout, open_objective(options), agreement)
     assert scores.absolute == pytest.approx(np.array(absolute), abs=1e-5)
@@ -168,7 +168,7 @@ def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
     found = rewards.Prior(sigma)(scene, layouts, None)
     each = {"a": 4 / 4, "b": (9 + 16 + 1) / 4, "table": 0.0}
     assert found.by_object[0] == pytest.approx(np.array([each[n] for n in scene.names]), rel=1e-5)
-    assert float(found.value[0]) == float(found.charged[0]) == pytest.approx((1 + 6.5) / 2)
+    assert float(found.value[0]) == float(found.reward_value[0]) == pytest.approx((1 + 6.5) / 2)
     alone = eqx.tree_at(lambda s: s.optimised, scene, jnp.arange(3) == b)
     assert float(rewards.Prior(sigma)(alone, layouts, None).value[0]) == pytest.approx(6.5)
     there = rewards.Prior(sigma, layouts)(scene, layouts, None)
@@ -183,10 +183,10 @@ def test_d_pen_is_the_sum_over_pairs_of_the_deeper_direction():
     visible = as_parsed(scene.photo, 1)
     for at in (depth, depth.swapaxes(1, 2)):
         measured = rewards.measured_rollout(
-            unmoved(scene, poses), at, visible, np.zeros((1, 3), np.float32)
+            zero_duration_rollout(scene, poses), at, visible, np.zeros((1, 3), np.float32)
         )
         found = rewards.penetration(scene, layouts, measured)
-        assert float(found.value[0]) == float(found.charged[0]) == pytest.approx(0.005)
+        assert float(found.value[0]) == float(found.reward_value[0]) == pytest.approx(0.005)
         assert found.by_object[0] == pytest.approx(np.array([0.003, 0.005, 0.002]))
 
 
@@ -205,7 +205,9 @@ def test_an_overlap_of_one_direction_counts_whichever_object_comes_first(first):
     assert float(depth[0, b, a]) == 0.0
     assert float(depth[0, a, b]) == pytest.approx(0.004, abs=1e-6)
     visible, settled = as_parsed(scene.photo, 1), np.zeros((1, 3), np.float32)
-    measured = rewards.measured_rollout(unmoved(scene, poses), depth, visible, settled)
+    measured = rewards.measured_rollout(
+        zero_duration_rollout(scene, poses), depth, visible, settled
+    )
     assert float(rewards.penetration(scene, zero, measured).value[0]) == float(depth[0, a, b])
 
 
@@ -213,7 +215,7 @@ def test_drift_of_joints_is_their_peak_over_the_bound_of_their_kind():
     """Of three records the second is the peak: 2 cm of a slide (bound 1 cm), 15 of 5 degrees."""
     cabinet = (scenes.cabinet(), (0, 0), 0.0, {"fixed_base": True})
     scene = compile_scene(scenes.on_table(cabinet), samples=16)
-    still = unmoved(scene, scene.place(Layout.zero(2, 2)))
+    still = zero_duration_rollout(scene, scene.place(Layout.zero(2, 2)))
     slides = np.asarray(scene.joint_slides)
     shift = np.zeros((2, 3, len(slides)), np.float32)
     shift[0, 1, np.flatnonzero(slides)[0]] = 0.02
@@ -231,17 +233,17 @@ def test_drift_within_the_dead_zone_is_free_and_settling_counts_as_drift():
     scene = two_boxes(0.0)
     a, b = scene.names.index("a"), scene.names.index("b")
     poses = scene.place(Layout.zero(1, 3))
-    pos = np.array(unmoved(scene, poses).pos)
+    pos = np.array(zero_duration_rollout(scene, poses).pos)
     pos[0, 0, a, 2] -= 0.004  # 0.4 bounds
     pos[0, 0, b, 0] += 0.002  # 0.2 bounds
-    still = eqx.tree_at(lambda r: r.pos, unmoved(scene, poses), jnp.asarray(pos))
+    still = eqx.tree_at(lambda r: r.pos, zero_duration_rollout(scene, poses), jnp.asarray(pos))
     settled = np.zeros((1, 3), np.float32)
     settled[0, b] = 0.9
     visible = as_parsed(scene.photo, 1)
     rollout = rewards.measured_rollout(still, np.zeros((1, 3, 3), np.float32), visible, settled)
     found = rewards.Drift(0.01, np.radians(5.0), 0.5)(scene, Layout.zero(1, 3), rollout)
     assert float(found.value[0]) == pytest.approx(0.4 + 0.9, abs=1e-4)
-    assert float(found.charged[0]) == pytest.approx(0.4, abs=1e-4)
+    assert float(found.reward_value[0]) == pytest.approx(0.4, abs=1e-4)
     assert found.by_object[0, [a, b]] == pytest.approx(np.array([0.0, 0.4]), abs=1e-4)
 
 
@@ -335,7 +337,7 @@ def test_the_gap_of_two_boxes_is_signed(gap):
     assert found[a, table] == pytest.approx(0.0, abs=1e-5)
     assert np.isinf(found.diagonal()).all()
     assert float(between(moved)[0, a, b]) == pytest.approx(gap + 0.01, abs=2e-6)
-    start = unmoved(scene, scene.place(moved))
+    start = zero_duration_rollout(scene, scene.place(moved))
     assert between(here, start)[0, a, b] == pytest.approx(gap + 0.01, abs=2e-6)
     slope = slope_of(here)
     assert float(slope.xy[0, b, 0]) == pytest.approx(1.0, abs=1e-3)
@@ -381,7 +383,7 @@ class TestCompiled:
         scene = two_boxes(0.0)
         d_pen, d_drift = map(unwrap, (rewards.d_pen, rewards.d_drift))
         zero = Layout.zero(2, 3)
-        still = unmoved(scene, scene.place(zero))
+        still = zero_duration_rollout(scene, scene.place(zero))
         more = Layout.zero(2, 3)
         object.__setattr__(more, "log_scale", np.zeros(2))  # Checks of annotations are for tests.
         for call, match in (
@@ -405,7 +407,7 @@ class TestCompiled:
 
     def test_drift_is_differentiable_in_the_motion(self):
         scene = two_boxes(0.0)
-        still = unmoved(scene, scene.place(Layout.zero(1, 3)))
+        still = zero_duration_rollout(scene, scene.place(Layout.zero(1, 3)))
         drift = lambda dx: rewards.d_drift(
             scene, Layout.zero(1, 3), eqx.tree_at(lambda r: r.pos, still, still.pos + dx)
         )[0]
@@ -415,7 +417,7 @@ class TestCompiled:
 def test_what_cannot_move_has_a_drift_of_zero():
     scene = two_boxes(0.0)
     found = rewards.drift_by_object(
-        scene, unmoved(scene, scene.place(Layout.zero(1, 3))), 0.01, 0.1
+        scene, zero_duration_rollout(scene, scene.place(Layout.zero(1, 3))), 0.01, 0.1
     )
     assert np.asarray(found).tolist() == [[0.0, 0.0, 0.0]]
 
@@ -426,7 +428,7 @@ def test_agreement_with_the_photograph_is_the_mean_over_objects_with_evidence():
     visible = as_parsed(scene.photo, 1)
     visible = eqx.tree_at(lambda v: v.evidence, visible, jnp.array([[0.9, 0.5, 0.7]]))
     rollout = rewards.measured_rollout(
-        unmoved(scene, poses),
+        zero_duration_rollout(scene, poses),
         np.zeros((1, 3, 3), np.float32),
         visible,
         np.zeros((1, 3), np.float32),

@@ -15,7 +15,7 @@ from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.refinement.scene_refinement import open_scene, read_composed, refine
 from neoworld_mjx.refinement.score_log import Score
-from neoworld_mjx.refinement.scorer import Mark
+from neoworld_mjx.refinement.scorer import ScoreSource
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
 
@@ -80,7 +80,7 @@ def test_scores_that_come_late_count_in_the_choice_of_the_winner():
         base, base + 10, base + 20, zero, zero, np.ones((pop, 1), bool), None,
     )  # fmt: skip
     round_ = Round(Layout.zero(pop, 1), None, scores)  # The poses are not read.
-    marks = np.full(pop, Mark.ESTIMATED, np.int8)
+    marks = np.full(pop, ScoreSource.ESTIMATED, np.int8)
     late = {(2, 0): 0.6, (2, 2): None, (1, 1): 0.9, (2, 3): 0.5}
 
     def known(identity):
@@ -97,7 +97,12 @@ def test_scores_that_come_late_count_in_the_choice_of_the_winner():
     for name in ("reward", "absolute", "merit"):
         expected = getattr(scores, name) + 4.0 * change
         np.testing.assert_allclose(getattr(after.scores, name), expected, rtol=1e-6)
-    assert list(marks) == [Mark.SCORED, Mark.ESTIMATED, Mark.ESTIMATED, Mark.SCORED]
+    assert list(marks) == [
+        ScoreSource.SCORED,
+        ScoreSource.ESTIMATED,
+        ScoreSource.ESTIMATED,
+        ScoreSource.SCORED,
+    ]
     assert after.layouts is round_.layouts
 
 
@@ -126,4 +131,4 @@ def test_the_delivered_scene_has_the_score_that_a_model_gave_its_candidate(monke
     o = options(semantic={"scorer": "mllm"}, settle={"enabled": False})
     refined = refine(scenes.blocks(), o, engine="native")
     assert refined.winner[0] >= 0 and refined.delivered["s_sem"] == 0.25
-    assert np.all(refined.history["s_sem_from"] == Mark.SCORED)
+    assert np.all(refined.history["s_sem_from"] == ScoreSource.SCORED)

@@ -6,8 +6,8 @@ import pytest
 from neoworld_mjx.config import CEMOptions, SemanticOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import scorer as scorers
-from neoworld_mjx.refinement.score_log import Job, ScoreLog, layout_digest
-from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.score_log import ScoreLog, ScoringJob, layout_digest
+from neoworld_mjx.refinement.scorer import ScoreSource, SemanticScorer
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -30,7 +30,7 @@ def replayed(model, layouts, path, *outcomes):
     scores = []
     for iteration, k, fields in outcomes:
         single = Layout(*(np.asarray(x)[k : k + 1] for x in vars(layouts).values()))
-        job = Job((iteration, k), 0, layout_digest(single), single)
+        job = ScoringJob((iteration, k), 0, layout_digest(single), single)
         scores.append(job.score(**{"used": iteration, **fields}))
     ScoreLog(path).add(scores)
     options = SemanticOptions(scorer="mllm")
@@ -52,10 +52,15 @@ def test_layouts_are_in_standard_deviations_of_the_objects_that_move(
         poses = model.place(layouts)
         scorer.submit(0, [2, 1], layouts, poses)
         assert [s.identity for s in scorer.collect(0)] == [(0, 1), (0, 2)]
-        values, marks = scorer.fill(0, layouts, GEOMETRIC)
+        values, marks = scorer.s_sem_of(0, layouts, GEOMETRIC)
         assert values.dtype == np.float32
         assert values == pytest.approx([0.1, 0.2, 0.25, 0.4])
-        expected = [Mark.ESTIMATED, Mark.ESTIMATED, Mark.SCORED, Mark.ESTIMATED]
+        expected = [
+            ScoreSource.ESTIMATED,
+            ScoreSource.ESTIMATED,
+            ScoreSource.SCORED,
+            ScoreSource.ESTIMATED,
+        ]
         assert marks.tolist() == expected
         numbers, base, known, known_base, scores = given[0]
         moves = np.flatnonzero(model.optimised)
@@ -77,8 +82,8 @@ def test_layouts_are_in_standard_deviations_of_the_objects_that_move(
         # Scores of earlier populations count with the geometric scores of their own.
         scorer.submit(1, [3], layouts, poses)
         scorer.collect(1)
-        values, marks = scorer.fill(1, layouts, GEOMETRIC / 2)
-        assert marks.tolist() == [*[Mark.ESTIMATED] * 3, Mark.SCORED]
+        values, marks = scorer.s_sem_of(1, layouts, GEOMETRIC / 2)
+        assert marks.tolist() == [*[ScoreSource.ESTIMATED] * 3, ScoreSource.SCORED]
         assert values == pytest.approx([0.1, 0.2, 0.3, 0.75])
         assert given[1][3].tolist() == [0.7, 0.4] and given[1][4].tolist() == [0.25, 0.75]
         assert len(given[1][2]) == 2
@@ -95,7 +100,7 @@ def test_a_deviation_of_zero_divides_by_almost_nothing(model, layouts, tmp_path,
     with SemanticScorer(model, None, None, cem=none, recorded=path) as scorer:
         scorer.submit(0, [2], layouts, model.place(layouts))
         scorer.collect(0)
-        scorer.fill(0, layouts, GEOMETRIC)
+        scorer.s_sem_of(0, layouts, GEOMETRIC)
     count = int(np.sum(model.optimised))
     yaw = np.asarray(layouts.yaw)[:, np.asarray(model.optimised)] / 1e-6
     assert given[0][:, 2 * count : 3 * count] == pytest.approx(yaw)

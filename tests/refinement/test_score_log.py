@@ -11,11 +11,11 @@ from neoworld_mjx.errors import ModelError
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement.score_log import (
     SAME_LAYOUT,
-    Job,
-    Recorded,
+    RecordedScores,
     ScoreLog,
+    ScoringJob,
     layout_digest,
-    layout_numbers,
+    layout_values,
     read_scores,
 )
 
@@ -32,18 +32,18 @@ def moved(field="xy", by=0.01, index=0):
 
 
 def job(iteration=0, candidate=0, rank=0, layout=LAYOUT):
-    return Job((iteration, candidate), rank, layout_digest(layout), layout)
+    return ScoringJob((iteration, candidate), rank, layout_digest(layout), layout)
 
 
 def recorded(tmp_path, *scores):
     path = tmp_path / "scores.jsonl"
     ScoreLog(path).add(scores)
-    return path, Recorded(path)
+    return path, RecordedScores(path)
 
 
 def test_numbers_are_listed_by_object():
-    assert layout_numbers(LAYOUT) == (0.1, 0.2, 0.5, 0.7, 0.3, 0.4, 0.6, 0.8)
-    assert layout_numbers(moved(by=np.float32(1e-7))) == layout_numbers(LAYOUT)
+    assert layout_values(LAYOUT) == (0.1, 0.2, 0.5, 0.7, 0.3, 0.4, 0.6, 0.8)
+    assert layout_values(moved(by=np.float32(1e-7))) == layout_values(LAYOUT)
 
 
 def test_the_digest_differs_with_every_number():
@@ -59,7 +59,7 @@ def test_a_score_says_whose_it_is():
     score = job(3, 5, rank=2).score(value=0.25, used="final")
     assert score.identity == (score.iteration, score.candidate) == (3, 5)
     assert (score.rank, score.value, score.used, score.error) == (2, 0.25, "final", None)
-    assert score.layout == layout_digest(LAYOUT) and score.numbers == layout_numbers(LAYOUT)
+    assert score.layout == layout_digest(LAYOUT) and score.numbers == layout_values(LAYOUT)
     assert not score.cached and score.cost_usd is None
 
 
@@ -124,19 +124,19 @@ def test_scores_are_replayed_at_the_stage_of_their_first_use(tmp_path):
     scores = [j.score(value=0.1, used=stage) for j, stage in zip(jobs, used, strict=True)]
     final = job(1, 1).score(value=0.2, used="final")
     _, known = recorded(tmp_path, *scores, final)
-    assert known.take(0, [(0, 3)], rest=True) == [], "nothing was submitted"
+    assert known.take(0, [(0, 3)], others=True) == [], "nothing was submitted"
     known.put([*jobs[::-1], job(1, 1)])
     identities = lambda scores: [score.identity for score in scores]
-    assert identities(known.take(0, [], rest=True)) == [(0, 3)]
-    assert identities(known.take(1, [], rest=True)) == [(0, 1), (1, 0)]
-    assert identities(known.take(1, [(1, 0), (0, 3)], rest=False)) == [(1, 0)]
-    assert identities(known.take("final", [(1, 1)], rest=False)) == [(1, 1)]
+    assert identities(known.take(0, [], others=True)) == [(0, 3)]
+    assert identities(known.take(1, [], others=True)) == [(0, 1), (1, 0)]
+    assert identities(known.take(1, [(1, 0), (0, 3)], others=False)) == [(1, 0)]
+    assert identities(known.take("final", [(1, 1)], others=False)) == [(1, 1)]
     assert identities(known.close()) == [(1, 2)]
     assert known.stopped is None
 
 
 def test_numbers_are_kept_to_a_millionth_and_a_job_does_not_change():
-    assert layout_numbers(moved(by=np.float32(3e-6)))[0] == 0.100003
+    assert layout_values(moved(by=np.float32(3e-6)))[0] == 0.100003
     with pytest.raises(FrozenInstanceError):
         job().rank = 1
 
@@ -155,7 +155,7 @@ def test_a_score_does_not_change():
 def test_a_record_of_another_number_of_objects_is_another_layout(tmp_path):
     """At equal digests the numbers do not matter; at others they must be as many, and as large."""
     assert SAME_LAYOUT == 1e-3
-    for numbers in (layout_numbers(LAYOUT)[:4], layout_numbers(LAYOUT) * 2, None):
+    for numbers in (layout_values(LAYOUT)[:4], layout_values(LAYOUT) * 2, None):
         score = job().score(value=0.5).model_copy(update={"layout": "other", "numbers": numbers})
         _, known = recorded(tmp_path, score)
         with pytest.raises(ModelError, match="the score of another layout"):

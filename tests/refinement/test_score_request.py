@@ -11,7 +11,7 @@ from neoworld_mjx.mllm import Panel, Picture
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.refinement.score_request import (
     CRITERIA,
-    MOST,
+    MAX_LEVEL,
     Judgement,
     listing,
     score_request,
@@ -64,7 +64,7 @@ def test_response_is_four_levels_with_reasons():
 def test_value_levels_and_reasons_are_those_of_the_four_criteria():
     """Each criterion counts alike, and the levels are listed in the paper's order."""
     assert CRITERIA == ("depth_ordering", "relative_size", "relative_orientation", "intersections")
-    assert MOST == 4
+    assert MAX_LEVEL == 4
     for k, name in enumerate(CRITERIA):
         levels = dict.fromkeys(CRITERIA, 0) | {name: 4}
         judged = Judgement.model_validate(

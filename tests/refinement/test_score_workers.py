@@ -14,9 +14,9 @@ from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.mllm.requests import Response, Usage, digest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import score_worker
-from neoworld_mjx.refinement.score_log import Job
+from neoworld_mjx.refinement.score_log import ScoringJob
 from neoworld_mjx.refinement.score_request import CRITERIA, Judgement
-from neoworld_mjx.refinement.score_worker import AHEAD, ScoreWorkers
+from neoworld_mjx.refinement.score_worker import EXTRA_WORKERS, ScoreWorkers
 from neoworld_mjx.spec import SceneSpec
 from tests.support import scenes
 
@@ -64,7 +64,7 @@ def _single(monkeypatch):
 def job(iteration, candidate, rank=0):
     zero = Layout(*(np.zeros(s, np.float32) for s in ((1, 1, 2), (1, 1), (1, 1))))
     scene = scenes.on_table().model_copy(update={"name": f"{iteration} {candidate}"})
-    return Job((iteration, candidate), rank, "0" * 16, zero, scene)
+    return ScoringJob((iteration, candidate), rank, "0" * 16, zero, scene)
 
 
 def picture_of(scene: SceneSpec):
@@ -211,7 +211,7 @@ def test_closing_abandons_what_is_pending(workers):
 
 
 def test_some_more_candidates_are_drawn_than_are_requested_at_once(workers, monkeypatch):
-    assert AHEAD == 2
+    assert EXTRA_WORKERS == 2
     for ahead in (0, 2, 5):
         monkeypatch.setattr(score_worker, "AHEAD", ahead)
         panel = ScriptedPanel()

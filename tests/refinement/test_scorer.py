@@ -18,8 +18,8 @@ from neoworld_mjx.mllm import Panel, Picture, Tape
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.refinement.score_log import Score, read_scores
-from neoworld_mjx.refinement.score_worker import drawer
-from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.score_worker import scene_renderer
+from neoworld_mjx.refinement.scorer import ScoreSource, SemanticScorer
 from tests.support import scenes
 from tests.support.messages import MessagesServer, judged, levels_of
 from tests.support.scenes import compile_scene
@@ -65,7 +65,7 @@ def play(scorer, rounds, gap_s=0.0, top=None):
 
 def expected(model, layouts, poses, k):
     """Response of the server for a candidate, from the candidate's image."""
-    return levels_of(drawer(options())(model.apply(layouts, k, poses)))
+    return levels_of(scene_renderer(options())(model.apply(layouts, k, poses)))
 
 
 def same(a, b):
@@ -94,9 +94,9 @@ def test_every_score_is_assigned_to_its_candidate(model, rounds, tmp_path):
             score = scorer.known((t, k))
             if k not in best:
                 assert score is None
-                assert marks[k] == Mark.ESTIMATED
+                assert marks[k] == ScoreSource.ESTIMATED
                 continue
-            assert marks[k] == Mark.SCORED
+            assert marks[k] == ScoreSource.SCORED
             assert score.levels == expected(model, layouts, poses, k)
             assert score.value == sum(score.levels.values()) / 16 == values[k]
     reported = scorer.summary()
@@ -172,16 +172,16 @@ def test_bounded_waits_for_scores_of_the_permitted_age(model, rounds):
     ):
         scorer.submit(0, scorer.best(GEOMETRIC), *rounds[0])
         assert scorer.collect(0) == []
-        values, marks = scorer.fill(0, rounds[0][0], GEOMETRIC)
-        assert set(marks) == {Mark.GEOMETRIC}
+        values, marks = scorer.s_sem_of(0, rounds[0][0], GEOMETRIC)
+        assert set(marks) == {ScoreSource.GEOMETRIC}
         np.testing.assert_array_equal(values, GEOMETRIC.astype(np.float32))
 
         scorer.submit(1, scorer.best(GEOMETRIC), *rounds[1])
         assert [s.identity for s in scorer.collect(1)] == [(0, k) for k in range(POP - 4, POP)]
-        values, marks = scorer.fill(1, rounds[1][0], GEOMETRIC)
-        assert set(marks) == {Mark.ESTIMATED}
+        values, marks = scorer.s_sem_of(1, rounds[1][0], GEOMETRIC)
+        assert set(marks) == {ScoreSource.ESTIMATED}
         assert not np.array_equal(values, GEOMETRIC.astype(np.float32))
-        assert list(scorer.fill(0, rounds[0][0], GEOMETRIC)[1]).count(Mark.SCORED) == 4
+        assert list(scorer.s_sem_of(0, rounds[0][0], GEOMETRIC)[1]).count(ScoreSource.SCORED) == 4
 
         threading.Timer(0.2, late.set).start()
         came = scorer.await_for([(1, POP - 1), (1, 0), (0, POP - 1)])
@@ -206,7 +206,7 @@ def test_a_run_that_did_not_wait_is_replayed_from_its_log(model, rounds, tmp_pat
         SemanticScorer(model, PHOTO, panel, o, log=log) as scorer,
     ):
         seen = run(scorer, 0.06)
-    marks = [list(marks).count(Mark.SCORED) for _, marks in seen]
+    marks = [list(marks).count(ScoreSource.SCORED) for _, marks in seen]
     assert any(s.used not in (s.iteration, "final") for s in read_scores(log))
     assert sum(marks) < 5 * 6
     with SemanticScorer(model, None, None, o, log=again, recorded=log) as repeated:
@@ -234,7 +234,7 @@ def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rou
         seen = play(scorer, rounds)
     for values, marks in seen:
         np.testing.assert_array_equal(values, GEOMETRIC.astype(np.float32))
-        assert set(marks) == {Mark.GEOMETRIC}
+        assert set(marks) == {ScoreSource.GEOMETRIC}
     assert "the connection failed" in scorer.stopped
     (note,) = scorer.fallbacks
     assert note.startswith("S_sem comes from geometry alone, because scores of 2")
@@ -258,9 +258,9 @@ def test_scores_are_estimated_after_the_server_fails(model, rounds):
             server.failing = 1.0
             scorer.submit(2, scorer.best(GEOMETRIC), *rounds[2])
             came = scorer.collect(2)
-            _, marks = scorer.fill(2, rounds[2][0], GEOMETRIC)
+            _, marks = scorer.s_sem_of(2, rounds[2][0], GEOMETRIC)
     assert all(s.value is None for s in came)
-    assert set(marks) == {Mark.ESTIMATED}
+    assert set(marks) == {ScoreSource.ESTIMATED}
     assert scorer.stopped
     assert scorer.fallbacks[0].startswith("S_sem comes from estimates, because ")
 
@@ -279,7 +279,7 @@ def test_a_failed_score_is_estimated(model, rounds):
         (_, marks), *_ = play(scorer, rounds[:1])
     failed = [k for k in range(POP) if expected(model, *rounds[0], k)["relative_size"] == 2]
     assert failed
-    assert [k for k in range(POP) if marks[k] == Mark.ESTIMATED] == failed
+    assert [k for k in range(POP) if marks[k] == ScoreSource.ESTIMATED] == failed
     assert scorer.stopped is None
     assert scorer.fallbacks[0].startswith(f"S_sem is estimated for {len(failed)} of {POP}")
     assert "gave no valid response" in scorer.fallbacks[0]
@@ -297,7 +297,7 @@ def test_the_cost_limit_is_observed(model, rounds):
     reported = scorer.summary()
     assert 12 <= reported["scored"] < reported["submitted"] == 48
     assert "cost cap reached" in scorer.fallbacks[0]
-    assert set(seen[-1][1]) == {Mark.ESTIMATED}
+    assert set(seen[-1][1]) == {ScoreSource.ESTIMATED}
 
 
 def test_scores_have_a_separate_cost_limit(model, rounds):

@@ -47,7 +47,7 @@ def test_the_ground_truth_scores_highest(photographed):
     spec, scene = photographed
     assert any(item.occluded for item in spec.objects)
     semantic = scored(scene, displaced(scene, DRAWS, 1))
-    total, each = np.asarray(semantic.total), np.asarray(semantic.each)
+    total, each = np.asarray(semantic.total), np.asarray(semantic.by_object)
     assert total[0] > 0.98
     assert np.mean(total[0] > total[1:]) > 0.98
     assert np.all((total >= 0) & (total <= 1)) and np.all((each >= 0) & (each <= 1 + 1e-6))
@@ -72,7 +72,7 @@ def test_a_box_at_the_image_border_is_cut():
     cut = item.model_copy(update={"box2d": Box2D(x0=0.0, y0=box[1], x1=box[2], y1=box[3])})
     objects = tuple(cut if o.name == item.name else o for o in spec.objects)
     scene = compile_scene(spec.model_copy(update={"objects": objects}), samples=16)
-    assert not np.asarray(scene.photo.whole)[1]
+    assert not np.asarray(scene.photo.fully_visible)[1]
 
 
 LEFT, RIGHT = (-50.0, -10.0, -30.0, 10.0), (20.0, -10.0, 60.0, 30.0)
@@ -184,9 +184,9 @@ def test_one_judged_object_has_its_box_alone_and_none_are_right(two_blocks):
     box = score((6 + 6) / 4 / 40, 0.25)
     alone = semantic_of(two_blocks, seen=lower, judged=(False, False, True))
     assert alone.total[0] == pytest.approx((box + 1) / 2, abs=1e-5)
-    assert alone.each[0] == pytest.approx(np.array([1.0, 1.0, (box + 1) / 2]), abs=1e-5)
+    assert alone.by_object[0] == pytest.approx(np.array([1.0, 1.0, (box + 1) / 2]), abs=1e-5)
     none = semantic_of(two_blocks, seen=lower, judged=(False, False, False))
-    assert float(none.total[0]) == 1.0 and none.each[0].tolist() == [1.0] * 3
+    assert float(none.total[0]) == 1.0 and none.by_object[0].tolist() == [1.0] * 3
 
 
 def test_an_object_that_is_hidden_where_the_photograph_shows_it_whole_loses_an_eighth(two_blocks):
@@ -194,7 +194,7 @@ def test_an_object_that_is_hidden_where_the_photograph_shows_it_whole_loses_an_e
     # A side that is 8 px off is 2 px on average, of 40.
     lost = (1 - score(2 / 40, 0.25)) / 2 / 4
     assert lost > 0.01
-    assert found.each[0] == pytest.approx(np.array([1.0, 1.0, 1.0 - lost]), abs=1e-5)
+    assert found.by_object[0] == pytest.approx(np.array([1.0, 1.0, 1.0 - lost]), abs=1e-5)
     assert found.total[0] == pytest.approx(1.0 - lost / 2, abs=1e-5)
 
 
@@ -203,5 +203,5 @@ def test_an_object_has_the_criteria_of_its_pairs_and_of_itself(two_blocks):
     relative, box = score(np.log(44 / 40), 0.4), score(2 / 40, 0.25)
     pair = (0.5 + relative + 0.5 + 0.6) / 4
     expected = np.array([1.0, pair + 1 / 4, pair + (box + 1) / 2 / 4])
-    assert found.each[0] == pytest.approx(expected, abs=1e-5)
+    assert found.by_object[0] == pytest.approx(expected, abs=1e-5)
     assert found.total[0] == pytest.approx(expected[1:].mean(), abs=1e-5)

@@ -5,7 +5,7 @@ each scored candidate out.
 import numpy as np
 import pytest
 
-from neoworld_mjx.refinement.surrogate import FEWEST, LAMBDAS, surrogate_scores
+from neoworld_mjx.refinement.surrogate import MIN_SCORED, PENALTIES, surrogate_scores
 
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
@@ -35,7 +35,7 @@ def by_definition(layouts, geometric, scored_layouts, scored_geometric, scores):
         errors.append(np.mean(np.square(left_out)))
     best = int(np.argmin(errors))
     predicted = np.zeros(len(targets))
-    if len(rest) >= FEWEST and errors[best] < base:
+    if len(rest) >= MIN_SCORED and errors[best] < base:
         predicted = (1 - errors[best] / base) * (targets @ ridge(known, rest, PENALTIES[best]))
     return np.clip(geometric + mean + predicted, 0.0, 1.0), predicted
 
@@ -76,12 +76,12 @@ def test_the_mean_difference_is_shrunk_by_one_candidate():
 
 def test_a_regression_needs_six_scores():
     z, g, _ = world(60)
-    for count, learned in ((FEWEST - 1, False), (FEWEST, True)):
+    for count, learned in ((MIN_SCORED - 1, False), (MIN_SCORED, True)):
         rows = np.argsort(z[:50, 0])[:: 50 // count][:count]
         scores = g[rows] + 0.05 * z[rows, 0]
         found = surrogate_scores(z[50:], g[50:], z[rows], g[rows], scores) - g[50:]
         assert (np.ptp(found) > 1e-3) == learned
-    assert FEWEST == 6 and LAMBDAS == PENALTIES
+    assert MIN_SCORED == 6 and PENALTIES == PENALTIES
 
 
 def test_equal_differences_are_the_mean_alone():

@@ -10,7 +10,7 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.physics.engine import RolloutStatus, unmoved
+from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import OPTIMIZERS, Term, algorithm, refine
@@ -310,7 +310,7 @@ def gate(tilt):
 def test_a_door_that_swings_open_has_drifted():
     scene = compile_scene(gate(0.0), samples=16)
     zero = Layout.zero(2, 2)
-    still = unmoved(scene, scene.place(zero))
+    still = zero_duration_rollout(scene, scene.place(zero))
     assert np.all(np.asarray(d_drift(scene, zero, still)) == 0.0)
     shift = still.joint_shift.at[1, 0, 0].set(np.radians(10.0))
     swung = eqx.tree_at(lambda r: r.joint_shift, still, shift)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.physics.engine import RolloutStatus, unmoved
+from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.physics.visibility import as_parsed
@@ -43,7 +43,7 @@ def judged():
     depth[at("deep below it"), b, a] = 0.99 * DEPTH
     settled[at("settled at the bound"), b] = 1.0
     settled[at("settled below it"), b] = 0.5
-    still = unmoved(scene, poses)
+    still = zero_duration_rollout(scene, poses)
     pos, quat = np.array(still.pos), np.array(still.quat)
     pos[at("moved beyond"), 0, a, 0] += 1.01 * DRIFT
     pos[at("moved below"), 0, a, 2] -= 0.98 * DRIFT

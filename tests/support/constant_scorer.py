@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.scorer import ScoreSource, SemanticScorer
 
 
 class ConstantScorer(SemanticScorer):
@@ -26,7 +26,7 @@ class ConstantScorer(SemanticScorer):
 
     def fill(self, iteration: Any, layouts: Any, geometric: Any) -> Any:
         np.testing.assert_array_equal(layouts.xy, self.seen[-1].xy)
-        return np.full(len(geometric), 0.25), np.full(len(geometric), Mark.SCORED, np.int8)
+        return np.full(len(geometric), 0.25), np.full(len(geometric), ScoreSource.SCORED, np.int8)
 
     def await_for(self, identities: Any) -> Any:
         return []

@@ -356,13 +356,13 @@ axes:
 
 
 def _yaml(draw: random.Random, home: Path) -> None:
-    from neoworld_mjx.sweeps.plan import Plan, points, read
+    from neoworld_mjx.sweeps.plan import Plan, points, read_plan
 
     path = home / "a.yaml"
     plan = draw.random() < 0.4
     path.write_bytes(mutated_text(draw, PLAN if plan else YAML).encode("utf-8", "replace"))
     if plan:
-        points(read(path, Plan))
+        points(read_plan(path, Plan))
     else:
         load_config(path)
 

@@ -8,7 +8,7 @@ from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.refinement.algorithm import open_problem
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.compiling import reach_of
-from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
+from neoworld_mjx.sweeps.grouping import STATIC, TRACED, group_points, grouping_reasons
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -77,7 +77,7 @@ def test_weights_of_terms_are_traced_and_their_names_are_not():
     )
     assert jax.tree.structure(traced(first)) == jax.tree.structure(traced(second))
     assert float(traced(second).objective.terms[-1].weight) == 2
-    assert [group.members for group in grouped([first, second, three])] == [(0, 1), (2,)]
+    assert [group.members for group in group_points([first, second, three])] == [(0, 1), (2,)]
 
 
 OTHERS = {
@@ -104,27 +104,30 @@ def test_other_options_are_not_array_leaves(name):
     assert changed != RefineOptions()
     pairs = zip(*(jax.tree.leaves(traced(o)) for o in (RefineOptions(), changed)), strict=True)
     assert all(np.array_equal(a, b) for a, b in pairs)
-    split = len(grouped([RefineOptions(), changed])) == 2
+    split = len(group_points([RefineOptions(), changed])) == 2
     assert split == (name in STATIC)
-    assert any(name in line for line in reasons([RefineOptions(), changed])) == split
+    assert any(name in line for line in grouping_reasons([RefineOptions(), changed])) == split
 
 
 def test_options_of_the_early_stop_rule_split_groups_only_with_early_stop():
     early = [RefineOptions(), put("reward.d_drift_cap", 5.0)]
-    assert len(grouped(early)) == 2
-    assert "refine.reward.d_drift_cap = 3.0, 5.0 (sets the early-stop rule)" in reasons(early)[0]
+    assert len(group_points(early)) == 2
+    assert (
+        "refine.reward.d_drift_cap = 3.0, 5.0 (sets the early-stop rule)"
+        in grouping_reasons(early)[0]
+    )
     late = [
         o.model_copy(update={"rollout": o.rollout.model_copy(update={"early_stop": False})})
         for o in early
     ]
-    assert len(grouped(late)) == 1
-    assert reasons(late) == []
+    assert len(group_points(late)) == 1
+    assert grouping_reasons(late) == []
 
 
 def test_a_wider_sigma_xy_elsewhere_in_the_plan_changes_no_scene():
     narrow, usual, wide = (put("cem.sigma_xy", x) for x in (0.03, 0.05, 0.2))
     assert reach_of(narrow) == reach_of(usual) < 6.7 * 0.2 <= reach_of(wide)
-    together = grouped([narrow, wide, usual])
+    together = group_points([narrow, wide, usual])
     assert [group.members for group in together] == [(0, 2), (1,)]
     assert [group.compile_options for group in together] == [narrow, wide]
-    assert "refine.cem.sigma_xy: larger values need" in reasons([narrow, wide])[0]
+    assert "refine.cem.sigma_xy: larger values need" in grouping_reasons([narrow, wide])[0]

@@ -6,7 +6,7 @@ import yaml
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
 from neoworld_mjx.sweeps.cases import Case, case
-from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
+from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read_plan
 from tests.support.scenes import stored_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -92,9 +92,9 @@ def test_invalid_plans_are_rejected(tmp_path):
     ):
         path.write_text(text)
         with pytest.raises(ConfigError, match=message):
-            read(path, Plan)
+            read_plan(path, Plan)
     with pytest.raises(ConfigError, match="cannot read"):
-        read(tmp_path / "none.yaml", Plan)
+        read_plan(tmp_path / "none.yaml", Plan)
 
 
 def table_case(name):
@@ -125,7 +125,7 @@ def test_a_run_folder_gives_its_composed_scene(tmp_path):
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.name)
 def test_plans_in_the_repository_are_valid(path):
     kind = Ablation if path.parent.name == "ablations" else Plan
-    plan = read(path, kind)
+    plan = read_plan(path, kind)
     assert len(points(plan)) > 1
     assert set(yaml.safe_load(path.read_text())) <= set(kind.model_fields)
 
@@ -192,11 +192,11 @@ def test_values_are_drawn_and_more_samples_keep_the_first_ones():
 )  # fmt: skip
 def test_what_is_no_plan_is_one_message(plan, said):
     with pytest.raises(ConfigError) as error:
-        points(read(plan, Plan))
+        points(read_plan(plan, Plan))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_number_of_seeds_counts_from_zero():
-    assert read({"seeds": 5}, Plan).seeds == (0, 1, 2, 3, 4)
-    assert read({"seeds": [3]}, Ablation).seeds == (3,)
+    assert read_plan({"seeds": 5}, Plan).seeds == (0, 1, 2, 3, 4)
+    assert read_plan({"seeds": [3]}, Ablation).seeds == (3,)

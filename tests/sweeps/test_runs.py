@@ -13,7 +13,7 @@ from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.refinement.algorithm import propose, update
 from neoworld_mjx.refinement.batching import map_runs
 from neoworld_mjx.refinement.evaluation import Evaluation
-from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _opened, search
+from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _initialize_runs, search
 from neoworld_mjx.refinement.objective import evaluate
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
@@ -58,7 +58,7 @@ def started(model, settings, seeds):
 
 def same_as_alone(model, runs):
     """Compare with separate refinements; return those."""
-    found = search(model, runs, ENGINE, keep=False)
+    found = search(model, runs, ENGINE, keep_all=False)
     alone = []
     for run, result in zip(runs, found, strict=True):
         one = refine(model, run.options, seed=run.seed, start=run.start, engine=ENGINE)
@@ -166,7 +166,7 @@ def test_vmap_over_tiles_agrees_up_to_rounding(model):
     for tile in (1, 2):
         scenes, o = (model, model, pad_scene(model)), runs[0].options
         evaluation = Evaluation(*scenes, ENGINE, o, len(runs), tile, clock, 0.0)
-        opened = _opened(evaluation, runs, initials, (), None, plain=True)
+        opened = _initialize_runs(evaluation, runs, initials, (), None, builtin_only=True)
         rows = [(r.problem, r.state, runs[0].options.cem.population) for r in opened]
         layouts = map_runs(propose, model, rows, tile)
         placed = [jax.device_get(p) for p in evaluation.place(layouts)]
@@ -185,7 +185,7 @@ def test_vmap_over_tiles_agrees_up_to_rounding(model):
 
 def counted(model, runs):
     before = compilations()
-    search(model, runs, ENGINE, keep=False)
+    search(model, runs, ENGINE, keep_all=False)
     return compilations() - before
 
 
@@ -211,7 +211,7 @@ def test_32_points_and_4_seeds_compile_once_and_are_as_alone(model):
 
 
 def test_processes_choose_the_winners_that_threads_choose(model):
-    results = search(model, started(model, [options(2.0)], (0, 1, 2)), ENGINE, keep=False)
+    results = search(model, started(model, [options(2.0)], (0, 1, 2)), ENGINE, keep_all=False)
     threads = winners(model.spec, options(), model, results)
     processes = choose_in_processes(model.spec, options(), results, 2)
     assert processes is not None
@@ -225,7 +225,7 @@ def test_processes_choose_the_winners_that_threads_choose(model):
 @pytest.mark.slow
 def test_processes_know_held_objects(beside):
     o = options(population=8, iterations=2, cem={"hold_resting": True}, settle={"enabled": True})
-    results = search(beside, [SearchRun(o, seed) for seed in (0, 1)], ENGINE, keep=False)
+    results = search(beside, [SearchRun(o, seed) for seed in (0, 1)], ENGINE, keep_all=False)
     assert results[0].scene is not beside
     threads = winners(beside.spec, o, beside, results)
     processes = choose_in_processes(beside.spec, o, results, 1)
@@ -235,7 +235,7 @@ def test_processes_know_held_objects(beside):
 
 
 def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
-    results = search(model, started(model, [options(2.0)], (0,)), ENGINE, keep=False)
+    results = search(model, started(model, [options(2.0)], (0,)), ENGINE, keep_all=False)
     lines = []
     monkeypatch.setattr(module, "report", lines.append)
     monkeypatch.setattr(module, "processes_are_faster", lambda runs, cores: True)

@@ -7,7 +7,7 @@ import yaml
 
 import neoworld_mjx
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
-from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
@@ -15,7 +15,7 @@ from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.rewards import s_sem
 from neoworld_mjx.sweeps import Case, Plan, ablate, group_runs, merge, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder
-from neoworld_mjx.sweeps.plan import points, read
+from neoworld_mjx.sweeps.plan import points, read_plan
 from neoworld_mjx.sweeps.run import check
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
 from tests.support.notebooks import run_small
@@ -189,7 +189,7 @@ def test_a_row_describes_what_was_delivered(swept):
     """The winner is settled once more by the final check, so its values are not the candidate's."""
     _, result = swept
     for row in result.rows[::3]:  # Both seeds, three of the four points.
-        o = points(read(plan(drift=[1, 2], sigma=[5, 10]), Plan))
+        o = points(read_plan(plan(drift=[1, 2], sigma=[5, 10]), Plan))
         (options,) = (point.options for point in o if point.label == row["point"])
         one = refine(SCENE.scene, options, seed=row["seed"], engine=NativeEngine())
         assert row["candidate_reward"] == one.history["absolute"][one.winner]
@@ -200,7 +200,7 @@ def test_a_row_describes_what_was_delivered(swept):
         model = compile_for_search(SCENE.scene, options)
         poses = model.place(Layout(*(np.asarray(x) for x in jax.tree.leaves(one.layout))))
         assert row["s_sem"] == pytest.approx(
-            float(s_sem(model, one.layout, unmoved(model, poses))[0]), abs=1e-3
+            float(s_sem(model, one.layout, zero_duration_rollout(model, poses))[0]), abs=1e-3
         )
         assert row["rollouts_to_valid"] in (None, 8, 16)
         assert (row["iterations_to_valid"] is None) == (row["rollouts_to_valid"] is None)

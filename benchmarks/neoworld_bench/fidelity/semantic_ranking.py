@@ -66,7 +66,7 @@ def _displaced(
 ) -> tuple[Layout, Int[np.ndarray, " draw"]]:
     """Return layouts [1 + draws], the ground truth first, and the object that each draw moves."""
     rng = np.random.default_rng((number, 47))
-    objects = rng.choice(np.flatnonzero(np.asarray(scene.photo.judged)), draws)
+    objects = rng.choice(np.flatnonzero(np.asarray(scene.photo.scored)), draws)
     angle, far = rng.uniform(0, 2 * np.pi, draws), rng.uniform(NEAR_M, FAR_M, draws)
     xy = np.zeros((1 + draws, scene.count, 2), np.float32)
     xy[np.arange(1, 1 + draws), objects] = np.column_stack(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.decompose import convex_pieces, flat, hull_points, is_convex
+from ...physics.decompose import convex_pieces, hull_points, is_convex, is_flat
 from ...spec import Box, Mesh
 from ...spec.pose import Pose, from_matrix, pose
 
@@ -81,7 +81,7 @@ def shape_of(solid: Solid, convex: bool) -> tuple[Box | Mesh, Pose] | None:
         return box
     if len(vertices) == 3:
         vertices = np.vstack([vertices, vertices.mean(axis=0)])
-    if convex or flat(vertices) or is_convex(vertices, faces):
+    if convex or is_flat(vertices) or is_convex(vertices, faces):
         hulls = [hull_points(vertices)]
     elif len(faces) > MAX_CONCAVE_FACES:
         raise ValueError(
