@@ -21,7 +21,7 @@ def depths(
     """Return the depths of points below a piece's surface; approximate for points outside.
 
     Distances to edges and corners matter only outside and are not computed. For a capsule, the
-    result is minus the squared distance to the axis; see `finished`.
+    result is minus the squared distance to the axis; see `to_depth`.
 
     Args:
         kind: a field name of `Colliders`.

@@ -94,7 +94,8 @@ def kept_on_level(
     The alignment uses contours and ignores the surface under an object. A shift of a millimeter can
     therefore put a tube onto the rim of its rack. A sideways move is refused in two cases:
 
-    - The height of the object above its support changes by more than the bounds of `settled_by`.
+    - The height of the object above its support changes by more than the bounds of
+      `settling_displacement`.
     - The object moves past the edge of the object that carries it. For edges of environment
       supports, see `put_back`.
 

@@ -21,8 +21,8 @@ __all__ = [
     "passes",
     "scene_checks",
     "scene_measure",
-    "visible_box_iou_of",
     "shown_sides",
     "unstable_objects",
     "visible_box_iou",
+    "visible_box_iou_of",
 ]

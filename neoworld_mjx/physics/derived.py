@@ -18,8 +18,8 @@ from .model_fields import owner_scale
 from .native import open_batch
 
 KNOTS, LOG_SPAN = 65, 1.0
-"""Number of scales, from exp(-SPAN) to exp(SPAN), that are tabulated for a scene in which the parts
-of an object have different mass exponents."""
+"""Number of scales, from exp(-LOG_SPAN) to exp(LOG_SPAN), that are tabulated for a scene in which
+the parts of an object have different mass exponents."""
 
 
 def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class EngineCost:
         return predicted + (0.0 if started else self.start_s)
 
     def add(
-        self, scenes: str, candidates: int, steps: int, seconds: float, *, started: bool
+        self, cost_class: str, candidates: int, steps: int, seconds: float, *, started: bool
     ) -> None:
         """Add a measurement. A scene's first rollout updates `start_s` instead of the table.
 
@@ -57,13 +57,13 @@ class EngineCost:
         then cached. Such a rollout can therefore only decrease `start_s`.
         """
         if not started:
-            without_start = self.predict(scenes, candidates, steps, started=True)
+            without_start = self.predict(cost_class, candidates, steps, started=True)
             change = max(seconds - without_start, 0.0) - self.start_s
             self.start_s += (
-                NEW_WEIGHT * change if scenes in self.tables else min(NEW_WEIGHT * change, 0.0)
+                NEW_WEIGHT * change if cost_class in self.tables else min(NEW_WEIGHT * change, 0.0)
             )
             return
-        table = self.tables.setdefault(scenes, {})
+        table = self.tables.setdefault(cost_class, {})
         new = seconds * COST_STEPS / steps
         stored = table.get(candidates, new)
         if candidates in table or len(table) < MAX_SIZES:

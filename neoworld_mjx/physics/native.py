@@ -95,8 +95,9 @@ def open_batch(
         scene: the compiled scene.
         poses: initial poses of the candidates' objects, NumPy arrays.
         threads: number of threads; 0 uses all cores.
-        model_copies: copies of the scene's model, which are overwritten if the scene has meshes. The list
-            is extended as needed. A batch built earlier from the same list becomes invalid.
+        model_copies: copies of the scene's model, which are overwritten if the scene has meshes.
+            The list is extended as needed. A batch built earlier from the same list becomes
+            invalid.
         sleeps: if True, islands of bodies at rest sleep.
     """
     double_poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)

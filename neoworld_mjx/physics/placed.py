@@ -35,20 +35,21 @@ class Placed(eqx.Module):
     """Penetration depths [m]; see `pair_depths`."""
     visible: Visible
     settled: Float[AnyArray, "pop object"]
-    """Displacement of each object by settling, from `settled_by`; 0 without settling."""
+    """Displacement of each object by settling, from `settling_displacement`; 0 without settling."""
 
 
 BALL_EXTENT = 0.03
 """Largest relative difference between the extents of a ball."""
 TILT_BOUND_UPRIGHT, TILT_BOUND_LYING = float(np.radians(15.0)), float(np.radians(45.0))
-"""Bounds of the change of tilt by settling [rad]. TILTED applies to objects placed upright. TOPPLED
-applies to objects placed tilted, which lie or lean, and to objects that roll."""
+"""Bounds of the change of tilt by settling [rad]. TILT_BOUND_UPRIGHT applies to objects placed
+upright. TILT_BOUND_LYING applies to objects placed tilted, which lie or lean, and to objects that
+roll."""
 UPRIGHT_COSINE = float(np.cos(np.radians(2.0)))
 ROLLING_ASPECT = 0.8
 """Least ratio between the smallest and the largest extent of an object that rolls."""
 HORIZONTAL, VERTICAL = 0.25, (0.1, 0.01)
-"""Bounds of the shift of an object's center by settling: SIDEWAYS * size horizontally, and
-DOWN[0] * size + DOWN[1] vertically [m]."""
+"""Bounds of the shift of an object's center by settling: HORIZONTAL * size horizontally, and
+VERTICAL[0] * size + VERTICAL[1] vertically [m]."""
 SMALL_M = 0.05
 """Size below which the tilt of an object is ignored, since the object may come to rest in another
 orientation than the one in the response [m]."""
@@ -152,7 +153,7 @@ def place_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
 
 
 def measure_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Compute `placed_at_rest` in chunks; see `poses_in_chunks`."""
+    """Compute `measure_settled` in chunks; see `place_in_chunks`."""
     settled = settling_displacement(scene, start, end, np).astype(np.float32)
     return Placed(end, *_in_chunks(measure_poses, scene, end), settled)
 

@@ -128,7 +128,16 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
     pair_mask[: scene.count, : scene.count] = scene.pair_mask
     unit = np.array([0.0, 0.0, 1.0, 1.0])
     fills = {"boxes": unit, "window": unit, "depth": 1.0}
-    names = ("boxes", "parsed", "depth", "judged", "whole", "hides", "evidence", "window")
+    names = (
+        "boxes",
+        "parsed",
+        "depth",
+        "scored",
+        "fully_visible",
+        "occludes",
+        "evidence",
+        "window",
+    )
     by_object = {name: pad_axis(getattr(photo, name), n, fills.get(name, 0)) for name in names}
     padded = SceneArrays(
         arrangement=pad_arrangement(scene.arrangement, n),

@@ -8,7 +8,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 SHARDED, REPLICATED = PartitionSpec("part"), PartitionSpec()
-"""Partition specifications: PART splits an array along its leading axis, WHOLE copies it."""
+"""Partition specifications: SHARDED splits an array along its leading axis, REPLICATED copies it.
+"""
 
 
 def device_mesh(devices: Sequence[Any]) -> Mesh | None:
@@ -31,7 +32,7 @@ def map_shards(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callab
     Args:
         fn: function of arrays. Its results must have the leading axis that is split.
         mesh: the devices; if None, there is a single device, and `fn` itself is returned.
-        specs: for each argument, PART, WHOLE, or a tree of both.
+        specs: for each argument, SHARDED, REPLICATED, or a tree of both.
     """
     if mesh is None:
         return fn

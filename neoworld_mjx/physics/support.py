@@ -101,7 +101,7 @@ def vertical_intersections(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple
 
 
 def _intersect(piece: Piece, piece_pose: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
-    """Intersect all lines with a piece; see `column`."""
+    """Intersect all lines with a piece; see `vertical_intersections`."""
     back = conjugate(piece_pose.quat)
     o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - piece_pose.pos)
     d = rotate(back, np.array([0.0, 0.0, 1.0]))
@@ -233,8 +233,8 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
 
     - above the middle of an object with relation "in",
     - more than WALL_M above the top of any other object, or
-    - more than SOLE_M above the lowest point of an object that leans in its parent, provided that
-      there is a floor below this height.
+    - more than EDGE_FLOOR_M above the lowest point of an object that leans in its parent, provided
+      that there is a floor below this height.
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None

@@ -322,7 +322,7 @@ def raster(
     Environment supports count as objects. If a cell shows no object, the object is -1 and the depth
     is inf. `columns` and `rows` must be multiples of WINDOW_TILE.
     """
-    prepared = _in_camera_frame(scene, poses)
+    camera_scene = _in_camera_frame(scene, poses)
     half = scene.photo.half_size / scene.photo.focal
     pop = poses.scale.shape[0]
     row, column = np.mgrid[:rows, :columns]
@@ -335,9 +335,9 @@ def raster(
 
     window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
     rays = Rays(slopes(column, columns, 0), slopes(row, rows, 1))
-    near = _rows_in_window(prepared, window, 0.0)
+    near = _rows_in_window(camera_scene, window, 0.0)
     layer = jnp.arange(scene.count, dtype=jnp.int32)
-    hits = first_hits(prepared.placed, prepared.families, near, rays, layer, scene.count)
+    hits = first_hits(camera_scene.placed, camera_scene.families, near, rays, layer, scene.count)
     nearest = jnp.max(hits, axis=0)
     owner = jnp.where(nearest > 0, jnp.argmax(hits, axis=0).astype(jnp.int32), -1)
     unfold = lambda v: (

@@ -143,7 +143,7 @@ class WarpEngine(BatchEngine):
                 truncated[:] = True
                 break
             self._worlds[scene.static] = worlds.with_doubled_pool()
-            self.counts = self.counts._replace(grown=self.counts.pool_doublings + 1)
+            self.counts = self.counts._replace(pool_doublings=self.counts.pool_doublings + 1)
         recorder.status[truncated] = int(RolloutStatus.TRUNCATED)
         return recorder.rollout()
 

@@ -57,7 +57,7 @@ def refine_layout(context: StepContext) -> None:
             "mean_log_scale": refined.mean_log_scale,
             "mean_shift_m": _mean([move.distance_m for move in moves.values()]),
             "mean_turn_deg": _mean([move.turn_deg for move in moves.values()]),
-            "kept": list(refined.resting_objects),
+            "kept": list(refined.kept),
             "rollouts": refined.rollouts,
             "scoring": refined.scoring,
             "layout": {

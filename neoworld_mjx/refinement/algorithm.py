@@ -152,7 +152,8 @@ def init(
     Args:
         problem: the run's problem.
         seed: the run's seed.
-        factor: initial factors of the objects' standard deviations. If None, all factors are 1.
+        sigma_factor: initial factors of the objects' standard deviations. If None, all factors are
+            1.
     """
     if sigma_factor is None:
         sigma_factor = np.ones(problem.origin.yaw.shape[1])
@@ -216,7 +217,7 @@ def evaluate(
         layouts: the candidates.
         rollout: rollout of the candidates.
         candidates: poses of the candidates at the start of the rollout with their measures, from
-            `placed_at_rest` if the candidates were settled. If None, the initial poses of the
+            `measure_settled` if the candidates were settled. If None, the initial poses of the
             rollout are measured.
     """
     if candidates is None:

@@ -166,7 +166,7 @@ def _fixed_axes(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
     """Return a mask of the axes (x and y of the parent) along which an attached object is fixed.
 
     An object is fixed along the thickness direction of its parent if the parent is a plate; see
-    PLATE.
+    PLATE_THICKNESS.
     """
     parent = np.asarray(scene.arrangement.parent)
     attached = (parent >= 0) & ~np.asarray(scene.arrangement.snapped) & np.asarray(scene.optimised)

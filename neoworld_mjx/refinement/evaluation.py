@@ -99,7 +99,7 @@ class Evaluation(NamedTuple):
         """Score the candidates of several runs.
 
         Args:
-            live: the runs.
+            active: the runs.
             layouts: population of each run.
             placed: placed candidates of each run.
             rollouts: rollout of each run's candidates.
@@ -178,8 +178,10 @@ class Evaluation(NamedTuple):
 
     def before_physics(self, r: SearchResult, layouts: Layout, placed: Placed) -> Scores:
         """Score candidates as if no object moved, with the geometric S_sem."""
-        still = zero_duration_rollout(self.arrays, placed.poses)
-        return jax.device_get(evaluate(self.arrays, layouts, placed, still, r.problem.objective))
+        motionless = zero_duration_rollout(self.arrays, placed.poses)
+        return jax.device_get(
+            evaluate(self.arrays, layouts, placed, motionless, r.problem.objective)
+        )
 
     def unpadded_round(self, layouts: Layout, poses: Poses, scores: Scores) -> Round:
         """Return an iteration from which padded objects are removed."""

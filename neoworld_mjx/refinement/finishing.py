@@ -29,7 +29,7 @@ class Finished(NamedTuple):
     scene: SceneSpec
     measure: SceneMeasure
     moved_away: tuple[str, ...]
-    """Objects that settled farther from their placed poses than the bounds of `settled_by`."""
+    """Objects that settled farther from their placed poses than `settling_displacement` allows."""
     passed: bool
     """True if the scene passes the final check and no object moved away."""
 
@@ -152,7 +152,7 @@ def moved_away(
     end: SceneSpec,
     log_scale: Float[np.ndarray, " object"],
 ) -> tuple[str, ...]:
-    """Return the names of the objects that settled farther than the bounds of `settled_by`.
+    """Return the names of the objects that settled farther than `settling_displacement` allows.
 
     Args:
         model: the compiled scene.
@@ -183,9 +183,9 @@ def free_to_move(
 
 
 def with_resting_fixed(composed: SceneSpec, initial: Finished, o: RefineOptions) -> SceneSpec:
-    """Return a composed scene in which all objects that are not `freed` are fixed.
+    """Return a composed scene in which all objects that are not `free_to_move` are fixed.
 
-    Fixed objects have the poses at which they settled; freed objects keep their composed poses. The
+    Fixed objects have the poses at which they settled; free objects keep their composed poses. The
     fewer objects move, the faster is a search.
     """
     free = free_to_move(composed, initial.rests(o))

@@ -74,7 +74,7 @@ def search(
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
         scorer: source of S_sem by a model; only for a single run.
-        keep: if True, keep all candidates; if False, keep only the possible finalists.
+        keep_all: if True, keep all candidates; if False, keep only the possible finalists.
         clock: seconds spent on each step; updated in place.
         progress: called with one line per run and iteration.
 
@@ -127,7 +127,7 @@ def search(
                 progress(_line(r, scores[k]))
             r.finished = converged(r.problem, state)
             stuck = np.flatnonzero(state.stuck)
-            if len(stuck) and not bool(state.seen_valid):
+            if len(stuck) and not bool(state.any_valid):
                 r.finished, r.stuck = True, tuple(scene.names[k] for k in stuck)
         _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
@@ -181,8 +181,8 @@ def _initialize_runs(
 ) -> list[SearchResult]:
     """Initialize every run. With settling, the initial layout is its first iteration.
 
-    If `plain` is False (user-defined terms, another optimizer or scores by a model), every object
-    moves, and a scene that passes the final check is searched, too.
+    If `builtin_only` is False (user-defined terms, another optimizer or scores by a model), every
+    object moves, and a scene that passes the final check is searched, too.
     """
     scene, arrays, padded = evaluation.scene, evaluation.arrays, evaluation.padded
     results = []
@@ -199,7 +199,7 @@ def _initialize_runs(
         for result, round_ in zip(results, evaluation.score_initials(results), strict=True):
             result.rounds.append(round_)
             result.summaries.append(_summary(round_.scores))
-            result.marks.append(np.array([ScoreSource.GEOMETRIC], np.int8))
+            result.score_sources.append(np.array([ScoreSource.GEOMETRIC], np.int8))
             result.rollouts = 1
             result.finished = result.initial.passed and builtin_only
             if result.initial.passed or bool(round_.scores.valid[0]):
@@ -219,7 +219,8 @@ def _initial_factors(
 ) -> Float[np.ndarray, " object"]:
     """Return the initial factor of each object's standard deviations.
 
-    The factor is 0 for objects that rest in the initial layout if `holds` is True, and else 1.
+    The factor is 0 for objects that rest in the initial layout if `hold_resting` is True, and else
+    1.
     """
     factors = np.ones(count, np.float32)
     if hold_resting:

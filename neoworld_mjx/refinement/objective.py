@@ -75,7 +75,7 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
 }
 """Factories of the built-in terms, by name.
 
-The weights of the terms in ALWAYS have options of their own. Any other term is used only if
+The weights of the terms in DEFAULT_TERMS have options of their own. Any other term is used only if
 `refine.reward.terms` names it, with the weight given there.
 """
 DEFAULT_TERMS = ("s_sem", "prior", "d_pen", "d_drift")
@@ -159,7 +159,7 @@ def open_objective(
 
 
 def has_builtin_terms_only(objective: Objective) -> bool:
-    """Return whether the objective has only the terms of ALWAYS.
+    """Return whether the objective has only the terms of DEFAULT_TERMS.
 
     Any other term may reward moving an object that already rests.
     """
@@ -267,16 +267,16 @@ def refuse_not_finite(
 
 def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
     """Return a rollout without motion or penetration, in which every object looks as parsed."""
-    still = zero_duration_rollout(scene, scene.place(layouts))
-    motion = (still.pos, still.quat, still.joint_shift)
-    still = eqx.tree_at(
+    motionless = zero_duration_rollout(scene, scene.place(layouts))
+    motion = (motionless.pos, motionless.quat, motionless.joint_shift)
+    motionless = eqx.tree_at(
         lambda s: (s.time, s.pos, s.quat, s.joint_shift),
-        still,
+        motionless,
         (0.1 * jnp.arange(1, records + 1), *(jnp.repeat(x, records, axis=1) for x in motion)),
     )
     zero_depth = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
     visible = as_parsed(scene.photo, len(zero_depth))
-    return measured_rollout(still, zero_depth, visible, jnp.zeros(layouts.yaw.shape))
+    return measured_rollout(motionless, zero_depth, visible, jnp.zeros(layouts.yaw.shape))
 
 
 class Scores(eqx.Module):
@@ -303,7 +303,7 @@ class Scores(eqx.Module):
     """Largest drift of each object, in units of the stability bounds.
 
     The drift of an object is at least its displacement by settling, in units of the bounds of
-    `settled_by`.
+    `settling_displacement`.
     """
     depth: Float[AnyArray, "pop object"]
     """Largest penetration depth of each object [m]."""

@@ -54,7 +54,7 @@ class Refined:
     """Seconds spent on each step."""
     fallbacks: tuple[str, ...] = ()
     """Descriptions of the fallbacks of this and of earlier steps."""
-    resting_objects: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
     """Names of the optimized objects that rested in the initial layout."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
@@ -142,7 +142,7 @@ def outcome(
         winner: the winner.
         engine: name of the physics engine.
         clock: seconds spent on each step.
-        delivered: scores of the final scene; see `delivery.delivered`.
+        delivered: scores of the final scene; see `delivery.final_scene_scores`.
         semantic: source of each candidate's S_sem (see `scorer.Mark`); shape [iteration, pop].
         scoring: summary of the semantic scorer.
         fallbacks: descriptions of the fallbacks of earlier steps.
@@ -187,7 +187,7 @@ def outcome(
         passed=winner.passed,
         seconds=clock,
         fallbacks=fallbacks,
-        resting_objects=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
+        kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
         scoring=scoring or {},
         delivered=delivered,
         first_valid=result.first_valid,

@@ -42,7 +42,7 @@ class TermValue(eqx.Module):
     reward_value: Float[AnyArray, " pop"]
     """Value that enters the reward. D_drift, for example, is reduced by its dead zone."""
     by_object: Float[AnyArray, "pop object"] | None = None
-    """Charged value of each object, for credit assignment; None if the term has no such values."""
+    """Reward value of each object, for credit assignment; None if the term has no such values."""
 
 
 TermFunction = Callable[[Any, Layout, Rollout], Any]
@@ -81,7 +81,7 @@ class Term(eqx.Module):
 
     If all terms accept padded scenes, scoring and sampling are compiled once for many scenes, else
     once for each scene. In the first case the function is called with a `SceneArrays` whose object
-    axis is padded; `optimised`, `movable`, `photo.judged` and `pair_mask` are False for padding.
+    axis is padded; `optimised`, `movable`, `photo.scored` and `pair_mask` are False for padding.
     """
 
 
@@ -171,7 +171,7 @@ class Drift(eqx.Module):
         """Compute D_drift; see `d_drift`."""
         by_object = drift_by_object(scene, rollout, self.distance, self.angle)
         by_object = jnp.maximum(by_object, _settled(rollout))
-        reward_value = jnp.maximum(by_object - self.free, 0.0)
+        reward_value = jnp.maximum(by_object - self.dead_zone, 0.0)
         return TermValue(jnp.sum(by_object, axis=1), jnp.sum(reward_value, axis=1), reward_value)
 
 

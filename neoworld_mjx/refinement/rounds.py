@@ -39,14 +39,14 @@ def rank_candidates(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
 
 
 def best_first(valid: np.ndarray, merit: np.ndarray, absolute: np.ndarray) -> np.ndarray:
-    """Return the indices of the candidates, best first, in the order of `ranked`; shape [pop]."""
+    """Return the candidates' indices, best first, in the order of `rank_candidates`; shape [pop]."""
     return np.lexsort((-np.where(valid, merit, absolute), ~valid))
 
 
 def stack_padded(rows: list[Any], fill: Any) -> np.ndarray:
     """Stack iterations, padding each of them to the largest population with `fill`."""
     largest = np.asarray(max(rows, key=len))
-    stacked = np.full((len(rows), *largest.shape), fill, largest.dtype)
+    padded = np.full((len(rows), *largest.shape), fill, largest.dtype)
     for t, row in enumerate(rows):
-        stacked[t, : len(row)] = row
-    return stacked
+        padded[t, : len(row)] = row
+    return padded

@@ -212,8 +212,8 @@ class RecordedScores:
 
         Args:
             stage: the stage.
-            must: candidates whose scores are returned.
-            rest: if True, also return the scores of all other candidates.
+            required: candidates whose scores are returned.
+            others: if True, also return the scores of all other candidates.
         """
         return sorted(
             (s for s in self._put if s.used == stage and (others or s.identity in required)),

@@ -57,7 +57,7 @@ class ScoreWorkers:
         photo: the photograph.
         options: time limit, number of consecutive failures that ends all requests, and cost limit.
         draw: function that renders a candidate; called by one thread at a time. If None, it is the
-            result of `drawer`.
+            result of `scene_renderer`.
 
     Raises:
         ConfigError: costs are limited, but the price of the critic's model is unknown.
@@ -127,9 +127,9 @@ class ScoreWorkers:
 
         Args:
             stage: stage that is stored in each score as its first use.
-            must: candidates to wait for. They are requested before all others. If too many scores
-                have failed in a row, the call does not wait.
-            rest: if True, also return the scores of other candidates that have arrived.
+            required: candidates to wait for. They are requested before all others. If too many
+                scores have failed in a row, the call does not wait.
+            others: if True, also return the scores of other candidates that have arrived.
         """
         required = set(required)
         with self._changed:

@@ -4,10 +4,10 @@
         scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
         ...                                                       # run the rollout
         scorer.collect(t)                                         # waits according to options.wait
-        s_sem, marks = scorer.fill(t, layouts, geometric)         # for every candidate
+        s_sem, sources = scorer.s_sem_of(t, layouts, geometric)         # for every candidate
 
-Before the winner is chosen, `await_for` waits for the scores of the finalists. After that, `fill`
-computes the S_sem of any iteration from all known scores.
+Before the winner is chosen, `await_for` waits for the scores of the finalists. After that,
+`s_sem_of` computes the S_sem of any iteration from all known scores.
 """
 
 import time
@@ -198,8 +198,8 @@ class SemanticScorer:
             geometric: geometric S_sem of the population.
 
         Returns:
-            S_sem of each candidate in [0, 1] (float32), and the `Mark` of each candidate. As long
-            as no candidate of the run has a score, all candidates have the geometric S_sem.
+            S_sem of each candidate in [0, 1] (float32), and the `ScoreSource` of each candidate. As
+            long as no candidate of the run has a score, all candidates have the geometric S_sem.
         """
         geometric_scores = np.asarray(geometric, float)
         for key in self._jobs:

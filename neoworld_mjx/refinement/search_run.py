@@ -40,7 +40,10 @@ class SearchResult:
     problem: Problem
     state: SearchState
     scene: SceneModel
-    """Scene that is searched, in which some objects may be fixed; see `finishing.held`."""
+    """Scene that is searched, in which some objects may be fixed.
+
+    See `finishing.with_resting_fixed`.
+    """
     arrays: SceneArrays
     """Arrays of the scene that terms and optimizers receive, padded or not."""
     padded: SceneArrays

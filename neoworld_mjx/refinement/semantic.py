@@ -47,13 +47,13 @@ class Semantic(eqx.Module):
 
     total: Float[Array, " pop"]
     by_object: Float[Array, "pop object"]
-    """Score of each object from the criteria that involve it; 1 for objects that are not judged."""
+    """Score of each object from the criteria that involve it; 1 for objects that are not scored."""
 
 
 def semantic_score(
     scene: SceneArrays, depths: Float[Array, "pop object object"], visible: Visible
 ) -> Semantic:
-    """Return S_sem of candidates in [0, 1]. If no object of the scene is judged, S_sem is 1.
+    """Return S_sem of candidates in [0, 1]. If no object of the scene is scored, S_sem is 1.
 
     Args:
         scene: the scene's arrays.

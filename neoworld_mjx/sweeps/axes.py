@@ -49,8 +49,8 @@ def read_axes(axes: Mapping[str, Any], takes_integers: Callable[[str], bool]) ->
 
     Args:
         axes: a list of values or the mapping of an `AxisRange`, by the path of an option.
-        whole: function that returns whether an option takes only integers. Values of a range are
-            then rounded.
+        takes_integers: function that returns whether an option takes only integers. Values of a
+            range are then rounded.
 
     Raises:
         ConfigError: an axis has no values, or is neither a list nor a range.
@@ -108,7 +108,7 @@ def combinations(
         samples: number of samples from the ranges. Each sample is combined with every combination
             of the values in lists.
         draw_seed: random seed of the samples.
-        whole: see `read_axes`.
+        takes_integers: see `read_axes`.
 
     Raises:
         ConfigError: a group names an axis that does not exist or axes of different lengths, there

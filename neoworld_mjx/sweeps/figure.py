@@ -54,7 +54,7 @@ def draw(
     Args:
         rows: the runs, each with its iterations under "history".
         axes: columns that distinguish points.
-        form: format of the file.
+        file_format: format of the file.
     """
     axes = [name for name in axes if len({row[name] for row in rows}) > 1][:2]
     effects = EFFECTS if axes else ()

@@ -138,7 +138,7 @@ def search_together(
 ) -> list[Row]:
     """Search all runs in one computation.
 
-    Runs that may fix different objects (see `grouping.holding_part`) are searched in separate
+    Runs that may fix different objects (see `grouping.fixing_key`) are searched in separate
     computations. On a CPU, a row does not depend on the other runs.
 
     Args:
@@ -202,7 +202,7 @@ def refine_separately(
         model: the compiled scene.
         runs: point and inputs of each run.
         engine: the physics engine.
-        compiled_kinds: static options, as JSON, for which a search has been compiled; updated in
+        compiled_static: static options, as JSON, for which a search has been compiled; updated in
             place.
         scores: source of scores by a model; None if no run needs such scores.
     """

@@ -51,7 +51,7 @@ def static_key(options: RefineOptions) -> str:
 
 
 def group_points(points: Sequence[RefineOptions], *, together: bool = True) -> list[PointGroup]:
-    """Group points whose static options are equal. If `fold` is False, do not group points."""
+    """Group points whose static options are equal. If `together` is False, do not group points."""
     groups: dict[str, list[int]] = {}
     for k, options in enumerate(points):
         groups.setdefault(static_key(options) if together else str(k), []).append(k)
@@ -61,7 +61,7 @@ def group_points(points: Sequence[RefineOptions], *, together: bool = True) -> l
 def grouping_reasons(points: Sequence[RefineOptions], *, together: bool = True) -> list[str]:
     """Return a line for each static option that splits the points into groups, and their number.
 
-    If there is only one group, or if `fold` is False, there are no lines.
+    If there is only one group, or if `together` is False, there are no lines.
     """
     tables = [option_values(options) for options in points]
     count = len({static_key(options) for options in points})

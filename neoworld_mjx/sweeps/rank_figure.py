@@ -39,8 +39,8 @@ class Ranks(NamedTuple):
 def ranks(rows: Sequence[Row], points: Sequence[str]) -> Ranks | None:
     """Rank points in each scene by the mean of a column over the seeds.
 
-    The column is the first one in `RANKED` for which at least two scenes have finite values of
-    every point. Scenes without a finite value of some point are omitted.
+    The column is the first one in `RANK_COLUMNS` for which at least two scenes have finite values
+    of every point. Scenes without a finite value of some point are omitted.
 
     Args:
         rows: the runs.
@@ -102,9 +102,11 @@ def draw_ranks(mean_ranks: Ranks, file_format: Literal["svg", "pdf"]) -> bytes |
         bars = cliques(mean_ranks)
         for k, (first, last) in enumerate(bars):
             axes.plot(
-                [mean_ranks.means[first] - 0.03, mean_ranks.means[last] + 0.03], [-0.4 - 0.3 * k] * 2, "k",
+                [mean_ranks.means[first] - 0.03, mean_ranks.means[last] + 0.03],
+                [-0.4 - 0.3 * k] * 2,
+                "k",
                 linewidth=3,
-            )  # fmt: skip
+            )
         top = -0.4 - 0.3 * len(bars)
         for k, (point, mean) in enumerate(zip(mean_ranks.points, mean_ranks.means, strict=True)):
             height = top - 0.5 * (k + 1)

@@ -163,8 +163,8 @@ def check(
     if mismatched:
         scene, point, seed = mismatched[0]
         raise RunError(
-            f"{out}: {len(mismatched)} of {len(rows)} rows come from other scenes, options or versions "
-            f"than those of this plan here, such as scene {scene}, point {point}, seed {seed}: "
+            f"{out}: {len(mismatched)} of {len(rows)} rows come from other scenes, options or "
+            f"versions than those of this plan here, such as scene {scene}, point {point}, seed {seed}: "
             "they must not be compared; compute them again with --resume"
         )
     return {"checked": len(rows), "missing": runner.total - len(rows)}

@@ -130,7 +130,7 @@ def row_of_search(
         model: the compiled scene.
         result: the search.
         winner: the winner of the search.
-        delivered: scores of the winner's final scene; see `delivery.delivered`.
+        delivered: scores of the winner's final scene; see `delivery.final_scene_scores`.
     """
     t, k = winner.index
     values = None

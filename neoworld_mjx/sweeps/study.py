@@ -239,8 +239,8 @@ def _save(
 
 
 def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
-    wanted = plan.study
-    assert wanted is not None
+    options = plan.study
+    assert options is not None
     storage = None
     if folder is not None:
         journal = optuna.storages.journal.JournalFileBackend(str(folder.path / JOURNAL))
@@ -252,19 +252,19 @@ def _open_study(plan: Plan, optuna: Any, folder: SweepFolder | None) -> Any:
     }
     pruner = (
         optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3)
-        if wanted.prune
+        if options.prune
         else optuna.pruners.NopPruner()
     )
     study = optuna.create_study(
         study_name="sweep",
         storage=storage,
         pruner=pruner,
-        direction=wanted.direction,
+        direction=options.direction,
         load_if_exists=True,
     )
     trials = study.get_trials(deepcopy=False)
     # A resumed study must not sample its first trials again.
-    study.sampler = samplers[wanted.sampler](wanted.seed + len(trials))
+    study.sampler = samplers[options.sampler](options.seed + len(trials))
     for trial in trials:
         if trial.state == optuna.trial.TrialState.RUNNING:  # The study was killed.
             study.tell(trial.number, state=optuna.trial.TrialState.FAIL)

@@ -33,7 +33,7 @@ process [s]. The first two were measured for the example coffee on an AMD EPYC.
 
 
 class _Job(NamedTuple):
-    """Arguments of `choose` for one run."""
+    """Arguments of `choose_winner` for one run."""
 
     options: RefineOptions
     rounds: list[Round]

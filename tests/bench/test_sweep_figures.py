@@ -25,22 +25,22 @@ def written(tmp_path, plan, row, kind=Plan, *, finished=True):
     (tmp_path / verb).mkdir(exist_ok=True)
     file = tmp_path / verb / "plan.yaml"
     file.write_text(yaml.safe_dump({"scenes": SCENES, "seeds": 2} | plan))
-    read_plan = read_plan(file, kind)
+    read_back = read_plan(file, kind)
     rows = [
         {"scene": scene, "point": point.label, "seed": seed, "fingerprint": "0"}
         | point.values
         | {"passed": True, "max_depth_m": 0.0, "max_drift_m": 0.0, "max_tilt_deg": 0.0}
         | row(scene, point.values, seed)
-        for scene in read_plan.scenes
-        for point in points(read_plan)
-        for seed in read_plan.seeds
+        for scene in read_back.scenes
+        for point in points(read_back)
+        for seed in read_back.seeds
     ]
     about = {
         "format": "neoworld-sweep/1",
         "kind": "ablation" if kind is Ablation else "sweep",
-        "plan": read_plan.model_dump(mode="json"),
-        "points": [{"label": p.label, **p.values} for p in points(read_plan)],
-        "scenes": list(read_plan.scenes),
+        "plan": read_back.model_dump(mode="json"),
+        "points": [{"label": p.label, **p.values} for p in points(read_back)],
+        "scenes": list(read_back.scenes),
         "groups": [],
         "commit": "abcdef0123+",
         "versions": {"jax": "0.1"},

@@ -114,8 +114,8 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
 
 
 def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(decompose, "installed", lambda: False)
-    monkeypatch.setattr("neoworld_mjx.export.importing.installed", lambda: False)
+    monkeypatch.setattr(decompose, "coacd_installed", lambda: False)
+    monkeypatch.setattr("neoworld_mjx.export.importing.coacd_installed", lambda: False)
     (tmp_path / "u.obj").write_text(U)
     path = tmp_path / "u.urdf"
     path.write_text(

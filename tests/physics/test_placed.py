@@ -78,7 +78,7 @@ def test_chunks_are_the_whole_population_in_order(shelf, monkeypatch):
         x = np.asarray(chunk.pos[..., 0], np.float32)
         return x[:, :, None] + np.zeros(4, np.float32), as_parsed(scene.photo, len(x))
 
-    monkeypatch.setattr(placed, "measured_poses", measure)
+    monkeypatch.setattr(placed, "measure_poses", measure)
     found = measure_in_chunks(shelf, poses, lower)
     assert sizes == [2, 2, 2]
     assert found.depth[:, 3, 0] == pytest.approx(lower.pos[:, 3, 0])

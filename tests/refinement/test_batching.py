@@ -82,7 +82,7 @@ def test_work_stays_on_the_device_that_jax_is_told_to_use():
 def test_arrays_of_the_split_length_are_divided_and_others_copied(monkeypatch):
     tree = {"part": np.zeros((4, 2)), "whole": np.zeros(3), "number": np.float32(1), "name": "x"}
     assert shard(tree, 4) is tree, "a single device keeps everything"
-    monkeypatch.setattr(batching, "mesh_of", lambda devices: SimpleNamespace(size=2))
+    monkeypatch.setattr(batching, "device_mesh", lambda devices: SimpleNamespace(size=2))
     monkeypatch.setattr(batching, "put", lambda array, mesh, spec: spec)
     divided = shard(tree, 4)
     assert divided == {"part": SHARDED, "whole": REPLICATED, "number": REPLICATED, "name": "x"}

@@ -49,7 +49,7 @@ for name, device, tile in (
     ("alone", jax.local_devices()[0], 1), ("shared", None, tiles[sys.argv[2]])
 ):
     used.clear()
-    loop.tile_of = lambda runs, population: tile
+    loop.tile_size = lambda runs, population: tile
     runs = [SearchRun(o, seed) for seed in range(8)]
     with jax.default_device(device):
         results = loop.search(model, runs, NativeEngine(threads=1))

@@ -160,12 +160,14 @@ def test_one_candidate_is_measured_against_the_pose_that_it_settled_from(model, 
     layouts = [r.problem.origin for r in runs]
     starts = [jax.tree.map(np.array, rest) for rest in rests]
     starts[1].pos[:, 1:, 0] += 0.5
-    same, moved = evaluation.of_each(runs, layouts, starts, rests)
-    (alone,) = evaluation.of_each(runs[1:], layouts[1:], rests[1:], rests[1:])
+    same, moved = evaluation.score_each(runs, layouts, starts, rests)
+    (alone,) = evaluation.score_each(runs[1:], layouts[1:], rests[1:], rests[1:])
     assert float(moved.merit[0]) < float(alone.merit[0]), "displacement by settling costs"
     np.testing.assert_allclose(moved.terms["d_pen"], alone.terms["d_pen"], atol=1e-6)
     assert len(same.reward) == len(moved.reward) == 1
-    (known,) = evaluation.of_each(runs[:1], layouts[:1], rests[:1], rests[:1], np.float32([0.25]))
+    (known,) = evaluation.score_each(
+        runs[:1], layouts[:1], rests[:1], rests[:1], np.float32([0.25])
+    )
     assert float(known.terms["s_sem"][0]) == 0.25
 
 

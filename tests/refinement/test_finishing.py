@@ -123,7 +123,7 @@ def test_badness_sums_the_excesses_over_their_bounds(initial):
     )
     bad = lambda away=(), **update: found._replace(
         measure=fine.model_copy(update=update), moved_away=away
-    ).badness(o)
+    ).excess_over_bounds(o)
     assert bad() == 0.0
     assert bad(max_drift_m=1.5 * o.max_drift_m) == pytest.approx(0.5 + 0.1)
     assert bad(max_tilt_deg=3 * o.max_tilt_deg) == pytest.approx(2.0 + 0.1)

@@ -106,7 +106,7 @@ def test_a_scene_in_which_nothing_moves_has_means_of_zero():
     (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
     found = refined((model, result))
     assert (found.mean_shift_m, found.mean_turn_deg, found.mean_log_scale) == (0.0, 0.0, 0.0)
-    assert found.resting_objects == ()
+    assert found.kept == ()
 
 
 def test_the_history_has_all_candidates_and_terms(searched):
@@ -133,7 +133,7 @@ def test_what_was_done_is_stated(searched):
     result = refined(searched, result=replace(known, first_valid=TimeToValid(1, 4)))
     assert (result.iterations, result.rollouts, result.winner) == (1, 8, (0, 2))
     assert (result.finalists_tried, result.engine, result.first_valid) == (3, "native", (1, 4))
-    assert set(result.resting_objects) == {"low", "high", "ball"} and result.passed
+    assert set(result.kept) == {"low", "high", "ball"} and result.passed
     assert result.fallbacks == () and result.scoring == {}
     assert refined(searched, scoring={"calls": 3}).scoring == {"calls": 3}
     m = result.measure

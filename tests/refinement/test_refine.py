@@ -83,10 +83,10 @@ ENGINES = [
 def test_an_object_that_topples_is_moved_onto_its_support(engine):
     result = refine(toppling(), options(), seed=1, engine=engine)
     assert result.engine == engine.name
-    assert not result.before.s_stab or "plate" not in result.resting_objects
+    assert not result.before.s_stab or "plate" not in result.kept
     assert result.passed and result.measure.s_stab and result.measure.movable == 4
     assert result.winner[0] > 0
-    assert set(result.resting_objects) == {"low", "base", "top"}
+    assert set(result.kept) == {"low", "base", "top"}
     assert scene_measure(result.scene, duration=0.5) == result.measure
     poses = world_poses(result.scene)
     assert poses["plate"].pos[2] == pytest.approx(0.06, abs=1e-3)
@@ -123,7 +123,7 @@ def test_a_scene_that_passes_needs_no_iteration(scene):
     assert isinstance(result.layout, Layout)
     assert not any(np.asarray(leaf).any() for leaf in (result.layout.xy, result.layout.yaw))
     moving = [item.name for item in scene.objects if not item.environment]
-    assert list(result.resting_objects) == moving
+    assert list(result.kept) == moving
     assert lines == [f"all {len(moving)} objects rest where they were placed"]
     assert math.isfinite(result.measure.max_drift_m)
 
@@ -252,7 +252,7 @@ def test_a_tilt_that_no_layout_can_change_settles_unless_disabled():
     settled = refine(leaning(), options(16, 2), seed=1, engine="native")
     assert settled.passed and settled.rollouts == 1
     _, x, y, _ = settled.scene.object("slab").base_tilt
-    assert math.hypot(x, y) < 1e-3 and set(settled.resting_objects) == {"slab", "block"}
+    assert math.hypot(x, y) < 1e-3 and set(settled.kept) == {"slab", "block"}
 
 
 class Watched(NativeEngine):

@@ -58,7 +58,7 @@ class ScriptedPanel(Panel):
 @pytest.fixture(autouse=True)
 def _single(monkeypatch):
     """One thread, as the panels request one score at a time."""
-    monkeypatch.setattr(score_worker, "AHEAD", 0)
+    monkeypatch.setattr(score_worker, "EXTRA_WORKERS", 0)
 
 
 def job(iteration, candidate, rank=0):
@@ -103,7 +103,7 @@ def test_awaited_candidates_come_first_then_by_iteration_rank_and_submission(wor
     pool.put(later)
     assert len(pool._threads) == 1
     found = []
-    waiting = threading.Thread(target=lambda: found.extend(pool.take(1, [(1, 0)], rest=False)))
+    waiting = threading.Thread(target=lambda: found.extend(pool.take(1, [(1, 0)], others=False)))
     waiting.start()
     for _ in range(5000):
         if pool._queue[0][1].identity == (1, 0):
@@ -113,7 +113,7 @@ def test_awaited_candidates_come_first_then_by_iteration_rank_and_submission(wor
     go.set()
     waiting.join(10)
     rest = [(0, 0), (0, 3), (0, 5), (0, 7), (0, 8), (1, 1)]
-    everything = pool.take("final", rest, rest=True)
+    everything = pool.take("final", rest, others=True)
     assert drawn == ["0 5", "1 0", "0 0", "0 3", "0 7", "0 8", "1 1"]
     assert [(s.identity, s.used) for s in found] == [((1, 0), 1)]
     assert [s.identity for s in everything] == rest
@@ -125,7 +125,7 @@ def test_a_score_has_its_cost_and_a_copy_is_free(workers):
     pool = workers(panel, lambda scene: np.full((4, 6, 3), scene.name[-1] == "9", np.uint8))
     jobs = [job(0, 1), job(0, 2), job(0, 9)]
     pool.put(jobs)
-    one, copy, other = pool.take(0, [each.identity for each in jobs], rest=True)
+    one, copy, other = pool.take(0, [each.identity for each in jobs], others=True)
     price = panel.ledger.prices[panel.options.critic.model]
     cost = price.cost(Usage(input=1000, output=500))
     assert cost > 0 and one.cost_usd == other.cost_usd == round(cost, 6)
@@ -145,7 +145,7 @@ def test_a_score_has_its_cost_and_a_copy_is_free(workers):
 def test_an_answer_of_a_tape_is_free(workers):
     pool = workers(ScriptedPanel(4, online=False))
     pool.put([job(0, 0)])
-    (score,) = pool.take(0, [(0, 0)], rest=True)
+    (score,) = pool.take(0, [(0, 0)], others=True)
     assert (score.value, score.cost_usd) == (1.0, 0.0)
 
 
@@ -156,13 +156,13 @@ def test_consecutive_failures_end_the_requests(workers):
     pool = workers(panel, give_up_after=3)
     jobs = [job(0, k, k) for k in range(8)]
     pool.put(jobs)
-    scores = pool.take(0, [each.identity for each in jobs], rest=True)
+    scores = pool.take(0, [each.identity for each in jobs], others=True)
     assert panel.asked == 6
     assert pool.stopped == "3 consecutive scores failed; the last error: broken"
     assert [s.value for s in scores] == [None, None, 0.5, None, None, None, None, None]
     assert [s.error for s in scores[5:]] == ["broken", *[f"not requested: {pool.stopped}"] * 2]
     pool.put([job(1, 0)])
-    (late,) = pool.take(1, [(1, 0)], rest=True)
+    (late,) = pool.take(1, [(1, 0)], others=True)
     assert late.error == f"not requested: {pool.stopped}" and panel.asked == 6
 
 
@@ -170,7 +170,7 @@ def test_failures_count_from_the_first_request(workers):
     panel = ScriptedPanel(ModelError("broken"), ModelError("broken"), 2)
     pool = workers(panel, give_up_after=2)
     pool.put([job(0, k, k) for k in range(3)])
-    pool.take(0, [(0, k) for k in range(3)], rest=True)
+    pool.take(0, [(0, k) for k in range(3)], others=True)
     assert panel.asked == 2 and pool.stopped is not None
 
 
@@ -179,11 +179,11 @@ def test_the_limit_of_costs_counts_what_this_search_spends(workers):
     panel.ledger = Spent(None, panel.ledger.prices)
     pool = workers(panel, max_cost_usd=1.0)
     pool.put([job(0, 0)])
-    (score,) = pool.take(0, [(0, 0)], rest=True)
+    (score,) = pool.take(0, [(0, 0)], others=True)
     assert score.value == 0.5 and pool.cost_usd == 0.0
     panel.ledger.spent_usd = 6.0
     pool.put([job(0, 1)])
-    (score,) = pool.take(0, [(0, 1)], rest=True)
+    (score,) = pool.take(0, [(0, 1)], others=True)
     assert score.error == "not requested: refine.semantic.max_cost_usd of 1 USD is reached"
     assert pool.cost_usd == 1.0 and panel.asked == 1
 
@@ -196,14 +196,14 @@ def test_a_candidate_that_cannot_be_drawn_fails_alone(workers):
 
     pool = workers(ScriptedPanel(), draw)
     pool.put([job(0, 0), job(0, 1)])
-    bad, good = pool.take(0, [(0, 0), (0, 1)], rest=True)
+    bad, good = pool.take(0, [(0, 0), (0, 1)], others=True)
     assert bad.error == "cannot be rendered: no camera" and bad.asked is None and good.value == 0.5
 
 
 def test_closing_abandons_what_is_pending(workers):
     pool = workers(ScriptedPanel(2, None))
     pool.put([job(0, 0), job(0, 1), job(0, 2)])
-    assert pool.take(0, [(0, 0)], rest=False)[0].value == 0.5
+    assert pool.take(0, [(0, 0)], others=False)[0].value == 0.5
     rest = pool.close()
     assert [s.identity for s in rest] == [(0, 1), (0, 2)]
     assert all(s.error == "abandoned: the search had ended" and s.used is None for s in rest)
@@ -213,7 +213,7 @@ def test_closing_abandons_what_is_pending(workers):
 def test_some_more_candidates_are_drawn_than_are_requested_at_once(workers, monkeypatch):
     assert EXTRA_WORKERS == 2
     for ahead in (0, 2, 5):
-        monkeypatch.setattr(score_worker, "AHEAD", ahead)
+        monkeypatch.setattr(score_worker, "EXTRA_WORKERS", ahead)
         panel = ScriptedPanel()
         panel.options = panel.options.model_copy(update={"concurrency": 3})
         pool = workers(panel)

@@ -5,7 +5,8 @@ each scored candidate out.
 import numpy as np
 import pytest
 
-from neoworld_mjx.refinement.surrogate import MIN_SCORED, PENALTIES, surrogate_scores
+from neoworld_mjx.refinement import surrogate
+from neoworld_mjx.refinement.surrogate import MIN_SCORED, surrogate_scores
 
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
@@ -81,7 +82,7 @@ def test_a_regression_needs_six_scores():
         scores = g[rows] + 0.05 * z[rows, 0]
         found = surrogate_scores(z[50:], g[50:], z[rows], g[rows], scores) - g[50:]
         assert (np.ptp(found) > 1e-3) == learned
-    assert MIN_SCORED == 6 and PENALTIES == PENALTIES
+    assert MIN_SCORED == 6 and surrogate.PENALTIES == PENALTIES
 
 
 def test_equal_differences_are_the_mean_alone():

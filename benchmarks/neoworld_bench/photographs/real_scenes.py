@@ -88,7 +88,7 @@ def real_refinements(
             objects=len(scene.objects),
             movable=int(np.sum([not item.environment for item in scene.objects])),
             valid=refined.passed,
-            kept=len(refined.resting_objects),
+            kept=len(refined.kept),
             first_s=first,
             again_s=again,
             programs=programs,
