@@ -27,8 +27,8 @@ FACE_TOLERANCE_M = 1e-5
 AXIS_REFINEMENTS = 4
 """Number of refinements of the axis if there are ellipsoids."""
 ZERO_DEPTH_WEIGHT, MIDPOINT_WEIGHT = 0.05, 0.02
-"""Weights in the selection of contact points: ZERO_DEPTH_WEIGHT of a point of zero depth relative to
-the deepest point, and MIDPOINT_WEIGHT of an edge's midpoint relative to the edge's ends."""
+"""Weights in the selection of contact points: ZERO_DEPTH_WEIGHT of a point of zero depth relative
+to the deepest point, and MIDPOINT_WEIGHT of an edge's midpoint relative to the edge's ends."""
 
 Vec = Float[Array, "3"]
 

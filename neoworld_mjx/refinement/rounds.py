@@ -39,7 +39,7 @@ def rank_candidates(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
 
 
 def best_first(valid: np.ndarray, merit: np.ndarray, absolute: np.ndarray) -> np.ndarray:
-    """Return the candidates' indices, best first, in the order of `rank_candidates`; shape [pop]."""
+    """Return the candidates' indices in the order of `rank_candidates`, best first; [pop]."""
     return np.lexsort((-np.where(valid, merit, absolute), ~valid))
 
 

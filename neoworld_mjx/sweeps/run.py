@@ -164,8 +164,8 @@ def check(
         scene, point, seed = mismatched[0]
         raise RunError(
             f"{out}: {len(mismatched)} of {len(rows)} rows come from other scenes, options or "
-            f"versions than those of this plan here, such as scene {scene}, point {point}, seed {seed}: "
-            "they must not be compared; compute them again with --resume"
+            f"versions than those of this plan here, such as scene {scene}, point {point}, "
+            f"seed {seed}: they must not be compared; compute them again with --resume"
         )
     return {"checked": len(rows), "missing": runner.total - len(rows)}
 
