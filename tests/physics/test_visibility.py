@@ -53,7 +53,7 @@ def test_ids_and_depths_agree_with_the_ray_caster(photographed, picture):
 def test_boxes_and_shares_match_a_rendered_image(photographed, picture):
     spec, scene = photographed
     seen = see(scene, Layout.zero(1, scene.count))
-    parsed, judged = np.asarray(scene.photo.boxes), np.asarray(scene.photo.judged)
+    parsed, judged = np.asarray(scene.photo.boxes), np.asarray(scene.photo.scored)
     size = parsed[:, 2:] - parsed[:, :2]
     share = np.asarray(seen.visible_fraction[0])
     shown = judged & (share > 0.05)

@@ -26,17 +26,17 @@ class Room(NamedTuple):
 class Worlds:
     """As `warp_worlds.Worlds`, one MjData a world; candidates keep the composed sizes."""
 
-    SHARED, OWN = 1, 2
+    SHARED, PER_WORLD = 1, 2
     overflows: dict[int, int]
 
     def __init__(self, static, capacity, device):
         self.mjm, self.static, self.capacity = static.mjm, static, capacity
         self.compactions = 0
 
-    def room(self):
+    def fitting_worlds(self):
         return 1 << 16
 
-    def grown(self):
+    def with_doubled_pool(self):
         Worlds.overflows = {}
         return Worlds(self.static, self.capacity._replace(contacts=16), None)
 
@@ -111,7 +111,7 @@ def test_candidates_end_as_in_native(engine, blocks, rule):
 
 def test_a_candidate_whose_constraints_do_not_fit_is_rolled_out_by_native(engine, blocks):
     scene, poses = blocks
-    Worlds.overflows = {3: Worlds.OWN}
+    Worlds.overflows = {3: Worlds.PER_WORLD}
     ours = engine.rollout(scene, poses, duration=0.2)
     theirs = NativeEngine().rollout(scene, poses, duration=0.2)
     assert engine.counts == (24, 1, 0)
@@ -125,7 +125,7 @@ def test_populations_of_few_sizes_compile_few_programs(engine, blocks):
     engine.rollout(scene, host, duration=0.1)
     before = compilations()
     for count in (18, 20, 23):
-        Worlds.overflows = {count - 1: Worlds.OWN}
+        Worlds.overflows = {count - 1: Worlds.PER_WORLD}
         rollout = engine.rollout(scene, host[:count], duration=0.1)
         assert rollout.pos.shape[0] == count
     assert compilations() == before

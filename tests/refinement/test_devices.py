@@ -19,12 +19,12 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import batching, loop
 from neoworld_mjx.refinement.compiling import compile_for_search
-from neoworld_mjx.refinement.rounds import ranked
+from neoworld_mjx.refinement.rounds import rank_candidates
 from neoworld_mjx.refinement.search_run import SearchRun
 from tests.support.scenes import stored_scene
 
 used = set()
-mapped = batching.split
+mapped = batching.shard
 
 
 def split(tree, length):
@@ -35,7 +35,7 @@ def split(tree, length):
     return result
 
 
-batching.split = split
+batching.shard = split
 o = RefineOptions.model_validate({
     "cem": {"population": 16, "iterations": 2, "hold_resting": False, "stop_gain": 0.0},
     "settle": {"enabled": False},
@@ -53,7 +53,7 @@ for name, device, tile in (
     runs = [SearchRun(o, seed) for seed in range(8)]
     with jax.default_device(device):
         results = loop.search(model, runs, NativeEngine(threads=1))
-    first = [ranked(r.rounds)[0] for r in results]
+    first = [rank_candidates(r.rounds)[0] for r in results]
     saved |= {
         f"{name}_index": [index for index, _ in first],
         f"{name}_reward": [value for _, value in first],

@@ -135,7 +135,7 @@ def test_before_physics_nothing_has_moved(model, settled):
 
 def test_an_initial_layout_is_scored_where_it_exactly_rests(model, settled):
     evaluation, runs = settled
-    rounds = evaluation.initials(runs)
+    rounds = evaluation.score_initials(runs)
     assert len(rounds) == 2
     for run, round_ in zip(runs, rounds, strict=True):
         exact = world_poses(run.initial.scene)
@@ -156,7 +156,7 @@ def test_an_initial_layout_is_scored_where_it_exactly_rests(model, settled):
 
 def test_one_candidate_is_measured_against_the_pose_that_it_settled_from(model, settled):
     evaluation, runs = settled
-    rests = [evaluation.resting(r.initial.scene, r.problem.origin) for r in runs]
+    rests = [evaluation.settled_poses(r.initial.scene, r.problem.origin) for r in runs]
     layouts = [r.problem.origin for r in runs]
     starts = [jax.tree.map(np.array, rest) for rest in rests]
     starts[1].pos[:, 1:, 0] += 0.5
@@ -177,7 +177,7 @@ def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
 
     def everything():
         placed = evaluation.place(layouts)
-        return placed, evaluation.initials(runs)
+        return placed, evaluation.score_initials(runs)
 
     on_cpu = everything()
     monkeypatch.setattr(module, "computes_on_cpu", lambda: False)

@@ -59,7 +59,7 @@ def play(scorer, rounds, gap_s=0.0, top=None):
         scorer.submit(t, scorer.best(GEOMETRIC, top), layouts, poses)
         time.sleep(gap_s)
         scorer.collect(t)
-        seen.append(scorer.fill(t, layouts, GEOMETRIC))
+        seen.append(scorer.s_sem_of(t, layouts, GEOMETRIC))
     return seen
 
 
@@ -198,7 +198,7 @@ def test_a_run_that_did_not_wait_is_replayed_from_its_log(model, rounds, tmp_pat
     def run(scorer, gap_s):
         seen = play(scorer, rounds, gap_s)
         scorer.await_for([(3, POP - 1), (2, POP - 1)])
-        return [*seen, scorer.fill(3, rounds[3][0], GEOMETRIC)]
+        return [*seen, scorer.s_sem_of(3, rounds[3][0], GEOMETRIC)]
 
     with (
         MessagesServer(delay_s=0.15, failing=0.1) as server,

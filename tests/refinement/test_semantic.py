@@ -25,7 +25,7 @@ def scored(scene, layouts):
 def displaced(scene, draws, number, *, yaw=0.0):
     """Move one object of every candidate but the first by 1 to 5 cm."""
     rng = np.random.default_rng(number)
-    objects = np.flatnonzero(np.asarray(scene.photo.judged))
+    objects = np.flatnonzero(np.asarray(scene.photo.scored))
     who = rng.choice(objects, draws)
     angle, far = rng.uniform(0, 2 * np.pi, draws), rng.uniform(0.01, 0.05, draws)
     xy, turn = np.zeros((draws, scene.count, 2)), np.zeros((draws, scene.count))
@@ -109,8 +109,8 @@ def semantic_of(
         boxes=f32(ground, *boxes),
         depth=f32(9.0, *depth),
         parsed=np.ones(3, bool),
-        whole=np.ones(3, bool),
-        judged=np.array(judged),
+        fully_visible=np.ones(3, bool),
+        scored=np.array(judged),
     )
     seen_photo = photo._replace(
         boxes=f32(ground, *(seen or boxes)), depth=f32(9.0, *(far or depth))

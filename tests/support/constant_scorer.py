@@ -24,7 +24,7 @@ class ConstantScorer(SemanticScorer):
     def collect(self, iteration: Any) -> Any:
         return []
 
-    def fill(self, iteration: Any, layouts: Any, geometric: Any) -> Any:
+    def s_sem_of(self, iteration: Any, layouts: Any, geometric: Any) -> Any:
         np.testing.assert_array_equal(layouts.xy, self.seen[-1].xy)
         return np.full(len(geometric), 0.25), np.full(len(geometric), ScoreSource.SCORED, np.int8)
 
