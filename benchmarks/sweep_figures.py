@@ -73,9 +73,10 @@ class Factor(NamedTuple):
 def sweep_figure(folder: Path, swept: Swept) -> Figure:
     """Return the figure of a finished sweep or ablation.
 
-    Each value of an option is compared with the base's in runs that agree in everything else.
-    `passed` is the final check at the bounds of the base. Intervals are clustered by scene, as in
-    `neoworld_mjx.sweeps.intervals`; p values by Holm's method for all comparisons of the figure.
+    Each value of an option is compared with the base's value over runs that agree in all other
+    options. `passed` is the result of the final check at the bounds of the base. Intervals are
+    clustered by scene, as in `neoworld_mjx.sweeps.intervals`. p values are corrected by Holm's
+    method for all comparisons of the figure.
 
     Args:
         folder: the results folder of the sweep or ablation.
@@ -98,7 +99,7 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
     summaries, compared = [], []
     for factor in factors:
         others = [each.values for each in factors if each is not factor]
-        numbers: dict[tuple[Any, ...], int] = {}  # numbers runs that differ only in this factor
+        numbers: dict[tuple[Any, ...], int] = {}  # numbers of runs that differ only in this factor
         relabeled = [
             row
             | {
