@@ -151,7 +151,7 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
         notes=f"{len(tested)} values are compared with the base. Bold marks differences whose 95 % "
         f"interval excludes zero ({apart} of {2 * len(tested)}). p is that of a sign test of "
         f"{column.title.partition(',')[0]} over scenes, corrected by Holm's method for "
-        f"{len(tested)} comparisons; {low} are below .05.",
+        f"{len(tested)} comparisons. p values below .05: {low}.",
         code={path: fingerprint(ROOT / path) for path in (*CODE, swept.plan)},
     )
 
