@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from ..checks.signals import in_radians
+from ..checks.signals import radians_hint
 from ..io.names import is_name
 from ..io.validation_message import validation_message
 from .session import warn
@@ -102,7 +102,7 @@ def rotation(value: Any, argument: str) -> tuple[float, float, float]:
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
     if abs(largest) > MAX_ROTATION_RAD and largest == round(largest):
-        raise ValueError(f"{argument}: {in_radians(largest)}")
+        raise ValueError(f"{argument}: {radians_hint(largest)}")
     warn_of_degrees(largest, argument)
     return angles
 

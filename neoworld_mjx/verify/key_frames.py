@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
 from ..checks.object_tests import ObjectTests
-from ..checks.scenarios import SINGLE
+from ..checks.scenarios import SINGLE_DOF_TYPES
 from ..checks.simulation import Trajectory
 from ..checks.verdict import Check, Verdict
 from ..program.views import DescribedPicture
@@ -92,7 +92,7 @@ def posed_at(tests: ObjectTests, trajectory: Trajectory, k: int) -> SceneObject:
     state = {
         joint.name: float(q[simulation.address(joint.name)[0]])
         for joint in tests.spec.joints
-        if joint.type in SINGLE
+        if joint.type in SINGLE_DOF_TYPES
     }
     return _posed(tests, state, q[:3], q[3:7])
 
@@ -104,8 +104,10 @@ def _of_joint(tests: ObjectTests, check: Check, label: str) -> DescribedPicture:
     if check.at is None and joint.type in ("revolute", "prismatic"):
         worst = joint.upper
     values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
-    opened = prerequisite_state(tests.spec, joint)
-    states = [{**opened, joint.name: v} if joint.type in SINGLE else {} for v in values]
+    prerequisites = prerequisite_state(tests.spec, joint)
+    states = [
+        {**prerequisites, joint.name: v} if joint.type in SINGLE_DOF_TYPES else {} for v in values
+    ]
     poses = [_posed(tests, state, np.zeros(3), np.array(IDENTITY)) for state in states]
     return _strip(label, poses, [f"{joint.name[:20]} = {v:.3g}" for v in values])
 

@@ -18,7 +18,7 @@ from ..checks.allowance import Allowance
 from ..checks.joint_checks import on_edge, pivot_edges
 from ..checks.object_tests import ObjectTests
 from ..checks.part_distances import Probe
-from ..checks.verdict import Check, Fault, Verdict, waived
+from ..checks.verdict import Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
 from ..program.attempt import SynthesisResult
 from ..program.joint_losses import SETTLING_S, default_losses
@@ -127,7 +127,7 @@ class Repair:
 
     def waive(self) -> None:
         """Waive checks that fail only because the object is tested without its scene."""
-        self.tests = replace(self.tests, verdict=waived(self.after))
+        self.tests = replace(self.tests, verdict=with_waived_falls(self.after))
 
 
 def repair(
