@@ -21,8 +21,8 @@ from .joint_sweep import (
     JointSweep,
     collides_at,
     free_range,
-    sweep_joints,
     sweep_combinations,
+    sweep_joints,
 )
 from .part_distances import Probe, line_box_distance
 from .scenarios import SINGLE_DOF_TYPES
@@ -34,7 +34,8 @@ BLOCKED_FRACTION = 0.25
 CLEARANCE_FRACTION = 0.5
 """Depth up to which a joint position counts as free of collisions, over the allowed depth.
 
-The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain free.
+The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain
+free.
 """
 GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.

@@ -159,7 +159,8 @@ def sweep_range(
         pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        prerequisites: positions of the other joints; by default, the joint's prerequisites are open.
+        prerequisites: positions of the other joints; by default, those in which the joint's
+            prerequisites are open.
     """
     spec = probe.spec
     prerequisites = prerequisite_state(spec, joint) if prerequisites is None else prerequisites

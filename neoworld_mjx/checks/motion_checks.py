@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..spec.pose import angle_between, tilt_between
-from .scenarios import FINAL_SLOPE_DEG, STILL_S, SLOPE_START_S, slope_angle
+from .scenarios import FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
 from .simulation import G, Simulation, Trajectory
 from .support_polygon import on_wheels, support_polygon
 from .verdict import Check, Fault, Limit, make_check, skipped

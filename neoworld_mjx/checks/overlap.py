@@ -10,9 +10,9 @@ from .joint_sweep import (
     JointSweep,
     Overlap,
     Pair,
+    sweep_combinations,
     sweep_joints,
     sweep_range,
-    sweep_combinations,
 )
 from .part_distances import Probe
 from .signals import Signal, error_signal

@@ -146,7 +146,8 @@ def _releases(joint: SingleJoint) -> list[Scenario]:
     return [
         Scenario(
             "joint_release", name, world, joint=joint.name, speeds=speeds,
-            joints={**joint.prerequisites, joint.name: position}, fixed_joints=frozenset(joint.prerequisites),
+            joints={**joint.prerequisites, joint.name: position},
+            fixed_joints=frozenset(joint.prerequisites),
         )
         for name, world, position, speeds in runs
     ]  # fmt: skip
@@ -158,7 +159,8 @@ def _drives(joint: SingleJoint) -> list[Scenario]:
     return [
         Scenario(
             "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
-            joints={**joint.prerequisites, joint.name: joint.low}, fixed_joints=frozenset(joint.prerequisites),
+            joints={**joint.prerequisites, joint.name: joint.low},
+            fixed_joints=frozenset(joint.prerequisites),
         )
         for name, world in worlds.items()
     ]  # fmt: skip

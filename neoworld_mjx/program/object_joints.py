@@ -10,7 +10,7 @@ from . import validate
 from .part import Joint, Part, extent_of
 from .placing import anchor_of, direction, hinge_of, is_hinge
 from .sdk_types import Point2, Vec3
-from .session import here
+from .session import current_line
 
 MAX_RANGE = 1e4
 """Largest joint limit that is accepted here [m or rad]; the compile checks allow far less."""
@@ -159,7 +159,7 @@ class ObjectJoints:
         if arguments.get("after") is not None:
             fields["after"] = self._openers(arguments["after"], f"{context}: after")
         validate.build_spec(S.JointSpec, context, **fields)
-        joint = Joint(fields, here())
+        joint = Joint(fields, current_line())
         self._joints.append(joint)
         return joint
 

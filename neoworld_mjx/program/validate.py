@@ -110,9 +110,9 @@ def rotation(value: Any, argument: str) -> tuple[float, float, float]:
 def warn_of_degrees(angle: float, argument: str) -> None:
     """Warn if an angle is a whole number above pi, which is probably in degrees."""
     if abs(angle) > math.pi and angle == round(angle):
-        turned = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
+        message = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
         hint = f"if {angle:g} degrees are meant, write math.radians({angle:g})"
-        warn("degrees", turned, hint)
+        warn("degrees", message, hint)
 
 
 def points(

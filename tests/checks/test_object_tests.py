@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
-from neoworld_mjx.checks.verdict import Fault, Limit, make_check, format_quantity
+from neoworld_mjx.checks.verdict import Fault, Limit, format_quantity, make_check
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
     AuthoredInertia,

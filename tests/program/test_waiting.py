@@ -7,7 +7,7 @@ from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
 from neoworld_mjx.verify.key_frames import _of_joint
@@ -100,7 +100,7 @@ def test_combinations_hold_only_reachable_states():
     assert with_prerequisites(spec, state, opening=False) == {**state, "slide": 0.0}
     closed = {**state, "slide": 0.0}
     assert with_prerequisites(spec, closed, opening=True) == closed
-    assert opened_state(spec)["flap_hinge"] == 1.5
+    assert open_state(spec)["flap_hinge"] == 1.5
 
 
 def test_prerequisites_may_form_a_chain():

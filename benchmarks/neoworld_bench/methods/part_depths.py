@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from neoworld_mjx.checks.joint_sweep import sweep_joints, sweep_combinations
+from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
 from neoworld_mjx.checks.part_distances import Probe
 from neoworld_mjx.checks.static_checks import is_placeholder
 from neoworld_mjx.config import JointSweepOptions
