@@ -147,7 +147,7 @@ async def verify_object(
         tried=tuple(repaired.tried),
         lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
-        unmet=tuple(repaired.unmet),
+        unmet=tuple(repaired.unfulfilled),
         program=None if program is None else program.text,
         program_json=None if program is None else program.to_json(),
         reprogrammed=None if program is None else program.spec,
