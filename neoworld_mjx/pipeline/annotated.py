@@ -98,8 +98,8 @@ def write_annotated(
                 )
                 (step / "photo.png").write_bytes(to_png(picture.rgb))
                 (step / "pictures").mkdir()
-                drawn = draw_parse(picture, tree, solid=True).data
-                (step / "pictures" / "parse.png").write_bytes(drawn)
+                image = draw_parse(picture, tree, solid=True).data
+                (step / "pictures" / "parse.png").write_bytes(image)
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
             inputs = program_inputs(tree, crop_by_name, colours, config.program)
             _write_programs(run, texts, inputs)

@@ -166,12 +166,12 @@ def delete_files(folder: Path, names: Iterable[str]) -> None:
 
 
 @contextlib.contextmanager
-def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
+def disk_errors(folder: Path, *, include_outside: bool = False) -> Iterator[None]:
     """Turn a full or read-only disk into a RunError.
 
     Args:
         folder: the run folder.
-        anywhere: if True, also convert errors of files outside the folder.
+        include_outside: if True, also convert errors of files outside the folder.
     """
     try:
         yield
@@ -183,7 +183,7 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
                 f"no space left on the disk of {folder}: free some, then continue with --resume"
             ) from error
         path = str(getattr(error, "filename", None) or folder)
-        if isinstance(error, OSError) and (anywhere or path.startswith(str(folder))):
+        if isinstance(error, OSError) and (include_outside or path.startswith(str(folder))):
             raise RunError(
                 f"cannot write {path}: {error.strerror}; name a folder that you may write to"
             ) from error

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from neoworld_mjx.checks.joint_sweep import sweep_joints, sweep_together
+from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
 from neoworld_mjx.checks.part_distances import Probe
 from neoworld_mjx.checks.static_checks import is_placeholder
 from neoworld_mjx.config import JointSweepOptions
@@ -39,5 +39,5 @@ def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> fl
     for swept in sweep.ranges:
         overlaps += swept.deepest.values()
     strict = replace(sweep, allowed=dict.fromkeys(sweep.allowed, P_PEN_M))
-    overlaps += sweep_together(strict, o).values()
+    overlaps += sweep_combinations(strict, o).values()
     return max((overlap.depth for overlap in overlaps if overlap.depth > 0), default=0.0)

@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 from pydantic import ValidationError
 
-from ...checks.verdict import Check, quantity
+from ...checks.verdict import Check, format_quantity
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
@@ -163,7 +163,7 @@ def _measured(check: Mapping[str, Any], key: str) -> str:
     value = check.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return "" if value is None else str(value)
-    return quantity(value, str(check.get("unit") or ""))
+    return format_quantity(value, str(check.get("unit") or ""))
 
 
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
