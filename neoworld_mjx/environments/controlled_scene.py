@@ -52,7 +52,7 @@ class ControlledScene:
 
     scene: SceneModel
     model: mujoco.MjModel
-    start: NDArray
+    initial_qpos: NDArray
     """Initial qpos of the model, without reset noise, shape [nq]."""
     drives: tuple[Drive, ...]
     """Drives, in the order of their targets in an action; the gripper's seven targets follow."""
@@ -111,10 +111,10 @@ class ControlledScene:
         return low, high
 
     @cached_property
-    def hold(self) -> NDArray:
+    def hold_action(self) -> NDArray:
         """Action whose targets are the initial state without reset noise, shape [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
-        return np.array([drive.held for drive in self.drives] + tail, np.float32)
+        return np.array([drive.target for drive in self.drives] + tail, np.float32)
 
     def controls(self, action: Any, xp: Any = np) -> Any:
         """Clip an action to its bounds and convert it to actuator targets, shape [nu].
@@ -136,7 +136,7 @@ class ControlledScene:
         Each object moves in the frame of its parent, together with the objects on it, and is
         placed at the height of its support. Joint positions are clipped to the joints' ranges.
         """
-        start = jnp.asarray(self.start, jnp.float32)
+        start = jnp.asarray(self.initial_qpos, jnp.float32)
         keys = jax.random.split(key, 3)
         count = len(self.names)
         free = self.scene.optimised

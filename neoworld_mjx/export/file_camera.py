@@ -71,7 +71,7 @@ class Viewpoint(NamedTuple):
     """Camera of a photograph, and the transform that moves the scene in front of the camera."""
 
     camera: Camera
-    placed: Pose
+    scene_transform: Pose
     """Horizontal translation and rotation about the vertical that are applied to the scene, so that
     the camera is above the origin and heads along +x."""
     left: int
@@ -105,7 +105,7 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
     """
     if camera.pose is None or (camera.fovy is None and camera.fx is None):
         missing = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
-        raise PhotoError(f"the camera of the photograph has no {missing}: {WHERE}")
+        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
     left, top, size, focal = 0, 0, [width, height], 0.0
     if camera.fovy is not None:
         focal = height / 2 / math.tan(camera.fovy / 2)
@@ -137,7 +137,7 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
     )
 
 
-WHERE = (
+CAMERA_HELP = (
     'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
     '"pose": [[4x4]]}, '
     "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
@@ -156,7 +156,7 @@ def _angles(axes: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
     return heading, pitch, math.atan2(float(right @ level_down), float(right @ level_right))
 
 
-def leveled(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+def level_transform(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     """Return the transform from a camera's frame (OpenCV) to a world frame with a level floor.
 
     The origin of the world frame is the camera, its z axis points up, and its x axis is the

@@ -27,15 +27,15 @@ from .write_sdf import sdf_text
 from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_layer
 
-Described = SceneSpec | ObjectSpec
-LAYERS: dict[Simulator, Callable[[Described, str], str]] = {
+SceneOrObject = SceneSpec | ObjectSpec
+LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
 
 
 def format_files(
-    described: Described, kind: Format, *, mjx: bool = False, floor: bool = False
+    described: SceneOrObject, kind: Format, *, mjx: bool = False, floor: bool = False
 ) -> dict[str, bytes]:
     """Return the files of a scene or an object in a format, as contents by relative path.
 
@@ -50,7 +50,7 @@ def format_files(
     return _Writer(described, mjx, floor).files(kind)
 
 
-def lost(described: Described, kind: Format) -> list[str]:
+def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
     """Return descriptions of the data of a scene or an object that a format cannot store."""
     objects = _objects(described)
     joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
@@ -107,7 +107,7 @@ def lost(described: Described, kind: Format) -> list[str]:
     return [*listed, *general.get(stored, [])]
 
 
-def collider_error(described: Described) -> float:
+def collider_error(described: SceneOrObject) -> float:
     """Return the largest distance between a collider for MJX and the surface it replaces [m]."""
     return max(
         (
@@ -121,7 +121,7 @@ def collider_error(described: Described) -> float:
 
 
 def write_formats(
-    described: Described,
+    described: SceneOrObject,
     out: Path,
     kinds: Sequence[Format],
     *,
@@ -152,13 +152,13 @@ def write_formats(
     return sorted(files)
 
 
-def _objects(described: Described) -> list[tuple[str, ObjectSpec]]:
+def _objects(described: SceneOrObject) -> list[tuple[str, ObjectSpec]]:
     if isinstance(described, ObjectSpec):
         return [(described.name, described)]
     return [(item.name, item.spec) for item in described.objects]
 
 
-def _stem(described: Described) -> str:
+def _stem(described: SceneOrObject) -> str:
     return "object" if isinstance(described, ObjectSpec) else "scene"
 
 
@@ -166,7 +166,7 @@ def _stem(described: Described) -> str:
 class _Writer:
     """Writer of one scene or object, which builds files that several formats share only once."""
 
-    described: Described
+    described: SceneOrObject
     mjx: bool
     floor: bool
 
@@ -244,7 +244,7 @@ class _Writer:
             return {package.name: package.read_bytes()}
 
 
-def _lowest(described: Described) -> float:
+def _lowest(described: SceneOrObject) -> float:
     """Return the height of the lowest point of all colliders [m]."""
     if isinstance(described, ObjectSpec):
         return float(bounds(described)[0][2])

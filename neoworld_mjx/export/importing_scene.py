@@ -73,7 +73,7 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
         return read_mesh_scene(path)
     if path.suffix.lower() in SUFFIXES:
         stage = open_usd(path)
-        return read_assemblies(path, stage, apart=True), gravity_of(stage)
+        return read_assemblies(path, stage, separate=True), gravity_of(stage)
     try:
         root = read_xml(path)
     except SpecError as error:
@@ -111,7 +111,7 @@ def scene_of_assemblies(
     Raises:
         SpecError: there are too many objects, or a number is out of bounds.
     """
-    bodies = [assembly for assembly in assemblies if not assembly.bare]
+    bodies = [assembly for assembly in assemblies if not assembly.no_rigid_body]
     if len(bodies) > MAX_OBJECTS:
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []

@@ -100,7 +100,7 @@ class Assembly:
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
-    bare: bool = False
+    no_rigid_body: bool = False
     """True if the object is geometry without a rigid body."""
 
 

@@ -23,7 +23,7 @@ from ..io import read_model
 from ..spec import Spec
 from ..spec.base import Vec3
 from .checked_xml import inside
-from .file_camera import FileCamera, Row, leveled
+from .file_camera import FileCamera, Row, level_transform
 from .load_mesh import (
     SUFFIXES,
     load_mesh,
@@ -42,7 +42,7 @@ class MeshScene(NamedTuple):
     """Camera of the photograph; None if the file states no camera."""
     in_camera: bool = False
     """True if the poses in the file are in the camera's frame. The world frame is then the result
-    of `file_camera.leveled`."""
+    of `file_camera.level_transform`."""
 
 
 class PosedFile(Spec):
@@ -80,7 +80,7 @@ def read_mesh_scene(path: Path) -> MeshScene:
         if camera is not None and camera.pose is not None:
             raise SpecError(f'{path}: with "frame": "camera", "camera" cannot have a "pose"')
         try:
-            into = leveled(np.array(posed.up))
+            into = level_transform(np.array(posed.up))
         except SpecError as error:
             raise SpecError(f"{path}: {error}") from None
         camera = FileCamera(pose=rows_of(into)).completed_by(camera)

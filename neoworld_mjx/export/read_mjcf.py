@@ -43,7 +43,7 @@ _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
     _G.mjGEOM_ELLIPSOID: lambda x, y, z: Ellipsoid(radii=(x, y, z)),
 }
 """Function that returns a shape from the three numbers of geom_size, by type of geom."""
-LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
+NOT_IMPORTED = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
 """Sections that are not imported, except for the keyframe "start"."""
 
 
@@ -77,7 +77,9 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
     notes += [
-        f"{tag} is not imported" for tag in LOST if any(r.find(tag) is not None for r in roots)
+        f"{tag} is not imported"
+        for tag in NOT_IMPORTED
+        if any(r.find(tag) is not None for r in roots)
     ]
     model, stated, massless = compiled_mjcf(path, notes)
     data = mujoco.MjData(model)

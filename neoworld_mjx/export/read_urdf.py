@@ -26,10 +26,10 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
-from .write_urdf import CLEARANCE_M, unshrunk
+from .write_urdf import CLEARANCE_M, original_half
 
 XACRO = "xacro"
-LOST = {
+NOT_IMPORTED = {
     "transmission": "transmissions",
     "gazebo": "Gazebo's extensions",
     "sensor": "sensors",
@@ -67,7 +67,7 @@ def read_urdf(path: Path) -> Mechanism:
         raise SpecError(f"{path} is not URDF: {type(error).__name__}: {error}"[:300]) from None
     notes = [
         f"{content} are not imported"
-        for tag, content in LOST.items()
+        for tag, content in NOT_IMPORTED.items()
         if root.find(f".//{tag}") is not None
     ]
     frames = _frames(robot, check_tree(
@@ -260,7 +260,7 @@ def _shapes(
 
     def original(size: Any) -> float:
         half = float(size) / 2
-        return 2 * (unshrunk(half, clearance) if clearance and half > 0 else half)
+        return 2 * (original_half(half, clearance) if clearance and half > 0 else half)
 
     try:
         if geometry.box is not None:

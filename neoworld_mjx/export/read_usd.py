@@ -58,8 +58,8 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
 
 def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> Mechanism:
     """Read the only object of a stage; see `read_usd`."""
-    assemblies = read_assemblies(path, stage, object_path, apart=False)
-    objects = [assembly for assembly in assemblies if not assembly.bare]
+    assemblies = read_assemblies(path, stage, object_path, separate=False)
+    objects = [assembly for assembly in assemblies if not assembly.no_rigid_body]
     if len(objects) > 1:
         paths = ", ".join(assembly.path for assembly in objects[:8])
         raise SpecError(f"{path} has {len(objects)} objects, not one: {paths}")
@@ -70,7 +70,7 @@ def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> 
 
 
 def read_assemblies(
-    path: Path, stage: Usd.Stage, object_path: str | None = None, *, apart: bool
+    path: Path, stage: Usd.Stage, object_path: str | None = None, *, separate: bool
 ) -> list[Assembly]:
     """Read all objects of a stage, with their poses.
 
@@ -79,7 +79,7 @@ def read_assemblies(
         stage: the stage.
         object_path: path of the top prim, whose descendants are read. If None, the top prim is the
             default prim, or the root of the stage if there is no default prim.
-        apart: if True, each object is in the frame of the object's prim, and geometry without a
+        separate: if True, each object is in the frame of the object's prim, and geometry without a
             rigid body becomes one static object for each child of the top prim. If False, objects
             are in the frame of `object_path` (the world frame if it is None), and geometry without
             a rigid body becomes a single static object.
@@ -89,7 +89,7 @@ def read_assemblies(
             broken.
     """
     try:
-        return _assemblies(path, stage, object_path, apart)
+        return _assemblies(path, stage, object_path, separate)
     except (Tf.ErrorException, TypeError, ValueError, AttributeError, OverflowError) as error:
         # The type of an attribute in the file may differ from the type in the schema.
         message = " ".join(str(error).split())[:200]
@@ -97,7 +97,7 @@ def read_assemblies(
 
 
 def _assemblies(
-    path: Path, stage: Usd.Stage, object_path: str | None, apart: bool
+    path: Path, stage: Usd.Stage, object_path: str | None, separate: bool
 ) -> list[Assembly]:
     top = stage.GetPrimAtPath(object_path) if object_path else stage.GetDefaultPrim()
     if object_path and not top:
@@ -126,7 +126,7 @@ def _assemblies(
         if prim.IsA(UsdGeom.Gprim):
             owner = _owner(prim, bodies)
             if owner is None:
-                group = _group(prim, top) if apart else top
+                group = _group(prim, top) if separate else top
                 name = str(group.GetPath())
                 if name not in loose:
                     loose[name] = _Body(group, placed(group), frame_of(group), False)
@@ -141,16 +141,16 @@ def _assemblies(
         world_joints = [
             joint for joint in stage_joints if not joint.parent and joint.child in names
         ]
-        home = _home(top, names)
-        frame = frame_of(home) if apart and home else shared
+        container = _containing_child(top, names)
+        frame = frame_of(container) if separate and container else shared
         result.append(_assembly(bodies, names, inner_joints, world_joints, frame, reader))
     for group, body in loose.items():
-        frame = body.rigid if apart else shared
+        frame = body.rigid if separate else shared
         link = _link(body, "static", np.linalg.inv(frame), stage, notes)
         if not bodies or any(shape.role != "visual" for shape in link.shapes):
             name = group.rpartition("/")[2] or path.stem
             mechanism = Mechanism(name, {"static": link}, [], [], notes)
-            result.append(Assembly(group, mechanism, frame, fixed=True, bare=True))
+            result.append(Assembly(group, mechanism, frame, fixed=True, no_rigid_body=True))
     result = [a for a in result if any(link.shapes for link in a.mechanism.links.values())]
     if not result:
         raise SpecError(f"{path} has no visible or colliding geometry")
@@ -247,11 +247,11 @@ def _components(
         )
 
 
-def _home(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
+def _containing_child(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
     """Return the child of the top prim that contains all bodies of an object, or None."""
     stage = top.GetStage()
-    homes = {str(_group(stage.GetPrimAtPath(name), top).GetPath()) for name in names}
-    return stage.GetPrimAtPath(homes.pop()) if len(homes) == 1 else None
+    paths = {str(_group(stage.GetPrimAtPath(name), top).GetPath()) for name in names}
+    return stage.GetPrimAtPath(paths.pop()) if len(paths) == 1 else None
 
 
 def _assembly(
@@ -263,28 +263,31 @@ def _assembly(
     reader: JointReader,
 ) -> Assembly:
     """Return the object that bodies form, in the frame `frame` with all joints at zero."""
-    into = np.linalg.inv(frame)
-    moved = next((joint for joint in world_joints if not joint.fixed), None)
+    world_to_frame = np.linalg.inv(frame)
+    movable = next((joint for joint in world_joints if not joint.fixed), None)
     root = _root(bodies, names, stage_joints, world_joints)
-    rest = {root: bodies[root].rigid}
+    zero_poses = {root: bodies[root].rigid}
     labels = _labels([bodies[name].prim for name in names])
     links: dict[str, Link] = {}
     used: list[StageJoint] = []
-    if moved is not None:
+    if movable is not None:
         # If a movable joint attaches the object to the world, the world is the base link.
-        rest = {"": np.eye(4), moved.child: moved.parent_frame @ np.linalg.inv(moved.child_frame)}
+        zero_poses = {
+            "": np.eye(4),
+            movable.child: movable.parent_frame @ np.linalg.inv(movable.child_frame),
+        }
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
-        used.append(moved)
+        used.append(movable)
     waiting = [*stage_joints]
-    while ready := [t for t in waiting if (t.parent in rest) != (t.child in rest)]:
+    while ready := [t for t in waiting if (t.parent in zero_poses) != (t.child in zero_poses)]:
         for joint in ready:
             waiting.remove(joint)
-            if joint.parent in rest and joint.child in rest:
+            if joint.parent in zero_poses and joint.child in zero_poses:
                 reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
                 continue
-            outward = joint if joint.parent in rest else joint.flipped()
-            joint_frame = rest[outward.parent] @ outward.parent_frame
-            rest[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
+            outward = joint if joint.parent in zero_poses else joint.flipped()
+            joint_frame = zero_poses[outward.parent] @ outward.parent_frame
+            zero_poses[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
             used.append(outward)
     for joint in waiting:
         reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
@@ -292,27 +295,32 @@ def _assembly(
     for name in names:
         body = bodies[name]
         links[labels[name]] = _link(
-            body, labels[name], into @ rest[name] @ np.linalg.inv(body.rigid), stage, notes
+            body,
+            labels[name],
+            world_to_frame @ zero_poses[name] @ np.linalg.inv(body.rigid),
+            stage,
+            notes,
         )
         if folder := body.prim.GetChild("sites"):
             for point in folder.GetChildren():
                 local = UsdGeom.Xformable(point).GetLocalTransformation().ExtractTranslation()
-                position = into @ rest[name] @ np.array([*local, 1.0])
+                position = world_to_frame @ zero_poses[name] @ np.array([*local, 1.0])
                 sites.append(unchecked_site(point.GetName(), labels[name], position[:3]))
     ends = {**labels, "": WORLD}
     joints = [
-        reader.joint(joint, into @ rest[joint.parent] @ joint.parent_frame, ends) for joint in used
+        reader.joint(joint, world_to_frame @ zero_poses[joint.parent] @ joint.parent_frame, ends)
+        for joint in used
     ]
     actual = {name: bodies[name].rigid for name in names} | {"": np.eye(4)}
     state = {}
     for joint, spec in zip(used, joints, strict=True):
-        displaced = [into @ actual[e] @ np.linalg.inv(rest[e]) @ frame
+        displaced = [world_to_frame @ actual[e] @ np.linalg.inv(zero_poses[e]) @ frame
                      for e in (joint.parent, joint.child)]  # fmt: skip
         state |= state_of(spec, np.linalg.inv(displaced[0]) @ displaced[1])
     fixed = bool(world_joints) or not any(bodies[name].dynamic for name in names)
-    home = _title(bodies[root].prim, names)
-    mechanism = Mechanism(home.rpartition("/")[2], links, joints, sites, notes)
-    return Assembly(home, mechanism, frame, fixed, state)
+    path = _title(bodies[root].prim, names)
+    mechanism = Mechanism(path.rpartition("/")[2], links, joints, sites, notes)
+    return Assembly(path, mechanism, frame, fixed, state)
 
 
 def _root(

@@ -203,7 +203,7 @@ def shrunk(half: float, clearance: float) -> float:
     return half - min(clearance, MAX_SHRINKAGE * half)
 
 
-def unshrunk(half: float, clearance: float) -> float:
+def original_half(half: float, clearance: float) -> float:
     """Invert `shrunk`."""
     original = half + clearance
     return original if MAX_SHRINKAGE * original >= clearance else half / (1 - MAX_SHRINKAGE)

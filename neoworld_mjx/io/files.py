@@ -24,7 +24,7 @@ from ..errors import NeoWorldError
 
 MIB = 1 << 20
 IRREGULAR = "it is a pipe or device, not a regular file"
-PART = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
+TEMPORARY_NAME = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
 """Temporary name of a file that is being written."""
 _CHUNK = MIB
 _MAX_ENTRIES = 200_000

@@ -35,7 +35,7 @@ VERTICAL = 0.5
 """Probability that an edge near the expected direction is vertical."""
 PITCH_RANGE, ROLL_RANGE, GRID = math.radians(16.0), math.radians(8.0), math.radians(0.25)
 """Maximum deviations of pitch and roll from the parsed camera, and step of the grid [rad]."""
-MOST_OF_ONE = 6.0
+MAX_VOTES_PER_OBJECT = 6.0
 """Maximum total vote of the edges of one object, because these tend to be wrong together. It also
 limits the vote of each of STRIPS vertical strips of the background."""
 STRIPS = 8
@@ -89,15 +89,15 @@ class UprightEdges:
 
 
 def camera_issue(
-    rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree, *, asked: bool = False
+    rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree, *, already_asked: bool = False
 ) -> SceneIssue | None:
     """Return an issue if the parsed camera contradicts the vertical edges, otherwise None.
 
     Args:
         rgb: the photograph.
         tree: the parsed scene.
-        asked: if True, the model was already asked about the camera, so the issue is a warning and
-            not an error.
+        already_asked: if True, the model was already asked about the camera, so the issue is a
+            warning and not an error.
     """
     found = upright_edges(rgb, tree)
     if found is None or not found.contradicts:
@@ -125,7 +125,7 @@ def camera_issue(
         "again. If the camera changes, objects that you do not list again keep their pixels"
     )
     return SceneIssue(
-        severity="warning" if asked else "error",
+        severity="warning" if already_asked else "error",
         node=CAMERA,
         code="upright_edges_deg",
         value=math.degrees(found.deviation),
@@ -236,7 +236,7 @@ def _weights(tree: SceneTree, middle: Float[np.ndarray, "n 2"]) -> Float[np.ndar
     group = np.where(background[owner], -1 - strip, owner)
     votes = has_edges[owner].astype(float)
     alike = (group[:, None] == group) @ votes
-    return votes * np.minimum(1.0, MOST_OF_ONE / np.maximum(alike, 1.0))
+    return votes * np.minimum(1.0, MAX_VOTES_PER_OBJECT / np.maximum(alike, 1.0))
 
 
 def _has_upright_edges(node: TreeNode) -> bool:

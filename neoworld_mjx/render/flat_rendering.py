@@ -71,7 +71,7 @@ def render_plain(
     border = np.zeros(len(rays), bool)
     nearest = layers.nearest()
     front = hits.geom.copy()
-    front[layers.row[nearest]] = layers.hits.geom[nearest]
+    front[layers.ray[nearest]] = layers.hits.geom[nearest]
     for first in (hits.geom, front):
         border |= _borders(root[first].reshape(view.height, view.width)).ravel()
     picture[border] *= _OUTLINE

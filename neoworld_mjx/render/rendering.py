@@ -100,7 +100,7 @@ def render(
     color = display(light)
     if supersample > 1:
         edge = _edges(surface, point, normal, depth)
-        if len(cast.layers.row):
+        if len(cast.layers.ray):
             edge |= _edges(*stage.front(cast, shape))
         _smooth_edges(color, edge, stage, surface, point, normal, key, sky, supersample)
     surface, point, normal, depth = stage.front(cast, shape)
@@ -209,7 +209,7 @@ class _Stage:
         surface, point = cast.surface.copy(), cast.hits.point.copy()
         normal = cast.hits.normal.copy()
         nearest = cast.layers.nearest()
-        rows, hits = cast.layers.row[nearest], cast.layers.hits
+        rows, hits = cast.layers.ray[nearest], cast.layers.hits
         surface[rows], point[rows] = hits.geom[nearest], hits.point[nearest]
         normal[rows] = hits.normal[nearest]
         depth = np.where(surface == -1, np.inf, (point - self.view.eye) @ self.view.axes[:, 2])
@@ -262,7 +262,7 @@ class _Stage:
         key = self.caster.visible(self.lights.key[0], lifted)
 
         def paint(k: NDArray, behind: NDArray) -> NDArray:
-            rays, sky = cast.rays[layers.row[k]], np.full(len(k), OPEN_SKY)
+            rays, sky = cast.rays[layers.ray[k]], np.full(len(k), OPEN_SKY)
             opacity = self.caster.alpha[hits.geom[k]]
             return self._shade_hits(hits, k, rays, key[k], sky, opacity, behind)
 

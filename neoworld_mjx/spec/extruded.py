@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
-from .base_shape import BaseShape, Point2, rows
+from .base_shape import BaseShape, Point2, as_points
 from .convex import Piece, hull, polytope, prism
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 from .pose import ArrayLike
@@ -87,7 +87,7 @@ class Extrusion(BaseShape):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        p = rows(points)
+        p = as_points(points)
         loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
         return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
 
@@ -122,7 +122,7 @@ class RoundedBox(BaseShape):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        return box_distance(rows(points), np.array(self.size) / 2 - self.radius) - self.radius
+        return box_distance(as_points(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)

@@ -227,7 +227,7 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
     return poses
 
 
-def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
+def transformed_scene(scene: SceneSpec, by: Pose) -> SceneSpec:
     """Move all objects of a scene by a rigid transform of the world frame; keep the camera.
 
     Args:
@@ -258,7 +258,7 @@ def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def rearranged(
+def with_layout(
     scene: SceneSpec,
     xy: Annotated[np.ndarray, "[object, 2]"],
     yaw: Annotated[np.ndarray, "[object]"],

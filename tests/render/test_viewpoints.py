@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.render.viewpoints import around, opened, subject_points
+from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
@@ -48,7 +48,7 @@ def test_joints_open_by_a_fraction_of_their_range(tmp_path):
     from neoworld_mjx.view.pages.view_target import open_target
 
     (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
-    (cabinet,) = opened(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
+    (cabinet,) = with_open_joints(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
     ranges = {joint.name: joint.upper for joint in cabinet.spec.joints}
     assert cabinet.joint_state == {name: 0.5 * upper for name, upper in ranges.items()}
 

@@ -11,7 +11,7 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ConfigError, SpecError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.render import View, render_plain, visible_vertices
-from neoworld_mjx.render.viewpoints import opened
+from neoworld_mjx.render.viewpoints import with_open_joints
 from neoworld_mjx.spec import JointSpec, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.opening import opening_value, prerequisite_state
 from neoworld_mjx.verify.checking import object_of_file
@@ -153,7 +153,7 @@ def joint_frames(
         joint = _joint(spec, joint.mimic.joint)
     share = WHOLE_TURN if joint.type == "continuous" else 1.0
     alone = SceneObject(name=spec.name, spec=spec)
-    others = opened(SceneSpec(objects=(alone,)), 1.0).objects[0].joint_state
+    others = with_open_joints(SceneSpec(objects=(alone,)), 1.0).objects[0].joint_state
     others = {**(others if others_open else {}), **prerequisite_state(spec, joint)}
     scenes = [
         SceneSpec(

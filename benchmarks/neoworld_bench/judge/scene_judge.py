@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from neoworld_mjx.errors import ConfigError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Request, Response, package_text
 from neoworld_mjx.render import View, render_scene
-from neoworld_mjx.render.viewpoints import opened, subject_points
+from neoworld_mjx.render.viewpoints import subject_points, with_open_joints
 from neoworld_mjx.spec import SceneSpec
 
 from ..paper_figures import of_scenes
@@ -95,7 +95,7 @@ def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
     """Render the images of a scene for the judge."""
     photo, scene = made.whole(side)
     height, width = photo.shape[:2]
-    half_open = opened(made.scene, 0.5)
+    half_open = with_open_joints(made.scene, 0.5)
     view = _aside(made, half_open, width, height)
     shown = {"photo": photo, "scene": scene, "aside": render_scene(made.scene, view).color}
     if _moving(made.scene):

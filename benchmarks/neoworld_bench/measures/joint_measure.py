@@ -132,13 +132,13 @@ def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
     )
 
 
-def agree(a: TrueJoint, b: TrueJoint) -> float:
+def box_agreement(a: TrueJoint, b: TrueJoint) -> float:
     """Return the geometric mean of the two best overlaps of two moved boxes; 0 if disjoint."""
     best = sorted(overlaps(a, b))
     return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
 
 
-def alike(estimate: TrueJoint, true: TrueJoint) -> float:
+def motion_similarity(estimate: TrueJoint, true: TrueJoint) -> float:
     """Return the absolute cosine between the velocities of the true box's corners, 0 to 1."""
     if "ball" in (estimate.type, true.type):
         return float(estimate.type == true.type)
@@ -177,11 +177,13 @@ def _assigned(
     allowed = np.zeros(worth.shape, bool)
     for i, true in enumerate(theirs):
         for j, estimate in enumerate(ours):
-            agreement = agree(estimate, true)
+            agreement = box_agreement(estimate, true)
             if agreement >= least:
                 allowed[i, j] = True
                 worth[i, j] = (
-                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
+                    agreement
+                    + motion_similarity(estimate, true)
+                    + float(np.mean(overlaps(estimate, true)))
                 )
     rows, columns = linear_sum_assignment(worth, maximize=True)
     return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if allowed[i, j]]
@@ -235,8 +237,8 @@ def _pair(estimate: TrueJoint, true: TrueJoint) -> JointPair:
         predicted=estimate.name,
         true_type=true.type,
         predicted_type=estimate.type,
-        agreement=agree(estimate, true),
-        motion=alike(estimate, true),
+        agreement=box_agreement(estimate, true),
+        motion=motion_similarity(estimate, true),
         axis_deg=None if balls else line_angle_deg(a, b),
         pivot=distance if turn else None,
         limits=_range_overlap(estimate, true, flipped=float(a @ b) < 0),

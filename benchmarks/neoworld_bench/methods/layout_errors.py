@@ -104,7 +104,9 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
         if item.parent is not None:
             below = item.parent
             boxes = [bounds(s.object(below).spec) for s in (truth, scene)]
-            should = ends[below].apply(_carried(starts[below].inverse().apply(should), *boxes))
+            should = ends[below].apply(
+                _mapped_between_boxes(starts[below].inverse().apply(should), *boxes)
+            )
         rises = np.abs(_heights(own, end) - should)[:, 2]
         fallen = rises.min() > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M
         if fallen or tilt_deg(item, end, start) > MOST_TILT_DEG:
@@ -156,7 +158,7 @@ def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
     return math.degrees(abs(math.remainder(yaw, period)))
 
 
-def _carried(
+def _mapped_between_boxes(
     points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
 ) -> Float[np.ndarray, "n 3"]:
     """Map points from the frame of a true object to that of another, from box to box."""

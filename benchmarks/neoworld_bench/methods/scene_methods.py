@@ -96,7 +96,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-BUDGETED = ("random", "cma_es")
+EQUAL_ROLLOUTS = ("random", "cma_es")
 """Other optimizers, which make as many rollouts as `ours` from the same initial scene."""
 METHODS = (
     "open_loop",
@@ -105,10 +105,10 @@ METHODS = (
     "gravity",
     "guided",
     *(name for name in SEARCHES if name != "ours"),
-    *BUDGETED,
+    *EQUAL_ROLLOUTS,
     "ours",
 )
-USUAL = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
+DEFAULT_METHODS = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
 """Default methods of a run."""
 
 
@@ -173,7 +173,7 @@ def outcome_of(
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
         quick = options.model_copy(update={"cem": once})
-        refine(model, quick, seed=seed, engine=OneForAll(engine), photo=picture)
+        refine(model, quick, seed=seed, engine=SingleCandidateEngine(engine), photo=picture)
     began = time.perf_counter()
     refined = refine(model, options, seed=seed, engine=engine, photo=picture)
     spent = time.perf_counter() - began
@@ -190,7 +190,7 @@ def outcome_of(
     )
 
 
-class OneForAll:
+class SingleCandidateEngine:
     """An engine that simulates only the first candidate and copies its result to all others.
 
     A search with this engine compiles the same functions as a search with the wrapped engine, at
@@ -322,9 +322,10 @@ def in_order(methods: Sequence[str]) -> list[str]:
 def is_budgeted(method: str) -> bool:
     """Return True if a method is another optimizer, which makes as many rollouts as `ours`.
 
-    Such methods are those in BUDGETED, and names like `evosax:SNES` or `package.module:function`.
+    Such methods are those in EQUAL_ROLLOUTS, and names like `evosax:SNES` or
+    `package.module:function`.
     """
-    return method in BUDGETED or ":" in method
+    return method in EQUAL_ROLLOUTS or ":" in method
 
 
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:

@@ -23,7 +23,7 @@ from neoworld_mjx.io.names import identifier
 from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
 from neoworld_mjx.spec.pose import from_matrix, pose
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..rows import log
 from .layout_errors import unmatched
@@ -35,7 +35,7 @@ in the ground truth."""
 FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc", *MESHES)
 """File names of a submitted scene. If there are several files, the first in this order is read."""
 RESULT = "result.json"
-HELD = "held_"
+FIXED_PREFIX = "held_"
 """Prefix for the name of an object that is fixed in the submission but free in the ground truth."""
 
 
@@ -156,7 +156,7 @@ def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
     given = np.array(read.camera.pose)
     frame = pose(given[:3, 3], from_matrix(given[:3, :3]))
     camera = pose(truth.camera.position(), from_matrix(truth.camera.axes()))
-    return moved_whole(read.spec, camera.then(frame.inverse()))
+    return transformed_scene(read.spec, camera.then(frame.inverse()))
 
 
 def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
@@ -180,7 +180,9 @@ def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
     """Rename objects that are fixed in the scene but free in the ground truth."""
     free = {item.name for item in truth.objects if not item.static}
     names = {
-        item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})
+        item.name: identifier(
+            FIXED_PREFIX + item.name, "object", {other.name for other in scene.objects}
+        )
         for item in scene.objects
         if item.static and item.name in free
     }

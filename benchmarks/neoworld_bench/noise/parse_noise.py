@@ -22,7 +22,7 @@ from neoworld_mjx.spec.pose import from_yaw, rotate
 
 from .split_noise import SPLIT, with_halves
 
-UNSEEN = 1 / (30 + 2)
+TREE_ERROR_RATE = 1 / (30 + 2)
 """Rate per object of each of four errors: missed, duplicated, wrong parent, wrong relation. None of
 30 objects in five rendered images had one. Of the scenes of seven photographs, six were complete;
 with 8 objects per scene, this rate leaves 78 % complete."""
@@ -109,10 +109,10 @@ def wrong_parse(
     tree = _openings(tree, np.random.default_rng((number, 44)), log)
     halves: dict[str, ObjectSpec] = {}
     kinds: tuple[tuple[str, Edit, float], ...] = (
-        ("missed", without, UNSEEN),
-        ("extra", with_copy, UNSEEN),
-        ("carrier", with_other_parent, UNSEEN),
-        ("relation", with_other_relation, UNSEEN),
+        ("missed", without, TREE_ERROR_RATE),
+        ("extra", with_copy, TREE_ERROR_RATE),
+        ("carrier", with_other_parent, TREE_ERROR_RATE),
+        ("relation", with_other_relation, TREE_ERROR_RATE),
         ("split", partial(with_halves, shapes=shapes, made=halves), SPLIT),
     )
     for k, (kind, edit, rate) in enumerate(kinds):

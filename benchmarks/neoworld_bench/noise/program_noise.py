@@ -31,7 +31,7 @@ from ..dataset.declaration import ObjectDeclaration, Value, template_of
 from .joint_noise import wrong_joints
 from .noise_draft import TRIES, Draft
 from .parse_noise import NoiseLog
-from .share_noise import AXES, with_other_shares
+from .share_noise import AXES, with_other_proportions
 
 EDGE = 0.06
 """Standard deviation of the logarithm of edges and of other lengths and ratios in a program.
@@ -72,7 +72,9 @@ def wrong_program(
         draft.change("part", lambda spec, rng: without_part(spec, rng, parents))
     wrong_joints(draft)
     axes = iter(AXES)
-    draft.change("shares", lambda spec, rng: with_other_shares(spec, rng, next(axes)), noted=False)
+    draft.change(
+        "shares", lambda spec, rng: with_other_proportions(spec, rng, next(axes)), noted=False
+    )
     return scale(recentred(draft.spec), item.scale)
 
 

@@ -26,7 +26,7 @@ ALIGNED = 1e-6
 """Maximum deviation of a rotation matrix from one that permutes axes."""
 
 
-class Shares:
+class ProportionMap:
     """A random monotone map of each axis of an object that keeps the object's bounding box.
 
     Parts that are separate along an axis stay separate, and parts that touch keep touching.
@@ -59,13 +59,13 @@ class Shares:
         return self.low + np.stack(mapped, axis=-1) * size
 
 
-def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
+def with_other_proportions(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
     """Return an object with other positions and sizes of its parts in nearly the same box.
 
     Boxes and shapes extruded along an axis are resized, but walls keep their thickness. Other
     shapes are moved. Joints and sites are moved, too.
     """
-    at = Shares(spec, rng, axes)
+    at = ProportionMap(spec, rng, axes)
     point = lambda pos: tuple(at(np.array(pos)).tolist())
     parts = tuple(
         part.model_copy(update={"geoms": tuple(_mapped(geom, at) for geom in part.geoms)})
@@ -78,7 +78,7 @@ def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3)
     return spec.model_copy(update={"parts": parts, "joints": joints, "sites": sites})
 
 
-def _mapped(geom: GeomSpec, at: Shares) -> GeomSpec:
+def _mapped(geom: GeomSpec, at: ProportionMap) -> GeomSpec:
     shape, turn = geom.shape.model_dump(), matrix(geom.quat)
     axes = np.abs(turn)
     pos = np.array(geom.pos)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.mechanism import Link, LinkShape, Mechanism
 from neoworld_mjx.export.read_urdf import read_urdf
-from neoworld_mjx.io import read_object, read_outside_text
+from neoworld_mjx.io import read_object, read_untrusted_text
 from neoworld_mjx.io.names import identifier
 from neoworld_mjx.spec.base_shape import BaseShape
 
@@ -109,7 +109,7 @@ def _parts(folder: Path) -> dict[str, str]:
     file = folder / SEMANTICS
     if not file.exists():
         return {}
-    lines = [line.split() for line in read_outside_text(file, SpecError).splitlines()]
+    lines = [line.split() for line in read_untrusted_text(file, SpecError).splitlines()]
     return {words[0]: identifier(words[2], "part") for words in lines if len(words) >= 3}
 
 

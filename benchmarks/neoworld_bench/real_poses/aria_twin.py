@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import read_object, read_outside_text
+from neoworld_mjx.io import read_object, read_untrusted_text
 from neoworld_mjx.io.names import identifier
 
 from .true_views import PosedObject, TrueView
@@ -113,7 +113,7 @@ def _table(file: Path, columns: tuple[str, ...]) -> dict[str, list[TimedNumbers]
 
 
 def _rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    reader = csv.DictReader(io.StringIO(read_outside_text(file, SpecError)))
+    reader = csv.DictReader(io.StringIO(read_untrusted_text(file, SpecError)))
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
     if missing:
         raise SpecError(f"{file} has no column {missing[0]}")

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import read_outside_text
+from neoworld_mjx.io import read_untrusted_text
 from neoworld_mjx.io.names import identifier
 
 from ..measures.pose_measure import RECALL, add, adi, recall
@@ -59,7 +59,7 @@ def read_estimates(file: Path) -> dict[str, list[PoseEstimate]]:
     Raises:
         SpecError: it cannot be read, or a line is no estimate.
     """
-    reader = csv.DictReader(io.StringIO(read_outside_text(file, SpecError)))
+    reader = csv.DictReader(io.StringIO(read_untrusted_text(file, SpecError)))
     if not set(COLUMNS) <= set(reader.fieldnames or ()):
         raise SpecError(f"{file}: the first line must name {','.join(COLUMNS)}")
     views: dict[str, list[PoseEstimate]] = {}

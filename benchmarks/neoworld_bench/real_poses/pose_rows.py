@@ -13,7 +13,7 @@ from neoworld_mjx.export.file_camera import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..measures.collider_measure import collider_gap
 from ..measures.depth_measure import (
@@ -185,7 +185,7 @@ def _before_camera(made: MadeView, view: TrueView) -> MadeView:
         return made
     fovy = 2 * math.atan(view.size[1] / 2 / view.camera.fy)
     camera, placed, _, _ = viewpoint(FileCamera(pose=stated.pose, fovy=fovy), *view.size)
-    scene = moved_whole(made.scene, placed).model_copy(update={"camera": camera})
+    scene = transformed_scene(made.scene, placed).model_copy(update={"camera": camera})
     return replace(made, scene=scene)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from neoworld_mjx.physics.support import posed_shapes
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import Pose, from_yaw, pose
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..fidelity.rendered_scenes import see, visible_shares
 
@@ -39,7 +39,7 @@ class TaskPhoto(NamedTuple):
 
     def back(self, made: SceneSpec) -> SceneSpec:
         """Move a scene that was reconstructed from the photograph to where the task's scene is."""
-        return moved_whole(made, self.placed.inverse())
+        return transformed_scene(made, self.placed.inverse())
 
 
 def photographed_task(scene: SceneSpec) -> TaskPhoto:
@@ -53,7 +53,7 @@ def photographed_task(scene: SceneSpec) -> TaskPhoto:
     best: tuple[float, SceneSpec, Pose] | None = None
     for beside in BESIDE_DEG:
         placed, camera = _view(scene, math.pi + math.radians(beside))
-        there = moved_whole(scene, placed).model_copy(update={"camera": camera})
+        there = transformed_scene(scene, placed).model_copy(update={"camera": camera})
         shown = min(
             share
             for name, share in visible_shares(there).items()

@@ -131,7 +131,7 @@ class Ghosts:
                 f"iteration {requested}: the best {count} candidates that were rolled out"
             )
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Remove the ghosts, and forget which iteration was shown."""
         with self._lock:
             self._requested = self._shown = 0

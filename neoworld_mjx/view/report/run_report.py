@@ -39,7 +39,7 @@ _ERRORS = (
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a section may raise if a file has an unexpected structure."""
-OF_PHOTOGRAPHS = (
+SECTIONS_NOT_IN_RESCUE = (
     *("Before and after", object_rows.TITLE, "Parse", changes.TITLE, "Models"),
     "Agreement with the photograph",
 )
@@ -84,7 +84,7 @@ def write_report(folder: Path) -> Path:
         ("Options and versions", lambda: _settings(run)),
     ]
     if (folder / rescue_section.FILE).is_file():
-        sections = [each for each in sections if each[0] not in OF_PHOTOGRAPHS]
+        sections = [each for each in sections if each[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
         [_draw_section(name, section) for name, section in sections],
