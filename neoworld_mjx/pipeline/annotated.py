@@ -48,8 +48,8 @@ def write_annotated(
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
-    If the folder contains a run of this photograph, objects of the kind `EXISTING_PROGRAM` keep their
-    programs. Everything else is repeated.
+    If the folder contains a run of this photograph, objects of the kind `EXISTING_PROGRAM` keep
+    their programs. Everything else is repeated.
 
     Args:
         photo: the image file.

@@ -116,8 +116,8 @@ def object_pairs(
     if made.is_file() and truth.is_file():
         files = {truth.stem: (made, truth)}
     elif made.is_dir() and truth.is_dir():
-        own = object_files(made)
-        files = {name: (own.get(name), path) for name, path in object_files(truth).items()}
+        made_files = object_files(made)
+        files = {name: (made_files.get(name), path) for name, path in object_files(truth).items()}
     else:
         raise ConfigError("--made and --truth must both be files or both be folders")
     pairs = []
@@ -161,9 +161,9 @@ def joint_frames(
         )
         for value in (opening_value(joint, share * k / (FRAMES - 1)) for k in range(FRAMES))
     ]
-    shown = [visible_vertices(spec, scene.objects[0].joint_state) for scene in scenes]
+    points = [visible_vertices(spec, scene.objects[0].joint_state) for scene in scenes]
     view = View.framing(
-        np.vstack(shown),
+        np.vstack(points),
         width=WIDTH,
         height=HEIGHT,
         azimuth=azimuth,
@@ -181,7 +181,7 @@ def motion_is_seen(frames: Sequence[NDArray]) -> bool:
 
 def _side(truth: ObjectTruth, joint: str) -> float:
     """Return the azimuth [rad] from which the part of a joint is seen; +x is the front."""
-    box = next(each.moving_box for each in truth.joints if each.name == joint)
+    box = next(item.moving_box for item in truth.joints if item.name == joint)
     low, high = np.array(truth.box)
     x, y, _ = (np.mean(np.array(box), axis=0) - (low + high) / 2) / np.maximum(high - low, 1e-9)
     front = x > -BEHIND

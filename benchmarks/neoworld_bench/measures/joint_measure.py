@@ -103,12 +103,15 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
         predicted: the reconstructed object, or its joints as an `ObjectTruth`.
         truth: the ground truth.
     """
-    own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
-    ours, theirs = _normalised(own), _normalised(truth)
-    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, MIN_AGREEMENT))
+    estimate = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
+    estimated_joints, true_joints = _normalised(estimate), _normalised(truth)
+    pairs = tuple(
+        _pair(estimated_joints[j], true_joints[i])
+        for i, j in _assigned(estimated_joints, true_joints, MIN_AGREEMENT)
+    )
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
-    missed = tuple(joint.name for joint in theirs if joint.name not in matched)
-    extra = tuple(joint.name for joint in ours if joint.name not in used)
+    missed = tuple(joint.name for joint in true_joints if joint.name not in matched)
+    extra = tuple(joint.name for joint in estimated_joints if joint.name not in used)
     return _summed(truth.name, pairs, missed, extra)
 
 
@@ -118,8 +121,11 @@ def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
     Joints are assigned as in `joint_measure`, but without a minimum overlap. Ground-truth joints
     are left out only if fewer joints were reconstructed.
     """
-    ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
-    return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
+    estimated_joints, true_joints = _normalised(truth_of(predicted)), _normalised(truth)
+    return {
+        true_joints[i].name: estimated_joints[j].name
+        for i, j in _assigned(estimated_joints, true_joints, -1.0)
+    }
 
 
 def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
@@ -170,13 +176,13 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
 
 
 def _assigned(
-    ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
+    estimated_joints: Sequence[TrueJoint], true_joints: Sequence[TrueJoint], least: float
 ) -> list[tuple[int, int]]:
-    """Return the pairs (index in theirs, index in ours) with the largest sum of similarities."""
-    worth = np.zeros((len(theirs), len(ours)))
+    """Return the pairs (true index, estimated index) with the largest sum of similarities."""
+    worth = np.zeros((len(true_joints), len(estimated_joints)))
     allowed = np.zeros(worth.shape, bool)
-    for i, true in enumerate(theirs):
-        for j, estimate in enumerate(ours):
+    for i, true in enumerate(true_joints):
+        for j, estimate in enumerate(estimated_joints):
             agreement = box_agreement(estimate, true)
             if agreement >= least:
                 allowed[i, j] = True

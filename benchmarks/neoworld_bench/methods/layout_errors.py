@@ -74,10 +74,10 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
     Missed objects are those that the scene lacks. Extra objects are those that the ground truth
     lacks. No search can correct them, so they are counted separately and affect no error.
     """
-    real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
-    names, known = {item.name for item in own}, {item.name for item in truth.objects}
-    missed = [item.name for item in real if item.name not in names]
-    return missed, [item.name for item in own if item.name not in known]
+    true_items, items = ([item for item in s.objects if not item.static] for s in (truth, scene))
+    names, all_names = {item.name for item in items}, {item.name for item in truth.objects}
+    missed = [item.name for item in true_items if item.name not in names]
+    return missed, [item.name for item in items if item.name not in all_names]
 
 
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
@@ -99,15 +99,15 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
             without.add(item.name)
         if item.static or item.name in without:
             continue
-        own, end, start = scene.object(item.name), ends[item.name], starts[item.name]
-        should = _heights(item, start)
+        other, end, start = scene.object(item.name), ends[item.name], starts[item.name]
+        expected = _heights(item, start)
         if item.parent is not None:
             below = item.parent
             boxes = [bounds(s.object(below).spec) for s in (truth, scene)]
-            should = ends[below].apply(
-                _mapped_between_boxes(starts[below].inverse().apply(should), *boxes)
+            expected = ends[below].apply(
+                _mapped_between_boxes(starts[below].inverse().apply(expected), *boxes)
             )
-        rises = np.abs(_heights(own, end) - should)[:, 2]
+        rises = np.abs(_heights(other, end) - expected)[:, 2]
         fallen = rises.min() > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M
         if fallen or tilt_deg(item, end, start) > MOST_TILT_DEG:
             names.append(item.name)
@@ -144,14 +144,14 @@ def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
     period = symmetry(item)
     if period == 0.0:
         return None
-    own = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
-    if own == 0.0:
+    upright_period = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
+    if upright_period == 0.0:
         (x, y, _), (true_x, true_y, up) = (rotate(at.quat, [0.0, 0.0, 1.0]) for at in (end, start))
         if abs(up) > math.cos(math.radians(MOST_TILT_DEG)):
             return None
         yaw = math.atan2(y, x) - math.atan2(true_y, true_x)
     else:
-        spins = np.arange(0.0, 2 * math.pi - 1e-9, own)
+        spins = np.arange(0.0, 2 * math.pi - 1e-9, upright_period)
         rolled = [quat_mul(end.quat, from_yaw(spin)) for spin in spins]
         nearest = max(rolled, key=lambda quat: abs(float(quat @ start.quat)))
         yaw = yaw_of(quat_mul(nearest, conjugate(start.quat)))
@@ -159,12 +159,12 @@ def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
 
 
 def _mapped_between_boxes(
-    points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
+    points: Float[np.ndarray, "n 3"], source: Bounds, target: Bounds
 ) -> Float[np.ndarray, "n 3"]:
-    """Map points from the frame of a true object to that of another, from box to box."""
-    true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
-    ratio = own_size / np.maximum(true_size, LEAST_M)
-    return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
+    """Map points from the frame of one object to that of another, from box to box."""
+    source_size, target_size = (np.subtract(high, low) for low, high in (source, target))
+    ratio = target_size / np.maximum(source_size, LEAST_M)
+    return np.asarray(target[0]) + (points - np.asarray(source[0])) * ratio
 
 
 def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:

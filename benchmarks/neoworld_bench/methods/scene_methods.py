@@ -214,7 +214,7 @@ class SingleCandidateEngine:
         guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate one candidate; see `Engine.rollout`."""
-        one = self.engine.rollout(
+        single = self.engine.rollout(
             scene,
             poses[:1],
             duration=duration,
@@ -223,8 +223,8 @@ class SingleCandidateEngine:
             guidance=guidance,
         )
         repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
-        every = jax.tree.map(repeated, one)
-        return eqx.tree_at(lambda r: (r.time, r.start), every, (one.time, poses))
+        copies = jax.tree.map(repeated, single)
+        return eqx.tree_at(lambda r: (r.time, r.start), copies, (single.time, poses))
 
 
 def outcomes_of(
@@ -264,10 +264,10 @@ def outcomes_of(
 
     def alignment_of(used: AlignOptions) -> tuple[Alignment, float]:
         if used not in alignments:
-            shown = picture()
+            rgb = picture()
             began = time.perf_counter()
-            found = align_scene(composed, shown, used)
-            alignments[used] = found, time.perf_counter() - began
+            alignment_result = align_scene(composed, rgb, used)
+            alignments[used] = alignment_result, time.perf_counter() - began
         return alignments[used]
 
     def start_of(method: str) -> tuple[SceneSpec, float]:
@@ -279,8 +279,8 @@ def outcomes_of(
             alignment, spent = alignment_of(plain)
             began, before = time.perf_counter(), composed
             if used.dimensions and programs is not None:
-                again = partial(align_scene, photo=picture(), options=plain)
-                freed = free_dimensions(composed, alignment, picture(), programs, again)
+                realign = partial(align_scene, photo=picture(), options=plain)
+                freed = free_dimensions(composed, alignment, picture(), programs, realign)
                 before, alignment = freed.composed, freed.alignment
             aligned, _ = in_contact(alignment.scene, composed=before)
             starts[used] = aligned, spent + time.perf_counter() - began

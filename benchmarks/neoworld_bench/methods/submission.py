@@ -116,16 +116,16 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
             f"submission: {file} has no object of the scene that is free to move; the movable "
             f"objects of the scene are {', '.join(movable)}"
         )
-    said = SubmittedResult()
+    result = SubmittedResult()
     if (place / RESULT).exists():
-        said = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
-    return MethodResult(scene, measured(scene, o), said.seconds, said.seconds)
+        result = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
+    return MethodResult(scene, measured(scene, o), result.seconds, result.seconds)
 
 
 def _place(folder: Path, scene: str, start: int) -> Path:
     """Return the folder with a start's result: the scene's folder if it contains a scene file."""
-    own = folder / scene
-    return own if scene_file(own) is not None else own / f"start_{start}"
+    scene_folder = folder / scene
+    return scene_folder if scene_file(scene_folder) is not None else scene_folder / f"start_{start}"
 
 
 def scene_file(folder: Path) -> Path | None:
@@ -153,8 +153,8 @@ def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
         return read.spec
     if truth.camera is None:
         raise SpecError(f"submission: {truth.name} has no camera, so poses must be in the world")
-    given = np.array(read.camera.pose)
-    frame = pose(given[:3, 3], from_matrix(given[:3, :3]))
+    camera_pose = np.array(read.camera.pose)
+    frame = pose(camera_pose[:3, 3], from_matrix(camera_pose[:3, :3]))
     camera = pose(truth.camera.position(), from_matrix(truth.camera.axes()))
     return transformed_scene(read.spec, camera.then(frame.inverse()))
 
