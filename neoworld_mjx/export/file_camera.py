@@ -49,8 +49,11 @@ class FileCamera(Spec):
         if self.fx and self.fy and abs(self.fx / self.fy - 1) > SAME_FOCAL:
             raise ValueError(f"fx {self.fx:g} and fy {self.fy:g} differ: pixels must be square")
         if self.pose is not None:
-            turn = np.array(self.pose)[:3, :3]
-            rigid = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
+            rotation = np.array(self.pose)[:3, :3]
+            rigid = (
+                np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+                and np.linalg.det(rotation) > 0
+            )
             if not rigid or not np.allclose(self.pose[3], (0, 0, 0, 1)):
                 raise ValueError("pose is not a rigid transform (a 4 x 4 matrix)")
         return self
@@ -123,15 +126,15 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
         if crop[1]:
             top, size[1] = max(round(camera.cy - half[1]), 0), round(2 * half[1])
     fovy = 2 * math.atan(size[1] / 2 / focal)
-    shown = Camera(width=size[0], height_px=size[1], fovy=fovy, height=0, pitch=0)
+    level_camera = Camera(width=size[0], height_px=size[1], fovy=fovy, height=0, pitch=0)
     matrix = np.array(camera.pose)
     heading, pitch, roll = _angles(matrix[:3, :3])
-    turned = from_yaw(-heading)
-    eye = rotate(turned, matrix[:3, 3])
+    rotation = from_yaw(-heading)
+    eye = rotate(rotation, matrix[:3, 3])
     update = {"height": float(eye[2]), "pitch": pitch, "roll": roll}
     return Viewpoint(
-        Camera.model_validate(dict(shown) | update),
-        pose((-float(eye[0]), -float(eye[1]), 0.0), turned),
+        Camera.model_validate(dict(level_camera) | update),
+        pose((-float(eye[0]), -float(eye[1]), 0.0), rotation),
         left,
         top,
     )

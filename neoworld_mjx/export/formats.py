@@ -68,11 +68,11 @@ def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
             if is_textured(spec, geom)
         }
     )
-    moved = []
+    displaced = []
     if isinstance(described, SceneSpec):
-        moved = [item.name for item in described.objects if any(item.joint_state.values())]
+        displaced = [item.name for item in described.objects if any(item.joint_state.values())]
     textures = ("textures, replaced by plain colors", textured)
-    named: dict[Format, list[tuple[str, list[str]]]] = {
+    specific: dict[Format, list[tuple[str, list[str]]]] = {
         "urdf": [
             textures,
             ("stiffness and armature of joints", with_field("stiffness", "armature")),
@@ -81,7 +81,7 @@ def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
         "sdf": [
             textures,
             ("armature of joints", with_field("armature")),
-            ("joint positions; all joints are at zero", moved),
+            ("joint positions; all joints are at zero", displaced),
         ],
         "mjcf": [("velocity limits", with_field("velocity"))],
         "usd": [
@@ -103,7 +103,9 @@ def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
         "usd": ["ellipsoid colliders, written as meshes"],
     }
     stored: Format = "usd" if kind == "usdz" else kind
-    listed = [f"{content}: {', '.join(names)}" for content, names in named.get(stored, []) if names]
+    listed = [
+        f"{content}: {', '.join(names)}" for content, names in specific.get(stored, []) if names
+    ]
     return [*listed, *general.get(stored, [])]
 
 
@@ -236,10 +238,10 @@ class _Writer:
     def _usdz(self) -> dict[str, bytes]:
         stem = _stem(self.described)
         with tempfile.TemporaryDirectory() as folder:
-            home = Path(folder)
-            write_all(self._usd, home)
-            package = home / f"{stem}.usdz"
-            if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
+            root = Path(folder)
+            write_all(self._usd, root)
+            package = root / f"{stem}.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(str(root / f"{stem}.usdc"), str(package)):
                 raise ExportError(f"USD cannot pack {package.name}")
             return {package.name: package.read_bytes()}
 
@@ -251,11 +253,11 @@ def _lowest(described: SceneOrObject) -> float:
     lows = []
     poses = world_poses(described)
     for item in described.objects:
-        moved = link_poses(item.spec, item.joint_state)
+        part_poses = link_poses(item.spec, item.joint_state)
         for part in item.spec.parts:
             for _, piece, local in pieces(part):
-                placed = poses[item.name].then(moved[part.name]).then(local)
-                lows.append(float(box_around(piece, placed)[0][2]))
+                piece_pose = poses[item.name].then(part_poses[part.name]).then(local)
+                lows.append(float(box_around(piece, piece_pose)[0][2]))
     return min(lows)
 
 

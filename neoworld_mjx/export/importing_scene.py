@@ -79,8 +79,8 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
     except SpecError as error:
         if path.suffix.lower() in FILES:
             raise
-        known = ", ".join((*FILES, POSES))
-        raise SpecError(f"{error}; files that can be read: {known}") from None
+        supported = ", ".join((*FILES, POSES))
+        raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
         return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)], None
     if root.tag == "mujoco":
@@ -121,7 +121,7 @@ def scene_of_assemblies(
         imported = to_object(assembly.mechanism, deadline)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
         notes += [note if _is_general(note) else f"{name}: {note}" for note in imported.notes]
-        objects.append(_placed(name, assembly, imported))
+        objects.append(_scene_object(name, assembly, imported))
     name = identifier(path.stem, "scene")
     try:
         scene = SceneSpec(name=name, objects=tuple(objects))
@@ -136,7 +136,7 @@ def _is_general(note: str) -> bool:
     return "imported" in note and "link" not in note and "joint" not in note
 
 
-def _placed(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
+def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
     """Return an object at the pose that the file states, without a parent."""
     spec = imported.spec
     x, y, z, _ = (assembly.frame @ np.array([*imported.origin, 1.0])).tolist()

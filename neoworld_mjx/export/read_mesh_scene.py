@@ -75,16 +75,16 @@ def read_mesh_scene(path: Path) -> MeshScene:
             its folder.
     """
     posed = read_model(path, PosedFiles, SpecError, "a list of posed files")
-    in_camera, camera, into = posed.frame == "camera", posed.camera, np.eye(4)
+    in_camera, camera, to_world = posed.frame == "camera", posed.camera, np.eye(4)
     if in_camera:
         if camera is not None and camera.pose is not None:
             raise SpecError(f'{path}: with "frame": "camera", "camera" cannot have a "pose"')
         try:
-            into = level_transform(np.array(posed.up))
+            to_world = level_transform(np.array(posed.up))
         except SpecError as error:
             raise SpecError(f"{path}: {error}") from None
-        camera = FileCamera(pose=rows_of(into)).completed_by(camera)
-    objects = [_posed(path, name, item, into) for name, item in posed.objects.items()]
+        camera = FileCamera(pose=rows_of(to_world)).completed_by(camera)
+    objects = [_posed(path, name, item, to_world) for name, item in posed.objects.items()]
     return MeshScene(objects, camera, in_camera)
 
 
@@ -134,8 +134,8 @@ def mesh_object(
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
-def _posed(path: Path, name: str, item: PosedFile, into: NDArray) -> Assembly:
-    file, transform = inside(path, item.file), into @ np.array(item.pose)
+def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembly:
+    file, transform = inside(path, item.file), to_world @ np.array(item.pose)
     if file.suffix.lower() in SUFFIXES:
         return mesh_object(name, [load_mesh(file)], transform, fixed=item.fixed)
     mechanism = _mechanism(file)

@@ -306,15 +306,15 @@ def _joint(
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
-    rest = float(model.qpos0[model.jnt_qposadr[j]])
-    lower, upper = (float(v) - rest for v in model.jnt_range[j])
+    initial_position = float(model.qpos0[model.jnt_qposadr[j]])
+    lower, upper = (float(v) - initial_position for v in model.jnt_range[j])
     if slide and not limited:
         raise SpecError(f"{path}: joint {name} is a slide joint without limits")
     if limited and not lower < upper:
         raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (
         losses["stiffness"] > 0
-        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - rest) > 1e-9
+        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - initial_position) > 1e-9
     ):
         notes.append(f"joint {name}: the rest position of its spring is not imported")
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0

@@ -108,7 +108,7 @@ def _assemblies(
     prims = list(Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
     cache = UsdGeom.XformCache()
 
-    def placed(prim: Usd.Prim) -> NDArray:
+    def world_transform(prim: Usd.Prim) -> NDArray:
         # USD multiplies row vectors, hence the transpose.
         raw = to_meters @ np.array(cache.GetLocalToWorldTransform(prim)).T
         if not np.isfinite(raw).all() or np.abs(raw).max() > MAX_NUMBER:
@@ -116,10 +116,12 @@ def _assemblies(
         return raw
 
     def frame_of(prim: Usd.Prim) -> NDArray:
-        return _rigid(placed(prim)) @ upright.T
+        return _rigid(world_transform(prim)) @ upright.T
 
-    bodies = _bodies(prims, placed)
-    reader = JointReader(path, stage, placed, {p: body.rigid for p, body in bodies.items()}, notes)
+    bodies = _bodies(prims, world_transform)
+    reader = JointReader(
+        path, stage, world_transform, {p: body.rigid for p, body in bodies.items()}, notes
+    )
     stage_joints = reader.stage_joints([prim for prim in prims if is_joint(prim)])
     loose: dict[str, _Body] = {}
     for prim in prims:
@@ -129,9 +131,9 @@ def _assemblies(
                 group = _group(prim, top) if separate else top
                 name = str(group.GetPath())
                 if name not in loose:
-                    loose[name] = _Body(group, placed(group), frame_of(group), False)
+                    loose[name] = _Body(group, world_transform(group), frame_of(group), False)
                 owner = loose[name]
-            owner.shapes.append((prim, placed(prim)))
+            owner.shapes.append((prim, world_transform(prim)))
         elif prim.GetTypeName() in _LEFT_OUT:
             notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
     notes += _unread(prims)
@@ -193,15 +195,17 @@ def _rigid(raw: NDArray) -> NDArray:
     return rigid
 
 
-def _bodies(prims: list[Usd.Prim], placed: Callable[[Usd.Prim], NDArray]) -> dict[str, _Body]:
+def _bodies(
+    prims: list[Usd.Prim], world_transform: Callable[[Usd.Prim], NDArray]
+) -> dict[str, _Body]:
     """Return the rigid bodies by path, including static links as `write_scene_usd` writes them."""
     result = {}
     for prim in prims:
         dynamic = prim.HasAPI(UsdPhysics.RigidBodyAPI)
         # Static links of exported scenes have no RigidBodyAPI but keep their mass attributes.
-        still = prim.IsA(UsdGeom.Xform) and prim.HasAttribute("physics:mass")
-        if dynamic or still:
-            raw = placed(prim)
+        static_link = prim.IsA(UsdGeom.Xform) and prim.HasAttribute("physics:mass")
+        if dynamic or static_link:
+            raw = world_transform(prim)
             enabled = dynamic and UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get()
             kinematic = dynamic and UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr().Get()
             free = enabled is not False and dynamic and not kinematic
@@ -362,15 +366,15 @@ def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
     return result
 
 
-def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
+def _link(body: _Body, name: str, transform: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
     """Return the link of a body.
 
-    The transform `into`, shape [4, 4], moves the body from its pose in the world frame to its pose
+    The transform `transform`, shape [4, 4], moves the body from its pose in the world frame to its pose
     in the mechanism's frame with all joints at zero.
     """
-    link = Link(name, origin=(into @ body.rigid)[:3, 3])
+    link = Link(name, origin=(transform @ body.rigid)[:3, 3])
     for prim, raw in body.shapes:
-        link.shapes += shapes_of(prim, into @ raw, notes)
+        link.shapes += shapes_of(prim, transform @ raw, notes)
     kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     mass = UsdPhysics.MassAPI(body.prim)
@@ -380,10 +384,10 @@ def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[s
     link.mass = float(stated) * kilogram
     center = np.array(list(mass.GetCenterOfMassAttr().Get() or (np.nan,) * 3))
     if np.isfinite(center).all():
-        link.com = (into @ body.raw @ np.array([*center, 1.0]))[:3]
+        link.com = (transform @ body.raw @ np.array([*center, 1.0]))[:3]
     moments = np.array(list(mass.GetDiagonalInertiaAttr().Get() or (0.0,) * 3))
     if np.any(moments):
-        axes = (into @ body.rigid)[:3, :3] @ rotation_matrix(mass.GetPrincipalAxesAttr().Get())
+        axes = (transform @ body.rigid)[:3, :3] @ rotation_matrix(mass.GetPrincipalAxesAttr().Get())
         link.inertia = axes @ np.diag(moments * kilogram * unit**2) @ axes.T
     if (link.com is None) != (link.inertia is None):
         stated = "center of mass" if link.inertia is None else "inertia"

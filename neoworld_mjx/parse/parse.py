@@ -146,9 +146,9 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         if attempt.tree is None:
             return attempt
         # Draw only 2D boxes. The fit does not move them, so every machine draws the same picture.
-        drawn = draw_parse(photo, attempt.tree)
+        picture = draw_parse(photo, attempt.tree)
         findings = [issue.phrase() for issue in attempt.checks]
-        request = critic_request(photo, attempt.response, drawn, findings)
+        request = critic_request(photo, attempt.response, picture, findings)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
@@ -208,8 +208,8 @@ async def _fit_and_check(
     report, checks = None, check_tree(response_tree)
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-        remaining = {(found.node, found.code) for found in check_tree(tree)}
-        checks = tuple(found for found in checks if (found.node, found.code) in remaining)
+        remaining = {(check.node, check.code) for check in check_tree(tree)}
+        checks = tuple(check for check in checks if (check.node, check.code) in remaining)
     if issue is not None and camera_issue(photo.rgb, tree) is not None:
         checks = (issue, *checks)
     return SceneAttempt(response, tree, response_tree, checks=checks, fit=report)

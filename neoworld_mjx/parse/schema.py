@@ -74,14 +74,16 @@ class SceneCorrection(ResponsePart):
         """
         changed = {obj.name: obj for obj in self.objects}
         names = [obj.name for obj in earlier.objects]
-        kept = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
+        remaining = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
         if self.camera is not None:
-            kept = moved_with_camera(kept, earlier.camera, self.camera, size, placed=changed)
+            remaining = moved_with_camera(
+                remaining, earlier.camera, self.camera, size, placed=changed
+            )
         added = [obj for obj in self.objects if obj.name not in names]
         data = {
             "observations": self.observations or earlier.observations,
             "camera": self.camera or earlier.camera,
-            "objects": [*kept, *added],
+            "objects": [*remaining, *added],
         }
         # Validate objects again, because their parents and occluders must exist.
         return ParsedScene.model_validate({key: _plain(value) for key, value in data.items()})

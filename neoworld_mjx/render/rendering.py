@@ -342,9 +342,11 @@ def _smooth_edges(
     for i in (0, -1, 1):
         for j in (0, -1, 1):
             r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)
-            apart = np.linalg.norm(point[r, c] - cast.hits.point, axis=1)
-            turned = 1.0 - np.sum(normal[r, c] * cast.hits.normal, axis=1)
-            cost = np.where(surface[r, c] == cast.surface, apart * (1.0 + 20.0 * turned), np.inf)
+            distance = np.linalg.norm(point[r, c] - cast.hits.point, axis=1)
+            normal_change = 1.0 - np.sum(normal[r, c] * cast.hits.normal, axis=1)
+            cost = np.where(
+                surface[r, c] == cast.surface, distance * (1.0 + 20.0 * normal_change), np.inf
+            )
             better = cost < best
             best[better] = cost[better]
             lit[better], open_[better] = key[r, c][better], sky[r, c][better]

@@ -110,14 +110,14 @@ def visible_surface(
     """
     from trimesh.util import append_faces
 
-    moved = link_poses(spec, dict(joint_state or {}))
+    part_poses = link_poses(spec, dict(joint_state or {}))
     points: list[NDArray] = []
     triangles: list[NDArray] = []
     for part in spec.parts:
         for geom in part.geoms:
             if geom.role != "collision" and (parts is None or part.name in parts):
                 vertices, faces = geom.shape.surface()
-                points.append(moved[part.name].then(geom.pose()).apply(vertices))
+                points.append(part_poses[part.name].then(geom.pose()).apply(vertices))
                 triangles.append(faces)
     if points:
         return append_faces(points, triangles)

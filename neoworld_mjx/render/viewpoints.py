@@ -87,7 +87,7 @@ def with_open_joints(scene: SceneSpec, share: float) -> SceneSpec:
         state = dict(obj.joint_state)
         for joint in obj.spec.joints:
             if joint.type in ("revolute", "prismatic") and joint.mimic is None:
-                far = max(joint.lower, joint.upper, key=abs)
-                state[joint.name] = share * far
+                far_limit = max(joint.lower, joint.upper, key=abs)
+                state[joint.name] = share * far_limit
         objects.append(obj.model_copy(update={"joint_state": state}))
     return scene.model_copy(update={"objects": tuple(objects)})

@@ -221,12 +221,12 @@ def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
         - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
     )
     p, q, r, s = a[:, None], b[:, None], a[None], b[None]
-    apart = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
+    separated = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
     # Edges on one line are apart if their spans are apart.
     spans = (np.maximum(p, q) < np.minimum(r, s)) | (np.maximum(r, s) < np.minimum(p, q))
-    apart |= spans.any(axis=-1)
-    near = np.zeros((n, n), bool)
-    near[np.arange(n), following] = near[following, np.arange(n)] = True
-    near |= np.eye(n, dtype=bool)
-    meeting = np.argwhere(~apart & ~near)
+    separated |= spans.any(axis=-1)
+    adjacent = np.zeros((n, n), bool)
+    adjacent[np.arange(n), following] = adjacent[following, np.arange(n)] = True
+    adjacent |= np.eye(n, dtype=bool)
+    meeting = np.argwhere(~separated & ~adjacent)
     return (int(meeting[0][0]), int(meeting[0][1])) if len(meeting) else None

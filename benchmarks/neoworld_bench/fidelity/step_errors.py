@@ -269,7 +269,8 @@ def lines(summary: dict[str, Any]) -> Iterator[str]:
         if part not in summary:
             continue
         part_summary = summary[part]
-        yield f"{part}: {part_summary['objects']} objects of {part_summary['scenes']} scenes, median (worst)"
+        objects, scenes = part_summary["objects"], part_summary["scenes"]
+        yield f"{part}: {objects} objects of {scenes} scenes, median (worst)"
         for step, figures in part_summary["steps"].items():
             cells = [
                 f"{unit} {of['median']:.2f} ({of['worst']:.1f})"

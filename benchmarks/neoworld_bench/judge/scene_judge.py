@@ -141,8 +141,8 @@ def rating_request(
     listed = "\n".join(f"- {line}" for line in joints[:MOST_JOINTS]) or "- none"
     remainder = f"\n- and {len(joints) - MOST_JOINTS} more" if len(joints) > MOST_JOINTS else ""
     prompt = (
-        f"Joints that can move:\n{listed}{remainder}\n\nThis is judgement {repeat} of {repeats} of this "
-        "scene. The others are not known to you: judge it as if it were the only one."
+        f"Joints that can move:\n{listed}{remainder}\n\nThis is judgement {repeat} of {repeats} of "
+        "this scene. The others are not known to you: judge it as if it were the only one."
     )
     system = package_text(__package__, "judge").removesuffix("\n")
     name = f"judge:{reconstruction.name}:{repeat}"

@@ -80,12 +80,10 @@ def tip(program: str, tall: float, half: float, foot: float, values: dict[str, V
     along = np.round(rotate(conjugate(world_poses(scene)[program].quat), (1.0, 0.0, 0.0)), 9)
 
     def plan(reconstructed: SceneSpec) -> TaskPlan:
-        foot_position, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
+        foot_pose, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
         across, high = float(np.abs(along) @ edges), tall * float(edges[2])
-        way = _level(rotate(foot_position.quat, along))
-        start = (
-            foot_position.pos - way * (half * across + 0.012) + np.array([0.0, 0.0, high - 0.012])
-        )
+        way = _level(rotate(foot_pose.quat, along))
+        start = foot_pose.pos - way * (half * across + 0.012) + np.array([0.0, 0.0, high - 0.012])
         far = 0.005 + foot * across * (high - 0.012) / high + 0.01
         return push(start, way * far, speed=0.05)
 
@@ -136,10 +134,10 @@ def slide(
         return (poses["mark"].pos + poses["mark_2"].pos) / 2
 
     def plan(reconstructed: SceneSpec) -> TaskPlan:
-        foot_position, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
-        offset = (between(reconstructed) - foot_position.pos) * [1.0, 1.0, 0.0]
+        foot_pose, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
+        offset = (between(reconstructed) - foot_pose.pos) * [1.0, 1.0, 0.0]
         way = _level(offset)
-        start = foot_position.pos - way * (half * float(edges[0]) + 0.012)
+        start = foot_pose.pos - way * (half * float(edges[0]) + 0.012)
         start = start + np.array([0.0, 0.0, height * float(edges[2])])
         far = float(np.linalg.norm(offset)) + 0.003
         return push(start, way * far, speed=0.08, retreat=0.1)
@@ -186,14 +184,12 @@ def off_the_edge() -> Prepared:
     )
 
     def plan(reconstructed: SceneSpec) -> TaskPlan:
-        foot_position, edges = _foot(reconstructed, "cube"), grown(scene, reconstructed, "cube")
-        way = _level(world_poses(reconstructed)["tray"].pos - foot_position.pos)
+        foot_pose, edges = _foot(reconstructed, "cube"), grown(scene, reconstructed, "cube")
+        way = _level(world_poses(reconstructed)["tray"].pos - foot_pose.pos)
         # The shelf's own clearance lies below the cube, too.
         middle = 0.02 * float(edges[2]) - GAP
         start = (
-            foot_position.pos
-            - way * (0.02 * float(edges[0]) + 0.012)
-            + np.array([0.0, 0.0, middle])
+            foot_pose.pos - way * (0.02 * float(edges[0]) + 0.012) + np.array([0.0, 0.0, middle])
         )
         return push(start, way * 0.075, speed=0.1, retreat=0.1)
 
@@ -240,14 +236,14 @@ def ball_into_goal(angle: float) -> Prepared:
     )
 
     def plan(reconstructed: SceneSpec) -> TaskPlan:
-        foot_position, radius = (
+        foot_pose, radius = (
             _foot(reconstructed, "ball"),
             0.035 * float(grown(scene, reconstructed, "ball")[2]),
         )
-        offset = (world_poses(reconstructed)["gate"].pos - foot_position.pos) * [1.0, 1.0, 0.0]
+        offset = (world_poses(reconstructed)["gate"].pos - foot_pose.pos) * [1.0, 1.0, 0.0]
         way = _level(offset)
         # The fingers lie flat and are open, so that the ball rests against both.
-        start = foot_position.pos - way * (radius + 0.01) + np.array([0.0, 0.0, radius])
+        start = foot_pose.pos - way * (radius + 0.01) + np.array([0.0, 0.0, radius])
         aim = (float(way[0]), float(way[1]), 0.0)
         side = (-aim[1], aim[0], 0.0)
         far = float(np.linalg.norm(offset)) + 0.06

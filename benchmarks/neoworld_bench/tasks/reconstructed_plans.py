@@ -43,8 +43,8 @@ def planned_there(
 
     Args:
         task: what is to be done.
-        reconstructed: a scene of the same objects, moved to where the task's scene is. Objects may be
-            missing, and the table shares the shift.
+        reconstructed: a scene of the same objects, moved to where the task's scene is. Objects may
+            be missing, and the table shares the shift.
         plan: a plan made there, such as a model's; by default the reference planner makes it.
     """
     began = time.perf_counter()
