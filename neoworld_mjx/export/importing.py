@@ -53,6 +53,8 @@ class Imported:
     spec: ObjectSpec
     notes: tuple[str, ...]
     """Notes on data that the import omits, and on assumptions that it makes."""
+    file_notes: tuple[str, ...] = ()
+    """Those of `notes` that concern the whole file, which may contain other objects."""
     origin: Vec3 = (0.0, 0.0, 0.0)
     """Origin of the object's frame, in the frame of the file [m]."""
     joints: dict[str, str] = field(default_factory=dict)
@@ -166,7 +168,11 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     low, high = bounds(spec)
     origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
     return Imported(
-        recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), joint_names
+        recentred(spec),
+        tuple(dict.fromkeys([*mechanism.file_notes, *notes])),
+        tuple(dict.fromkeys(mechanism.file_notes)),
+        triple(np.array(origin)),
+        joint_names,
     )
 
 

@@ -120,7 +120,9 @@ def scene_of_assemblies(
     for assembly in assemblies:
         imported = to_object(assembly.mechanism, deadline)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
-        notes += [note if _is_general(note) else f"{name}: {note}" for note in imported.notes]
+        notes += [
+            note if note in imported.file_notes else f"{name}: {note}" for note in imported.notes
+        ]
         objects.append(_scene_object(name, assembly, imported))
     name = identifier(path.stem, "scene")
     try:
@@ -130,10 +132,6 @@ def scene_of_assemblies(
     except ValidationError as error:
         raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
-
-
-def _is_general(note: str) -> bool:
-    return "imported" in note and "link" not in note and "joint" not in note
 
 
 def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:

@@ -77,7 +77,14 @@ class Mechanism:
     sites: list[Site] = field(default_factory=list)
     """Named points of links."""
     notes: list[str] = field(default_factory=list)
-    """Notes on data that the reader omits, and on assumptions that it makes."""
+    """Notes on data of the object that the reader omits, and on assumptions that it makes."""
+    file_notes: list[str] = field(default_factory=list)
+    """The same for the whole file; mechanisms from one file may share this list."""
+
+    @property
+    def has_shapes(self) -> bool:
+        """True if a link has a shape."""
+        return any(link.shapes for link in self.links.values())
 
     @property
     def root(self) -> str:
@@ -149,7 +156,7 @@ def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
         for joint in mechanism.joints
     ]
     sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in mechanism.sites]
-    return Mechanism(mechanism.name, links, joints, sites, mechanism.notes)
+    return replace(mechanism, links=links, joints=joints, sites=sites)
 
 
 def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str, str]]) -> str:

@@ -11,6 +11,7 @@ pose and the intrinsics of the photograph's camera.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -139,7 +140,9 @@ def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembl
     if file.suffix.lower() in SUFFIXES:
         return mesh_object(name, [load_mesh(file)], transform, fixed=item.fixed)
     mechanism = _mechanism(file)
-    mechanism.name = name
+    # The file contains only this object, whereas `path` contains several.
+    notes = [*mechanism.file_notes, *mechanism.notes]
+    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[])
     rotation = transform[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise SpecError(f"{path}, object {name[:40]}: the pose of a model must be rigid")

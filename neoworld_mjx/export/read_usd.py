@@ -6,7 +6,7 @@ joint positions in the stage.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +103,7 @@ def _assemblies(
     if object_path and not top:
         raise SpecError(f"{path}: no prim at {object_path}")
     top = top or stage.GetPseudoRoot()
-    notes: list[str] = []
+    file_notes: list[str] = []
     upright, to_meters = _world(stage)
     prims = list(Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
     cache = UsdGeom.XformCache()
@@ -120,7 +120,7 @@ def _assemblies(
 
     bodies = _bodies(prims, world_transform)
     reader = JointReader(
-        path, stage, world_transform, {p: body.rigid for p, body in bodies.items()}, notes
+        path, stage, world_transform, {p: body.rigid for p, body in bodies.items()}, file_notes
     )
     stage_joints = reader.stage_joints([prim for prim in prims if is_joint(prim)])
     loose: dict[str, _Body] = {}
@@ -135,8 +135,8 @@ def _assemblies(
                 owner = loose[name]
             owner.shapes.append((prim, world_transform(prim)))
         elif prim.GetTypeName() in _LEFT_OUT:
-            notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
-    notes += _unread(prims)
+            file_notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
+    file_notes += _unread(prims)
     shared = frame_of(top) if object_path else np.eye(4)
     result = []
     for names, inner_joints in _components(bodies, stage_joints):
@@ -148,12 +148,18 @@ def _assemblies(
         result.append(_assembly(bodies, names, inner_joints, world_joints, frame, reader))
     for group, body in loose.items():
         frame = body.rigid if separate else shared
+        notes: list[str] = []
         link = _link(body, "static", np.linalg.inv(frame), stage, notes)
         if not bodies or any(shape.role != "visual" for shape in link.shapes):
             name = group.rpartition("/")[2] or path.stem
-            mechanism = Mechanism(name, {"static": link}, [], [], notes)
+            mechanism = Mechanism(name, {"static": link}, [], [], notes, file_notes)
             result.append(Assembly(group, mechanism, frame, fixed=True, no_rigid_body=True))
-    result = [a for a in result if any(link.shapes for link in a.mechanism.links.values())]
+        else:
+            file_notes += notes
+    for assembly in result:
+        if not assembly.mechanism.has_shapes:
+            file_notes += assembly.mechanism.notes
+    result = [assembly for assembly in result if assembly.mechanism.has_shapes]
     if not result:
         raise SpecError(f"{path} has no visible or colliding geometry")
     return result
@@ -267,7 +273,8 @@ def _assembly(
     reader: JointReader,
 ) -> Assembly:
     """Return the object that bodies form, in the frame `frame` with all joints at zero."""
-    world_to_frame = np.linalg.inv(frame)
+    file_notes, reader = reader.notes, replace(reader, notes=[])
+    to_frame = np.linalg.inv(frame)
     movable = next((joint for joint in world_joints if not joint.fixed), None)
     root = _root(bodies, names, stage_joints, world_joints)
     zero_poses = {root: bodies[root].rigid}
@@ -276,10 +283,8 @@ def _assembly(
     used: list[StageJoint] = []
     if movable is not None:
         # If a movable joint attaches the object to the world, the world is the base link.
-        zero_poses = {
-            "": np.eye(4),
-            movable.child: movable.parent_frame @ np.linalg.inv(movable.child_frame),
-        }
+        child_pose = movable.parent_frame @ np.linalg.inv(movable.child_frame)
+        zero_poses = {"": np.eye(4), movable.child: child_pose}
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
         used.append(movable)
     waiting = [*stage_joints]
@@ -298,32 +303,27 @@ def _assembly(
     sites, stage, notes = [], reader.stage, reader.notes
     for name in names:
         body = bodies[name]
-        links[labels[name]] = _link(
-            body,
-            labels[name],
-            world_to_frame @ zero_poses[name] @ np.linalg.inv(body.rigid),
-            stage,
-            notes,
-        )
+        to_zero = to_frame @ zero_poses[name] @ np.linalg.inv(body.rigid)
+        links[labels[name]] = _link(body, labels[name], to_zero, stage, notes)
         if folder := body.prim.GetChild("sites"):
             for point in folder.GetChildren():
                 local = UsdGeom.Xformable(point).GetLocalTransformation().ExtractTranslation()
-                position = world_to_frame @ zero_poses[name] @ np.array([*local, 1.0])
+                position = to_frame @ zero_poses[name] @ np.array([*local, 1.0])
                 sites.append(unchecked_site(point.GetName(), labels[name], position[:3]))
     ends = {**labels, "": WORLD}
     joints = [
-        reader.joint(joint, world_to_frame @ zero_poses[joint.parent] @ joint.parent_frame, ends)
+        reader.joint(joint, to_frame @ zero_poses[joint.parent] @ joint.parent_frame, ends)
         for joint in used
     ]
     actual = {name: bodies[name].rigid for name in names} | {"": np.eye(4)}
     state = {}
     for joint, spec in zip(used, joints, strict=True):
-        displaced = [world_to_frame @ actual[e] @ np.linalg.inv(zero_poses[e]) @ frame
+        displaced = [to_frame @ actual[e] @ np.linalg.inv(zero_poses[e]) @ frame
                      for e in (joint.parent, joint.child)]  # fmt: skip
         state |= state_of(spec, np.linalg.inv(displaced[0]) @ displaced[1])
     fixed = bool(world_joints) or not any(bodies[name].dynamic for name in names)
     path = _title(bodies[root].prim, names)
-    mechanism = Mechanism(path.rpartition("/")[2], links, joints, sites, notes)
+    mechanism = Mechanism(path.rpartition("/")[2], links, joints, sites, notes, file_notes)
     return Assembly(path, mechanism, frame, fixed, state)
 
 
@@ -369,8 +369,8 @@ def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
 def _link(body: _Body, name: str, transform: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
     """Return the link of a body.
 
-    The transform `transform`, shape [4, 4], moves the body from its pose in the world frame to its pose
-    in the mechanism's frame with all joints at zero.
+    `transform`, shape [4, 4], moves the body from its pose in the world frame to its pose in the
+    mechanism's frame with all joints at zero.
     """
     link = Link(name, origin=(transform @ body.rigid)[:3, 3])
     for prim, raw in body.shapes:

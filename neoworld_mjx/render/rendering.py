@@ -78,7 +78,7 @@ def render(
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)
     else:
-        view = camera._replace(width=width or camera.width, height=height or camera.height)
+        view = camera.resized(width or camera.width, height or camera.height)
     spec = scene if isinstance(scene, SceneSpec) else None
     model, data = compile_posed(scene) if isinstance(scene, SceneSpec) else scene
     caster = RayCaster(model, data)

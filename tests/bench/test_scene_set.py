@@ -128,6 +128,14 @@ def test_each_error_affects_its_own_figure():
     assert alike["xy_error_m"] < 1e-9
 
 
+def test_scenes_without_a_common_movable_object_have_no_errors_of_the_layout():
+    truth = truth_scene(declarations()["dominoes"])
+    fixed = truth.model_copy(update={"objects": tuple(i for i in truth.objects if i.static)})
+    for scene, other in ((fixed, truth), (truth, fixed)):
+        with pytest.raises(SpecError, match="no movable object of the ground truth"):
+            layout_errors(scene, other)
+
+
 def test_toppled_and_fallen_objects_are_displaced():
     scene = truth_scene(declarations()["overhang_stack"])
     assert displaced(scene, scene) == []

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.placed import BALL_EXTENT
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
@@ -34,9 +35,14 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
         - "yaw_error_deg": difference of the headings [deg], see `heading_deg`.
         - "scale_error": absolute difference of the logarithms of the diagonals.
         - "edge_error": mean absolute difference of the logarithms of the three edges.
+
+    Raises:
+        SpecError: the scenes have no movable object in common.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     items = [item for item in truth.objects if not item.static and item.name in ends]
+    if not items:
+        raise SpecError(f"scene {scene.name} has no movable object of the ground truth")
     turns, scales, edges = [], [], []
     for item in items:
         other = scene.object(item.name)
