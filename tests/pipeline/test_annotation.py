@@ -152,6 +152,6 @@ def test_a_parsed_tree_opens_as_an_annotation(tmp_path, photo, quick_config):
     assert all(obj.kind == EXISTING_PROGRAM for obj in annotation.objects)
     tree = annotated_tree(annotation)
     assert annotation_from_tree(tree).objects == annotation.objects
-    with pytest.raises(RunError, match="choose a kind"):
+    with pytest.raises(RunError, match="choose another kind"):
         write_annotated(photo, tmp_path / "new", annotation, quick_config)
     assert load_photo(photo).original_size == (tree.camera.width, tree.camera.height_px)
