@@ -22,7 +22,7 @@ from ..compose.on_supports import in_contact
 from ..config import ComposeOptions, Config, RefineOptions
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
-from ..export.file_camera import WHERE, FileCamera, Viewpoint, read_camera, viewpoint
+from ..export.file_camera import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
 from ..export.importing_scene import ImportedScene, import_file
 from ..io import bounded_by
 from ..io.files import write_output
@@ -34,7 +34,7 @@ from ..render import to_png
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, bounds, read_scene
 from ..spec.pose import pose
-from ..spec.scene import moved_whole
+from ..spec.scene import transformed_scene
 from .compose_step import write_alignment
 from .reconstruction import finish
 from .scene_pictures import Pictures
@@ -168,7 +168,7 @@ def photographed(
             photograph.
     """
     if stated is None and camera is None:
-        raise PhotoError(f"{file}: the scene's file states no camera: {WHERE}")
+        raise PhotoError(f"{file}: the scene's file states no camera: {CAMERA_HELP}")
     full = (camera or FileCamera()).completed_by(stated)
     read = load_photo(file, max_side_px)
     width, height = read.original_size
@@ -246,14 +246,14 @@ def _prepare(
     """Put the objects of a scene onto supports, and align them with the photograph."""
     given, camera = imported.spec, None
     if photo is not None:
-        given = moved_whole(given, photo.view.placed)
+        given = transformed_scene(given, photo.view.scene_transform)
     supports = find_supports(given)
     if photo is not None:
         # The top of the main support is at z = 0, as in scenes of photographs.
         to_ground = pose((0.0, 0.0, -_main_top(supports)))
         height = photo.view.camera.height + float(to_ground.pos[2])
         camera = photo.view.camera.model_copy(update={"height": height})
-        shifted = moved_whole(supports.scene, to_ground).model_copy(update={"camera": camera})
+        shifted = transformed_scene(supports.scene, to_ground).model_copy(update={"camera": camera})
         supports = replace(supports, scene=shifted)
     before = measured(supports.scene, o)
     deep = {

@@ -13,7 +13,7 @@ from ..physics.model import SceneModel
 from ..spec import SceneSpec
 from .choosing import Winner
 from .objective import Objective
-from .rounds import NOT_DRAWN, Round, stacked
+from .rounds import NOT_SAMPLED, Round, stacked
 from .search_run import FirstValid, SearchResult
 
 
@@ -80,7 +80,7 @@ class Refined:
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
-        return int(np.sum(self.history["status"] != NOT_DRAWN))
+        return int(np.sum(self.history["status"] != NOT_SAMPLED))
 
 
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
-    drawn = int(np.sum(np.asarray(values["status"]) != NOT_DRAWN))
+    drawn = int(np.sum(np.asarray(values["status"]) != NOT_SAMPLED))
     valid = np.asarray(values["valid"])
     share: dict[str, Any] = {"rollouts": drawn, "valid": float(np.sum(valid) / max(drawn, 1))}
     share["merit"] = float(np.asarray(values["merit"])[valid].max()) if valid.any() else None
@@ -191,7 +191,7 @@ def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> di
         "reward": -np.inf,
         "absolute": -np.inf,
         "merit": -np.inf,
-        "status": NOT_DRAWN,
+        "status": NOT_SAMPLED,
         "valid": False,
     }
     history = {

@@ -12,7 +12,7 @@ from typing import TextIO
 
 from ..errors import ExportError, RunError
 from ..io.files import (
-    PART,
+    TEMPORARY_NAME,
     content_hash,
     disk_full,
     irregular_entry,
@@ -49,7 +49,7 @@ def check_claimable(folder: Path) -> None:
 
 
 def _is_part_of_run_json(name: str) -> bool:
-    part = PART.match(name)
+    part = TEMPORARY_NAME.match(name)
     return part is not None and part["name"] == "run.json"
 
 
@@ -108,7 +108,7 @@ def clear_unfinished(folder: Path) -> None:
     """Delete unfinished files and the staging folders of a killed process."""
     shutil.rmtree(folder / STAGING, ignore_errors=True)
     for entry in folder.iterdir():
-        if PART.match(entry.name):
+        if TEMPORARY_NAME.match(entry.name):
             entry.unlink(missing_ok=True)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..config import ProgramOptions
 from ..errors import SpecError
-from ..io import read_outside_text
+from ..io import read_untrusted_text
 from ..program import build
 from ..program.watch import BuiltProgram
 from .patch import SUFFIX, Patch, apply, read_patch
@@ -51,4 +51,4 @@ def read_program(program: Path) -> str:
     Raises:
         SpecError: the file cannot be read or is not text.
     """
-    return read_outside_text(program, SpecError)
+    return read_untrusted_text(program, SpecError)

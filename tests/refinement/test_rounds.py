@@ -6,7 +6,7 @@ import pytest
 from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.refinement.objective import Scores
-from neoworld_mjx.refinement.rounds import NOT_DRAWN, Round, best_first, ranked, stacked
+from neoworld_mjx.refinement.rounds import NOT_SAMPLED, Round, best_first, ranked, stacked
 
 
 def iteration(valid, merit, absolute):
@@ -47,4 +47,4 @@ def test_shorter_iterations_are_filled_up(fill):
 
 
 def test_an_entry_that_was_not_drawn_has_no_status_of_a_rollout():
-    assert NOT_DRAWN == -1 and NOT_DRAWN not in {int(status) for status in RolloutStatus}
+    assert NOT_SAMPLED == -1 and NOT_SAMPLED not in {int(status) for status in RolloutStatus}

@@ -32,9 +32,9 @@ def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> fl
         options: number of steps over a range, and number of sampled states.
     """
     o = options or JointSweepOptions()
-    bare = [part.name for part in spec.parts if is_placeholder(part)]
+    placeholders = [part.name for part in spec.parts if is_placeholder(part)]
     free = o.model_copy(update={"max_depth_m": _DEEPEST_M})
-    sweep = sweep_joints(Probe(spec), free, ignored=bare)
+    sweep = sweep_joints(Probe(spec), free, ignored=placeholders)
     overlaps = [*sweep.at_rest.values()]
     for swept in sweep.ranges:
         overlaps += swept.deepest.values()
