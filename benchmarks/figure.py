@@ -1,13 +1,13 @@
 """Figures: measured values with their conditions, and a fingerprint of the code they depend on.
 
 A figure is a YAML file of `benchmarks/figures` with the fields of `Figure`. The JSON that `neoworld
-bench run SUITE --json` or `python -m benchmarks SUITE --json` prints becomes one by
+bench run SUITE --json` or `python -m benchmarks SUITE --json` prints is written as a figure by
 
     uv run python -m benchmarks.page --record NAME RESULT.json
 
-A figure is of an older version where the code of a folder or file that it names in `code` is
-another one than when it was recorded; comments, docstrings and empty lines do not count. Pages say
-so by themselves.
+A figure is marked as recorded with an older version if the code of a folder or file named in `code`
+has changed since the measurement. Comments, docstrings and empty lines are ignored. The generated
+pages show the mark automatically.
 """
 
 import ast
@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "benchmarks" / "figures"
 SUFFIXES = {".py", ".pyi", ".md", ".yaml", ".json", ".js", ".css", ".html"}
-"""Kinds of files whose text is part of a folder's fingerprint."""
+"""Suffixes of the files that are part of a folder's fingerprint."""
 
 
 class Figure(BaseModel):
@@ -41,31 +41,35 @@ class Figure(BaseModel):
     n: str
     """Sizes and repetitions."""
     date: str
-    """Date on which the figures were recorded."""
+    """Date of the measurement."""
     commit: str = ""
-    """Commit that was measured, or the last one before the measurement."""
+    """Commit that was measured, or the last commit before the measurement."""
     text: str = ""
     """Markdown before the table."""
     columns: list[str] = Field(default_factory=list)
     keys: list[str] = Field(default_factory=list)
-    """Key of each column in the rows that the suite prints; empty for a table written by hand."""
+    """Key of each column in the rows that the suite prints; empty if a person wrote the table."""
     rows: list[list[str]] = Field(default_factory=list)
     notes: str = ""
     """Markdown after the table."""
     code: dict[str, str] = Field(min_length=1)
-    """Fingerprint of each folder and file that the values depend on, when they were recorded."""
+    """Fingerprints of the folders and files that affect the values, when they were measured."""
 
     @property
     def changed(self) -> list[str]:
-        """Folders and files whose code is another one today."""
+        """Folders and files whose code has changed since the measurement."""
         return [path for path, known in self.code.items() if fingerprint(ROOT / path) != known]
 
     def cell(self, row: str, column: str) -> str:
-        """Return a cell of the table, by its row's first cell or cells and its column's name.
+        """Return a cell of the table.
+
+        Args:
+            row: the first cells of the row, separated by ", "; as many as identify one row.
+            column: the name of the column.
 
         Raises:
-            KeyError: there is no such row or column, or several rows begin so; the message names
-                those that there are.
+            KeyError: there is no such row or column, or several rows begin with these cells. The
+                message lists the first cells of all rows, and all columns.
         """
         heads = [[cell.strip("`*") for cell in cells] for cells in self.rows]
         wanted = row.split(", ")
@@ -86,14 +90,15 @@ def read_figure(name: str) -> Figure:
 
 
 def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> Figure:
-    """Return a figure of what a suite printed.
+    """Return the figure of a suite's output.
 
-    The table holds `table`, otherwise `rows`, otherwise the first list of records, otherwise the
-    numeric values. Sizes are those of `n` where the suite prints them, otherwise the known ones.
+    The table contains `table` of the output; if there is none, `rows`; if there are none, the first
+    list of records; otherwise, the numeric values. Sizes are those of `n` in the output, or those
+    of the known figure if the output contains no `n`.
 
     Args:
         result: the JSON that a suite prints.
-        known: figure whose title, texts and columns are kept; None for a new one.
+        known: the figure whose title, texts and columns are kept; None for a new figure.
         code: folders and files that the values of a new figure depend on.
 
     Raises:
@@ -133,7 +138,7 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
 
 @functools.cache
 def fingerprint(path: Path) -> str:
-    """Return the digest of the code of a file, or of all files of SUFFIXES in a folder."""
+    """Return the digest of a file's code, or of all files in a folder with one of SUFFIXES."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     digest = hashlib.sha256()
     for file in files:
@@ -144,7 +149,7 @@ def fingerprint(path: Path) -> str:
 
 
 def code_of(name: str, data: bytes) -> str:
-    """Return the text of a file; of Python without comments, docstrings and empty lines."""
+    """Return the digest of a file, or for Python, its code without comments and docstrings."""
     if not name.endswith(".py"):
         return hashlib.sha256(data).hexdigest()
     text = data.decode()
@@ -159,7 +164,7 @@ def code_of(name: str, data: bytes) -> str:
 
 
 def _docstrings(tree: ast.AST) -> Iterator[tuple[int, int]]:
-    """Yield the first and last line of every text that is a statement of its own."""
+    """Yield the first and last line of every statement that consists of a string."""
     for node in ast.walk(tree):
         value = node.value if isinstance(node, ast.Expr) else None
         if isinstance(value, ast.Constant) and isinstance(value.value, str):

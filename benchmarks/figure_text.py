@@ -1,4 +1,4 @@
-"""Figures as Markdown: table, conditions and the mark of an older version."""
+"""Figures as Markdown: table, conditions, and the mark of figures of an older version."""
 
 import re
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def markdown(figure: Figure) -> str:
 
 
 def conditions(figure: Figure) -> str:
-    """Return the command, the device, the sizes and the date, one a line."""
+    """Return the command, the device, the sizes and the date, one per line."""
     date = figure.date + (f", at commit {figure.commit} or an earlier one" if figure.commit else "")
     lines = [
         f"`{figure.command}`",
@@ -36,20 +36,20 @@ def conditions(figure: Figure) -> str:
 
 
 def older(figure: Figure) -> list[str]:
-    """Return the mark of a figure of an older version; nothing for one of this version."""
+    """Return the mark of a figure of an older version; empty for a figure of this version."""
     if not figure.changed:
         return []
     folders = ", ".join(f"`{path}`" for path in figure.changed)
     mark = f"**Recorded with an older version** ({age(figure)})"
-    return [f"{mark}: since then the code of {folders} changed."]
+    return [f"{mark}: the code of {folders} has since changed."]
 
 
 def age(figure: Figure) -> str:
-    """Return the commit of a figure, or its date."""
+    """Return the commit of a figure, or its date if it states no commit."""
     return f"commit {figure.commit}" if figure.commit else figure.date
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table."""
+    """Return a Markdown table."""
     lines = [columns, ["---"] * len(columns), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

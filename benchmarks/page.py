@@ -1,12 +1,12 @@
-"""Write the pages and tables of figures from `benchmarks/figures`.
+"""Write the benchmark pages and tables from the figures in `benchmarks/figures`.
 
     uv run python -m benchmarks.page                             # all pages and tables
-    uv run python -m benchmarks.page --record NAME RESULT.json   # a figure before, from a suite
-    uv run python -m benchmarks.page --record NAME DIR           # or from the folder of a sweep
+    uv run python -m benchmarks.page --record NAME RESULT.json   # first record a suite's output
+    uv run python -m benchmarks.page --record NAME DIR           # or the folder of a sweep
 
-`page.yaml` lists the pages of docs/benchmarks/ with their figures, the tables of the front page,
-the sections of docs/results.md, and the text between `<!-- NAME -->` and `<!-- end -->` in other
-pages. It refers to values as {FIGURE/ROW/COLUMN}, so that no number is written twice.
+`page.yaml` contains the pages of docs/benchmarks/ with their figures, the tables of the front page,
+the sections of docs/results.md, and the texts between `<!-- NAME -->` and `<!-- end -->` in other
+pages. These texts refer to values as {FIGURE/ROW/COLUMN}, so that no number is written twice.
 """
 
 import json
@@ -36,9 +36,9 @@ class Page(BaseModel):
     title: str
     intro: str
     figures: list[str]
-    """File names of figures without suffix; those of `Contents.swept` may not exist yet."""
+    """File names of figures, without suffix. Figures of `Contents.swept` may not exist yet."""
     overview: bool = False
-    """True for a table of the options that the page's figures compare."""
+    """If True, show a table of the options that the figures of the page compare."""
 
 
 class Contents(BaseModel):
@@ -51,10 +51,10 @@ class Contents(BaseModel):
     """Figures whose tables are on the front page."""
     pages: list[Page]
     swept: dict[str, Swept]
-    """Figures that plans of `configs` measure, by file name."""
+    """Figures that are measured by plans in `configs`, by file name without suffix."""
     results: Results
     tables: dict[str, dict[str, str]]
-    """Markdown with references, by file and by name of the mark in it."""
+    """Markdown with references to values, by file and by the name of the mark in the file."""
 
 
 def read_contents() -> Contents:
@@ -64,10 +64,10 @@ def read_contents() -> Contents:
 
 
 def pages() -> dict[Path, str]:
-    """Return the text of every page that holds figures, by its path in the repository.
+    """Return the text of every page that contains figures, by its path in the repository.
 
     Raises:
-        KeyError: a reference names no value.
+        KeyError: a reference matches no value.
         ValueError: a page lacks the marks of a table.
     """
     contents = read_contents()
@@ -84,7 +84,7 @@ def pages() -> dict[Path, str]:
 
 
 def filled(template: str) -> str:
-    """Return a table whose references are values, with a star and a note where they are old."""
+    """Return a template with values for its references, and with stars and a note at old values."""
     old: dict[str, str] = {}
     lines = []
     for line in template.splitlines():
@@ -93,7 +93,7 @@ def filled(template: str) -> str:
         old |= {name: age(figure) for name, figure in figures.items()}
         text = REFERENCE.sub(lambda m: read_figure(m[1]).cell(m[2], m[3]), line)
         if figures:
-            # Behind the first cell of a row, or else the line.
+            # The star follows the first cell of a table row, or the whole line.
             cell, bar, rest = text.removeprefix("| ").partition(" |")
             text = f"{'| ' if bar else ''}{cell}\\*{bar}{rest}"
         lines.append(text)
@@ -137,7 +137,7 @@ def _front_page(contents: Contents) -> str:
 
 
 def measured(name: str) -> bool:
-    """Return whether a figure of `benchmarks/figures` exists."""
+    """Return whether a figure exists in `benchmarks/figures`."""
     return (FIGURES / f"{name}.yaml").is_file()
 
 
@@ -158,13 +158,13 @@ def _unmeasured(name: str, swept: Swept) -> str:
 
 
 def write_figure(name: str, result: Path, code: tuple[str, ...]) -> None:
-    """Write a figure from a suite's JSON or the folder of a sweep.
+    """Write a figure from the JSON of a suite or from the folder of a sweep.
 
-    Of a suite's existing figure, title, texts and columns are kept.
+    If a suite's figure exists, its title, texts and columns are kept.
 
     Raises:
-        ValueError: `page.yaml` has no plan for a folder's figure; see also `recorded` and
-            `sweep_figure`.
+        ValueError: `page.yaml` contains no plan for the figure of a folder, or `recorded` or
+            `sweep_figure` raises it.
     """
     file = FIGURES / f"{name}.yaml"
     if result.is_dir():
@@ -182,7 +182,7 @@ def write_figure(name: str, result: Path, code: tuple[str, ...]) -> None:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Dumper that leaves the lines of a text as they are."""
+    """Dumper that keeps the lines of a string with several lines."""
 
 
 _Dumper.add_representer(
@@ -197,8 +197,8 @@ def main(*, record: tuple[str, Path] | None = None, code: tuple[str, ...] = ()) 
     """Write all pages and tables.
 
     Args:
-        record: name of a figure in benchmarks/figures, and the JSON that a suite printed for it, or
-            the folder of its sweep or ablation.
+        record: name of a figure in benchmarks/figures, and its source: the JSON that a suite
+            printed, or the folder of a sweep or ablation.
         code: folders and files that the values of a new figure depend on.
     """
     if record is not None:

@@ -1,4 +1,4 @@
-"""Figures that other projects published on data of their own, as tables of docs/results.md."""
+"""Results that other projects published on data of their own, as tables of docs/results.md."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ NEOWORLD_PRO = "the paper of NeoWorld-Pro"
 
 @dataclass(frozen=True)
 class Published:
-    """A table that others published."""
+    """A table that another project published."""
 
     source: str
     data: str
-    """What it was measured on."""
+    """Data on which the values were measured."""
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
@@ -36,10 +36,10 @@ def _published(
     """Return a table.
 
     Args:
-        source: where it was published.
-        data: what it was measured on.
-        columns: key in the values, factor and digits, by the column's name.
-        values: by method and key; missing ones are left out.
+        source: publication that contains the values.
+        data: data on which the values were measured.
+        columns: key in `values`, factor and number of digits, by the name of the column.
+        values: values by method and key. The cell of a missing value is empty.
     """
     rows = [
         [
@@ -70,7 +70,7 @@ PUBLISHED = {
     ),
     "stability": _published(
         "rest3d.org, arXiv 2605.30338",
-        "scenes of Replica and ScanNet++ and of its own, by its own definition of stable",
+        "scenes of Replica and ScanNet++ and its own scenes, with its own definition of stable",
         {"stable, at least [%]": ("stable", 100.0, 0)},
         PUBLISHED_STABILITY,
     ),
@@ -93,7 +93,7 @@ PUBLISHED = {
     ),
     "joints": _published(
         NEOWORLD_PRO,
-        "245 joints of its choice; a model that is shown paired videos decides hits",
+        "245 joints of its own choice; a model that sees paired videos decides which are hits",
         {
             "true": ("total", 1.0, 0),
             "made": ("predicted", 1.0, 0),
@@ -107,7 +107,7 @@ PUBLISHED = {
     ),
     "surfaces": _published(
         NEOWORLD_PRO,
-        "objects of its choice, normalized as it does not say",
+        "objects of its own choice; it does not state how they were normalized",
         {
             "CD ×10": ("chamfer_x10", 1.0, 4),
             "F .01": ("f_01", 1.0, 2),
@@ -116,4 +116,4 @@ PUBLISHED = {
         PAPER_SURFACES,
     ),
 }
-"""Published tables by name."""
+"""Published tables, by name."""

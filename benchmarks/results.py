@@ -1,4 +1,4 @@
-"""The page docs/results.md: what was measured here, and what others published."""
+"""The page docs/results.md, with this project's measurements and the results of others."""
 
 from pydantic import BaseModel, ConfigDict
 
@@ -8,7 +8,7 @@ from .published import PUBLISHED
 
 
 class ResultSection(BaseModel):
-    """A section of docs/results.md; figures name their own values, sections no number."""
+    """A section of docs/results.md. All values come from figures; a section contains no numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -18,11 +18,11 @@ class ResultSection(BaseModel):
     figures: list[str]
     """File names of figures without suffix."""
     columns: list[str] = []
-    """Columns of the figures, by name; all if empty. A figure may lack some of them."""
+    """Names of the columns to show; if empty, all. A figure may lack some of them."""
     rows: list[str] = []
-    """First cells of the rows to show, such as that over all objects; all if empty."""
+    """First cells of the rows to show, such as `all`; if empty, all rows."""
     published: list[str]
-    """Names of PUBLISHED."""
+    """Names of tables in PUBLISHED."""
 
 
 class Results(BaseModel):
@@ -38,8 +38,8 @@ def results_page(page: Results, mark: str) -> str:
     """Return the text of docs/results.md.
 
     Args:
-        page: its sections.
-        mark: comment that says what writes the page.
+        page: the introduction and the sections.
+        mark: comment that states what generates the page.
 
     Raises:
         KeyError: a section names a published table that does not exist.

@@ -1,7 +1,7 @@
-"""Figures of sweeps and ablations: the rows of a folder as one row for each value of an option.
+"""Figures of sweeps and ablations, with one row for each value of an option.
 
-`figures/page.yaml` describes each under `swept`, with its plan, so that its page says how to
-measure it before anyone did.
+`figures/page.yaml` describes each figure under `swept` and names its plan. A page can therefore
+state how to measure a figure that has not been measured yet.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,16 +33,16 @@ CODE = ("neoworld_mjx/refinement", "neoworld_mjx/physics", "neoworld_mjx/measure
 """Packages that the values of every sweep depend on."""
 COLUMNS = {column.name: column for column in TABLE_COLUMNS}
 SHOWN = ("passed", "merit", "xy_error_m", "yaw_error_deg", "rollouts_to_valid")
-"""Columns of the table; the merit only where it is compared, as it depends on options."""
+"""Columns of the table. The merit depends on options and is shown only if it is compared."""
 SOFTWARE = ("python", "jax", "mujoco")
 MINUS = "minus base: "
 ABOVE = "scenes above:below the base"
 NOISE = "noise"
-"""Option of a sweep whose scenes are named bench:NAME@LEVEL."""
+"""Name of the option if the scenes of a sweep are named bench:NAME@LEVEL."""
 
 
 class Swept(BaseModel):
-    """A figure that a plan of `configs` measures."""
+    """A figure that is measured by a plan in `configs`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,39 +51,40 @@ class Swept(BaseModel):
     """File of the plan, relative to the repository."""
     text: str
     compared: Literal["merit", "xy_error_m"] = "xy_error_m"
-    """Column whose differences from the base are tested."""
+    """Column that is compared with the base and tested."""
 
     @property
     def command(self) -> str:
-        """The command that measures it."""
+        """The command that measures the figure, without the number of processes at the end."""
         verb = "ablate" if Path(self.plan).parent.name == "ablations" else "sweep"
         return f"neoworld {verb} {self.plan} --out DIR --workers"
 
 
 class Factor(NamedTuple):
-    """An option of the plan, or options that advance together."""
+    """An option of the plan, or several options whose values change together."""
 
     name: str
     base: str
-    """Value with which the others are compared."""
+    """Value with which the other values are compared."""
     values: list[str]
-    """Value of each row."""
+    """Value of the option in each row."""
 
 
 def sweep_figure(folder: Path, swept: Swept) -> Figure:
     """Return the figure of a finished sweep or ablation.
 
-    Each value of an option is compared with the base's in runs that agree in everything else.
-    `passed` is the final check at the bounds of the base. Intervals are clustered by scene, as in
-    `neoworld_mjx.sweeps.intervals`; p values by Holm's method for all comparisons of the figure.
+    Each value of an option is compared with the base's value over runs that agree in all other
+    options. `passed` is the result of the final check at the bounds of the base. Intervals are
+    clustered by scene, as in `neoworld_mjx.sweeps.intervals`. p values are corrected by Holm's
+    method for all comparisons of the figure.
 
     Args:
-        folder: the folder of the rows.
-        swept: what it shows.
+        folder: the results folder of the sweep or ablation.
+        swept: the entry of `figures/page.yaml` for the figure.
 
     Raises:
-        ValueError: the folder holds no finished sweep of the figure's plan, or the base's value of
-            an option is none of its values.
+        ValueError: the folder contains no finished sweep of the figure's plan, or the plan does not
+            include the base's value of an option.
     """
     about = sweep_of(folder)
     if about is None or not about.get("finished"):
@@ -98,7 +99,7 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
     summaries, compared = [], []
     for factor in factors:
         others = [each.values for each in factors if each is not factor]
-        numbers: dict[tuple[Any, ...], int] = {}  # of the runs that differ in this factor alone
+        numbers: dict[tuple[Any, ...], int] = {}  # numbers of runs that differ only in this factor
         relabeled = [
             row
             | {
@@ -147,18 +148,19 @@ def sweep_figure(folder: Path, swept: Swept) -> Figure:
         columns=columns,
         keys=columns,
         rows=cells,
-        notes=f"{len(tested)} values are compared with the base's. Bold: the 95 % interval of a "
-        f"difference excludes zero ({apart} of {2 * len(tested)}). p: sign test of "
+        notes=f"{len(tested)} values are compared with the base. Bold marks differences whose 95 % "
+        f"interval excludes zero ({apart} of {2 * len(tested)}). p is that of a sign test of "
         f"{column.title.partition(',')[0]} over scenes, corrected by Holm's method for "
-        f"{len(tested)} comparisons; {low} are below .05.",
+        f"{len(tested)} comparisons. p values below .05: {low}.",
         code={path: fingerprint(ROOT / path) for path in (*CODE, swept.plan)},
     )
 
 
 def overview(figures: Sequence[Figure]) -> str:
-    """Return a table of the figures' options, with the range of the results and what differs.
+    """Return a table of the figures' options, with the ranges of the results.
 
-    Returns an empty text without figures.
+    The last column lists the values that differ from the base. Without figures, the table is an
+    empty string.
     """
     titles = [COLUMNS[name].title for name in ("passed", "xy_error_m")]
     lines = []
@@ -179,14 +181,15 @@ def overview(figures: Sequence[Figure]) -> str:
             ]
             values = "; ".join(row["value"] for row in own)
             lines.append([option, values, *ranges, "; ".join(apart) or "none"])
-    head = ["option", "values", *titles, "differ from the base (interval without zero)"]
+    head = ["option", "values", *titles, "differ from the base (interval excludes zero)"]
     return table(head, lines) if lines else ""
 
 
 def _passes(row: Row, o: RefineOptions) -> bool:
-    """Return the final check's result at the base's bounds, where the row has others its measures.
+    """Return whether a row passes the final check at the bounds of the base.
 
-    Rows have no motion of joints, which is then left out.
+    If the row used other bounds, the measures in the row are compared with the bounds of the base.
+    The motion of joints, which rows do not contain, is then not checked.
     """
     bounds = {name: getattr(o, name) for name in ("max_depth_m", "max_drift_m", "max_tilt_deg")}
     if all(row.get(f"refine.{name}", bound) == bound for name, bound in bounds.items()):

@@ -17,7 +17,7 @@ from benchmarks.suites import Templates
 from neoworld_mjx.checks.compile_checks import check
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import View, render_object, visible_vertices
 from neoworld_mjx.spec import ObjectSpec, bounds
 from neoworld_mjx.templates import template, templates
@@ -101,7 +101,7 @@ def _pictures(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Render an object at rest and opened, with the same camera."""
     spec = run(template(name).program()).spec
     assert spec is not None
-    states = ({}, opened_state(spec))
+    states = ({}, open_state(spec))
     points = np.vstack([visible_vertices(spec, state) for state in states])
     view = View.framing(points, width=SIDE, height=SIDE)
     rest, opened = (_picture(spec, state, view) for state in states)

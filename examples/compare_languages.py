@@ -23,8 +23,8 @@ from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.program import build
 from neoworld_mjx.program.ask import ProgramResponse, instructions
-from neoworld_mjx.program.attempt import joined
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.attempt import join_texts
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import render_object
 from neoworld_mjx.spec import ObjectSpec, bounds, inertial
 
@@ -48,7 +48,7 @@ def from_tape(photo: str, name: str, language: Language) -> str:
                 texts[stage] = ProgramResponse.model_validate_json(entry.text).program
     if "geometry" in texts:
         texts.pop("program", None)
-    return joined(texts)
+    return join_texts(texts)
 
 
 def joint_rows(sdk: ObjectSpec, blender: ObjectSpec) -> Iterator[str]:
@@ -97,7 +97,7 @@ def main(out: Path) -> None:
             median = statistics.median(seconds)
             cells.append(f"{edges}, {mass:.3g} kg, {pieces} pieces, {median:.2f} s, {verdict}")
             specs.append(spec)
-            states = ({}, opened_state(spec) or {})
+            states = ({}, open_state(spec) or {})
             drawn = [render_object(spec, s, width=WIDTH, height=HEIGHT).color for s in states]
             pictures.append(np.hstack(drawn))
         rows.append(f"| {' | '.join(cells)} |")

@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
 from neoworld_mjx.sweeps.result import commit
@@ -39,7 +39,7 @@ REPORT = (820, 1400)
 def opened(scene: SceneSpec) -> SceneSpec:
     """Return a scene with all joints open."""
     objects = tuple(
-        each.model_copy(update={"joint_state": {**each.joint_state, **opened_state(each.spec)}})
+        each.model_copy(update={"joint_state": {**each.joint_state, **open_state(each.spec)}})
         for each in scene.objects
     )
     return scene.model_copy(update={"objects": objects})
@@ -59,7 +59,7 @@ def rendered(scene: SceneSpec) -> Image.Image:
 def row(run: Path) -> list[Image.Image]:
     """Return the photograph of a run, its scene, and the same with open joints."""
     scene = read_scene(run)
-    moves = any(opened_state(each.spec) for each in scene.objects)
+    moves = any(open_state(each.spec) for each in scene.objects)
     scenes = (scene, opened(scene)) if moves else (scene,)
     return [picture(run / "photo.png"), *map(rendered, scenes)]
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from neoworld_mjx.program import build
 from neoworld_mjx.program.synthesise import guide
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import render_object
 
 GUIDE, OBJECTS = (360, 300, 3), (250, 210, 6)
@@ -31,8 +31,8 @@ def main(out: Path, programs: list[Path]) -> None:
     for text in texts:
         spec = build(text).spec
         assert spec is not None
-        states = [opened_state(spec)] if programs else [{}, opened_state(spec)]
-        for state in states if opened_state(spec) else [{}]:
+        states = [open_state(spec)] if programs else [{}, open_state(spec)]
+        for state in states if open_state(spec) else [{}]:
             tiles.append(render_object(spec, state, width=width, height=height).color)
     empty = [np.full_like(tiles[0], 255)] * (-len(tiles) % columns)
     rows = [np.hstack(row) for row in zip(*[iter([*tiles, *empty])] * columns, strict=True)]

@@ -15,7 +15,7 @@ from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
-from neoworld_mjx.program.attempt import joined
+from neoworld_mjx.program.attempt import join_texts
 from neoworld_mjx.program.blender.blender_availability import unavailable
 from neoworld_mjx.spec import ObjectSpec, SceneTree, read_scene
 from tests.support.example_figures import TOLERANCES, check_figures
@@ -89,7 +89,7 @@ def test_the_papers_three_programs_replay_and_are_one(tmp_path):
     texts = {
         name: (home / f"{name}.py").read_text() for name in ("geometry", "articulation", "export")
     }
-    assert (home / "program.py").read_text() == joined(texts)
+    assert (home / "program.py").read_text() == join_texts(texts)
     spec = build((home / "program.py").read_text()).spec
     assert spec is not None and spec.to_json() == (home / "spec.json").read_text()
     rounds = json.loads((home / "program.json").read_text())["rounds"]

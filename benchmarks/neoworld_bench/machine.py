@@ -57,8 +57,8 @@ class Others:
         """Return the mean so far; None if the system does not report it."""
         if self._began is None or (now := self._now()) is None:
             return None
-        wall, busy, own = (b - a for a, b in zip(self._began, now, strict=True))
-        return max(busy - own, 0.0) / max(wall, 1e-9)
+        wall, busy, this_process = (b - a for a, b in zip(self._began, now, strict=True))
+        return max(busy - this_process, 0.0) / max(wall, 1e-9)
 
     @staticmethod
     def _now() -> tuple[float, float, float] | None:

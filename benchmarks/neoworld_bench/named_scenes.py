@@ -81,7 +81,7 @@ def photo_case(name: str) -> Case:
         SpecError: there is no such scene.
     """
     examples = bundled_examples()
-    known = [each for each in examples if (FOLDER / f"{each}.json").is_file()]
+    known = [name for name in examples if (FOLDER / f"{name}.json").is_file()]
     if name not in known:
         raise SpecError(f"scene photo:{name}: {choices(name, known)}")
     scene = read_scene(FOLDER / f"{name}.json")

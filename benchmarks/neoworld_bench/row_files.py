@@ -55,9 +55,9 @@ def stored_rows(file: Path, kind: type[R]) -> list[R]:
     return [kind.model_validate(row) for row in rows]
 
 
-def check_level(kept: RowFile[Any], noise: str) -> None:
+def check_level(file: RowFile[Any], noise: str) -> None:
     """Raise a RunError if a file has rows with another noise level."""
-    for other in sorted({row.noise for row in kept.rows} - {noise}):
+    for other in sorted({row.noise for row in file.rows} - {noise}):
         raise RunError(
-            f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
+            f"{file.file} has rows of --noise {other}: take another folder for --noise {noise}"
         )

@@ -250,8 +250,8 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         )
         rows = list(scored)
     paper = {"joints": PAPER, "note": NOTE}
-    found = {**score_figures(rows), **joint_figure_table(rows), "machine": machine()}
-    return {**found, "paper": paper, "rows": plain(rows)}
+    figures = {**score_figures(rows), **joint_figure_table(rows), "machine": machine()}
+    return {**figures, "paper": paper, "rows": plain(rows)}
 
 
 def run_rescue(o: suites.Rescues) -> dict[str, Any]:
@@ -340,7 +340,7 @@ def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
     compare = partial(picture_rows, models=models, side=o.size, objects=not o.no_objects, out=o.out)
     scenes = made_scenes(o.folders, o.data)
     with unfinished(o) as folder:
-        rows = KeptRows(folder).all({made.numbered: partial(compare, [made]) for made in scenes})
+        rows = KeptRows(folder).all({scene.numbered: partial(compare, [scene]) for scene in scenes})
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 

@@ -108,7 +108,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     first = np.full(width * height, -1)
     spans = _spans(triangle, width, height)
     # Chunks bound the memory; each ends with a whole span.
-    chunk = np.cumsum(spans.count) // CHUNK
+    chunk = np.cumsum(spans.length) // CHUNK
     for start, stop in itertools.pairwise([0, *(np.flatnonzero(np.diff(chunk)) + 1), len(chunk)]):
         pixel, inverse, row = _covered(_Spans(*(part[start:stop] for part in spans)), width)
         np.maximum.at(nearest, pixel, inverse)
@@ -131,7 +131,7 @@ class _Spans(NamedTuple):
     """Row of the image."""
     start: Int[np.ndarray, " n"]
     """First column."""
-    count: Int[np.ndarray, " n"]
+    length: Int[np.ndarray, " n"]
     """Number of pixels, at least one."""
     inverse: Float[np.ndarray, " n"]
     """Inverse depth at the first pixel [1/m]."""
@@ -188,7 +188,7 @@ def _covered(
     spans: _Spans, width: int
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Return the pixels of all spans, their inverse depths [1/m] and their triangles."""
-    row, offset = _runs(np.zeros(len(spans.count), int), spans.count)
+    row, offset = _runs(np.zeros(len(spans.length), int), spans.length)
     pixel = (spans.line * width + spans.start)[row] + offset
     inverse = spans.inverse[row] + spans.slope[row] * offset
     return pixel, inverse, spans.triangle[row]

@@ -23,7 +23,7 @@ from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotatio
 from ..physics.outline import is_round
 from ..physics.support import link_frame
 from ..render import visible_surface
-from ..spec import Camera, SceneObject, SceneSpec, bounds, rearranged, world_poses
+from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
 from ..spec.pose import Pose, matrix, yaw_of
 from .creases import smooth_faces
 from .open_joints import (
@@ -337,7 +337,7 @@ class Unknowns:
         xy, yaw, log_scale = (
             np.asarray(value[0]) for value in (layout.xy, layout.yaw, layout.log_scale)
         )
-        scene = rearranged(opened, xy, yaw, log_scale, height)
+        scene = with_layout(opened, xy, yaw, log_scale, height)
         objects = [
             item
             if item.parent is not None

@@ -1,7 +1,7 @@
 """Programs of annotated objects, made from templates and simple shapes."""
 
 from ..templates import template
-from .annotation import KEPT, MODEL, SHAPES, AnnotatedObject
+from .annotation import EXISTING_PROGRAM, SHAPES, WRITTEN_BY_MODEL, AnnotatedObject
 
 RGB = tuple[float, float, float]
 _LATHE = "body.add(lathe([(0, 0), ({inner!r}, 0), ({r!r}, {z!r})], thickness={wall!r}))"
@@ -26,7 +26,7 @@ def program_of(obj: AnnotatedObject, size: tuple[float, float, float], rgb: RGB)
         size: edge lengths of the object's box [m].
         rgb: color of the object, 0 to 1.
     """
-    if obj.kind in (MODEL, KEPT) or obj.support:
+    if obj.kind in (WRITTEN_BY_MODEL, EXISTING_PROGRAM) or obj.support:
         return None
     if obj.kind not in SHAPES:
         object_template = template(obj.kind)

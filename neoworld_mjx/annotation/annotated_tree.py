@@ -17,7 +17,14 @@ from ..spec.forest import parents_first
 from ..spec.pose import from_yaw, rotate
 from ..templates import template
 from ..templates.template import BOX
-from .annotation import GROUND, KEPT, MODEL, SHAPES, AnnotatedObject, Annotation
+from .annotation import (
+    EXISTING_PROGRAM,
+    GROUND,
+    SHAPES,
+    WRITTEN_BY_MODEL,
+    AnnotatedObject,
+    Annotation,
+)
 
 THICKNESS_M = 0.03
 """Thickness of the ground [m]."""
@@ -138,7 +145,7 @@ def annotation_from_tree(tree: SceneTree) -> Annotation:
         AnnotatedObject(
             name=n.name,
             label=n.label[:100],
-            kind=KEPT,
+            kind=EXISTING_PROGRAM,
             box=n.box2d,
             parent=n.parent if n.parent in others else GROUND,
             relation=n.relation,
@@ -156,7 +163,7 @@ def annotation_from_tree(tree: SceneTree) -> Annotation:
 
 def _depth_ratio(obj: AnnotatedObject) -> float:
     """Return the ratio of the object's depth to its width."""
-    if obj.kind in (*SHAPES, MODEL, KEPT):
+    if obj.kind in (*SHAPES, WRITTEN_BY_MODEL, EXISTING_PROGRAM):
         return 1.0
     depth, width, _ = (float(template(obj.kind).parameters[name].default) for name in BOX)
     return depth / width

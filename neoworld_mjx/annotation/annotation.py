@@ -15,9 +15,9 @@ from ..templates import templates
 
 GROUND = "ground"
 """Name of the support at z = 0 that every annotation has."""
-MODEL = "left to a model"
+WRITTEN_BY_MODEL = "left to a model"
 """Kind of an object whose program a model writes."""
-KEPT = "as it is"
+EXISTING_PROGRAM = "as it is"
 """Kind of an object that keeps its existing program."""
 SHAPES = ("box", "cylinder", "ball", "bowl", "cup")
 """Kinds of objects without a template."""
@@ -29,7 +29,7 @@ class AnnotatedObject(Spec):
     name: Name
     label: str = Field(default="", max_length=100)
     kind: str = "box"
-    """A template, one of `SHAPES`, `MODEL` or `KEPT`."""
+    """A template, one of `SHAPES`, `WRITTEN_BY_MODEL` or `EXISTING_PROGRAM`."""
     box: Box2D
     """2D box in the upright photograph at its original size [px]."""
     parent: Name = GROUND
@@ -48,7 +48,7 @@ class AnnotatedObject(Spec):
 
     @model_validator(mode="after")
     def _check_kind_and_material(self) -> "AnnotatedObject":
-        kinds = [*SHAPES, MODEL, KEPT, *templates()]
+        kinds = [*SHAPES, WRITTEN_BY_MODEL, EXISTING_PROGRAM, *templates()]
         if self.kind not in kinds:
             raise ValueError(f"object {self.name}: kind: {choices(self.kind, kinds)}")
         if self.material not in MATERIALS:

@@ -23,15 +23,15 @@ from .allowance import Allowance
 from .overlap import overlap_signals, rest_overlap_signals
 from .part_distances import OutOfTime, Probe, line_box_distance
 from .plausibility import plausibility
-from .signals import Signal, deduplicated, error_signal, in_radians
+from .signals import Signal, deduplicated, error_signal, radians_hint
 
 AXIS_SLACK = 0.05
 """Largest distance between a joint's axis and the joint's child, over the child's diagonal."""
-LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
+MIN_TURN_RAD, MIN_SLIDE = 0.03, 0.01
 """Smallest range of a turning joint [rad], and of a sliding joint over the child's diagonal."""
-OPENS_COSINE = 0.3
+MIN_OPENING_COSINE = 0.3
 """Smallest cosine of the angle between the initial direction of motion and the declared one."""
-LONGEST_SLIDE = 1.5
+MAX_SLIDE = 1.5
 """Largest range of a sliding joint, over the object's diagonal."""
 
 
@@ -67,12 +67,12 @@ def check(
         for allowed in allowances
     ]
 
-    def measured(probe: Probe) -> Iterator[Signal]:
+    def measure(probe: Probe) -> Iterator[Signal]:
         yield from _loose_shapes(probe, options)
         yield from _joints(probe)
         yield from overlap_signals(probe, options, allowances)
 
-    return _check(spec, options, lines or {}, measured, declared)
+    return _check(spec, options, lines or {}, measure, declared)
 
 
 def check_geometry(
@@ -86,19 +86,19 @@ def check_geometry(
         lines: line of the program that creates each part.
     """
 
-    def measured(probe: Probe) -> Iterator[Signal]:
+    def measure(probe: Probe) -> Iterator[Signal]:
         # The joints, which are declared later, decide to which part a part is attached.
         yield from (s for s in _loose_shapes(probe, options) if s.code != "detached_part")
         yield from rest_overlap_signals(probe, options)
 
-    return _check(spec, options, lines, measured)
+    return _check(spec, options, lines, measure)
 
 
 def _check(
     spec: ObjectSpec,
     options: ProgramOptions,
     lines: Mapping[str, int],
-    measured: Callable[[Probe], Iterable[Signal]],
+    measure: Callable[[Probe], Iterable[Signal]],
     declared: Sequence[Signal] = (),
 ) -> tuple[Signal, ...]:
     """Return signals for implausible sizes and masses, `declared`, and the measured signals.
@@ -107,7 +107,7 @@ def _check(
     """
     signals = [*plausibility(spec), *declared]
     try:
-        signals += measured(Probe(spec, options.check_timeout_s))
+        signals += measure(Probe(spec, options.check_timeout_s))
     except OutOfTime:
         message = "the object could not be checked in the time allowed"
         limit = {"value": options.check_timeout_s, "threshold": options.check_timeout_s}
@@ -144,8 +144,8 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
             joint = joints[part.name]
             parent = probe.of_part(probe.names.index(joint.parent))
             for k, shapes in enumerate(components):
-                touching = np.concatenate([pieces[geom] for geom in shapes])
-                attached[k] = probe.nearest(touching, parent, reach) is not None
+                component_pieces = np.concatenate([pieces[geom] for geom in shapes])
+                attached[k] = probe.nearest(component_pieces, parent, reach) is not None
             if not any(attached):
                 yield _detached(probe, indices, joint, options)
                 attached[0] = True
@@ -167,13 +167,13 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
 
 def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramOptions) -> Signal:
     """Return the error of a joint whose child does not touch its parent, with the gap [m]."""
-    near = probe.nearest(pieces, probe.of_part(probe.names.index(joint.parent)), 100.0)
+    closest = probe.nearest(pieces, probe.of_part(probe.names.index(joint.parent)), 100.0)
     return error_signal(
         "detached_part",
         f"part {joint.child!r} does not touch {joint.parent!r}, which joint {joint.name!r} "
         "attaches it to",
         part=joint.child,
-        value=None if near is None else near.distance,
+        value=None if closest is None else closest.distance,
         threshold=options.touch_gap_m,
         hint="close the gap, or attach the part to the one that it touches",
     )
@@ -181,13 +181,13 @@ def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramO
 
 def _joints(probe: Probe) -> Iterator[Signal]:
     """Check the axis, the range and the opening direction of every joint that is not fixed."""
-    whole = float(np.linalg.norm(probe.high.max(axis=0) - probe.low.min(axis=0)))
+    object_size = float(np.linalg.norm(probe.high.max(axis=0) - probe.low.min(axis=0)))
     for joint in probe.spec.joints:
         if joint.type != "fixed":
             low, high = probe.extent(probe.names.index(joint.child))
             size = float(np.linalg.norm(high - low))
             yield from _axis(joint, low, high, AXIS_SLACK * size)
-            yield from _range(joint, size, whole)
+            yield from _range(joint, size, object_size)
             yield from _opens(probe.spec, joint)
 
 
@@ -208,30 +208,30 @@ def _axis(joint: JointSpec, low: NDArray, high: NDArray, slack: float) -> Iterat
         yield _joint_error(joint, "axis_off", message, hint, distance, slack)
 
 
-def _range(joint: JointSpec, size: float, whole: float) -> Iterator[Signal]:
+def _range(joint: JointSpec, size: float, object_size: float) -> Iterator[Signal]:
     """Check the limits of a joint.
 
     Args:
         joint: the joint.
         size: diagonal of the child's bounding box [m].
-        whole: diagonal of the object's bounding box [m].
+        object_size: diagonal of the object's bounding box [m].
     """
     if joint.type == "continuous" or (joint.type == "ball" and joint.upper == 0.0):
         return
     width = joint.upper - joint.lower
     slides = joint.type == "prismatic"
-    least = LEAST_SLIDE * size if slides else LEAST_TURN_RAD
-    largest = LONGEST_SLIDE * whole if slides else 2 * np.pi + 1e-6
-    if width < least:
+    smallest = MIN_SLIDE * size if slides else MIN_TURN_RAD
+    largest = MAX_SLIDE * object_size if slides else 2 * np.pi + 1e-6
+    if width < smallest:
         hint = "give the range that the real thing has"
-        yield _joint_error(joint, "range_small", "the range moves nothing", hint, width, least)
+        yield _joint_error(joint, "range_small", "the range moves nothing", hint, width, smallest)
     if width > largest:
         hint = "shorten the range" if slides else "use continuous for what turns without end"
-        far = max(abs(joint.lower), abs(joint.upper))
-        if not slides and far > 3 * math.pi:
-            hint = in_radians(far)
-        elif slides and far > 10 * largest:
-            hint = f"lengths are in metres: {far:g} mm are {far / 1000:g}"
+        extreme = max(abs(joint.lower), abs(joint.upper))
+        if not slides and extreme > 3 * math.pi:
+            hint = radians_hint(extreme)
+        elif slides and extreme > 10 * largest:
+            hint = f"lengths are in metres: {extreme:g} mm are {extreme / 1000:g}"
         yield _joint_error(joint, "range_large", "the range is too large", hint, width, largest)
     if not joint.lower - 1e-9 <= 0.0 <= joint.upper + 1e-9:
         nearest = joint.lower if joint.lower > 0 else joint.upper
@@ -247,11 +247,13 @@ def _opens(spec: ObjectSpec, joint: JointSpec) -> Iterator[Signal]:
     cosine = opening_alignment(spec, joint)
     if cosine is None:
         message = "opens= names a way, but the middle of what it turns hardly moves"
-        yield _joint_error(joint, "opens_no_way", message, "leave opens= out", 0.0, OPENS_COSINE)
-    elif cosine < OPENS_COSINE:
+        yield _joint_error(
+            joint, "opens_no_way", message, "leave opens= out", 0.0, MIN_OPENING_COSINE
+        )
+    elif cosine < MIN_OPENING_COSINE:
         message = f"positive does not move {joint.child!r} the way that opens= names"
         hint = "turn the axis around, or put `at` on the opposite edge (positive opens)"
-        yield _joint_error(joint, "opens_wrong_way", message, hint, cosine, OPENS_COSINE)
+        yield _joint_error(joint, "opens_wrong_way", message, hint, cosine, MIN_OPENING_COSINE)
 
 
 def _joint_error(

@@ -15,28 +15,29 @@ from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.kinematics import with_joint
 from ..spec.opening import opening_alignment
 from .allowance import Allowance
-from .compile_checks import OPENS_COSINE
+from .compile_checks import MIN_OPENING_COSINE
 from .joint_sweep import (
     JointRange,
     JointSweep,
     collides_at,
     free_range,
+    sweep_combinations,
     sweep_joints,
-    sweep_together,
 )
 from .part_distances import Probe, line_box_distance
-from .scenarios import SINGLE
+from .scenarios import SINGLE_DOF_TYPES
 from .static_checks import is_placeholder
-from .verdict import Check, Fault, Limit, judged, skipped
+from .verdict import Check, Fault, Limit, make_check, skipped
 
-AT_ONCE = 0.25
+BLOCKED_FRACTION = 0.25
 """A joint is blocked from the start if less than this fraction of its range is collision-free."""
-CLEAR = 0.5
+CLEARANCE_FRACTION = 0.5
 """Depth up to which a joint position counts as free of collisions, over the allowed depth.
 
-The full allowed depth applies if less than `AT_ONCE` of the joint's range would remain free.
+The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain
+free.
 """
-GAP_SLACK, GAP_SHARE = 2.0, 0.01
+GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
 
 The first limit is a multiple of `touch_gap_m`, the second is a fraction of the object's size.
@@ -82,7 +83,7 @@ def check_joints(
     checks = list(_at_rest(sweep, options))
     checks += [_over_range(sweep, swept, free, options) for swept in sweep.ranges]
     if len(sweep.ranges) > 1:
-        checks.append(_together(sweep, free, options))
+        checks.append(_combinations(sweep, free, options))
     probe.place({})
     checks += _gaps(probe, options)
     checks += _pivots(probe, options)
@@ -102,7 +103,7 @@ def _at_rest(sweep: JointSweep, options: VerifyOptions) -> Iterator[Check]:
         first, second = (sweep.probe.names[k] for k in pair)
         limit = Limit(sweep.allowed[pair], "m", Fault.PARTS_OVERLAP)
         name, evidence = f"part_depth:{first}:{second}", f"{first} and {second}"
-        check = judged("static", name, depth, limit, part=second, evidence=evidence)
+        check = make_check("static", name, depth, limit, part=second, evidence=evidence)
         if check.failed:
             failed = True
             yield check
@@ -114,7 +115,7 @@ def _at_rest(sweep: JointSweep, options: VerifyOptions) -> Iterator[Check]:
             worst, worst_evidence = depth, evidence
     if not failed:
         limit = Limit(options.max_depth_m, "m", Fault.PARTS_OVERLAP)
-        yield judged("static", "part_depth", worst, limit, evidence=worst_evidence)
+        yield make_check("static", "part_depth", worst, limit, evidence=worst_evidence)
 
 
 def _over_range(
@@ -128,17 +129,17 @@ def _over_range(
     The fault of a collision is the pivot, the axis (the joint is blocked from the start), or a
     limit.
     """
-    probe, joint, usual = sweep.probe, swept.joint, options.max_depth_m
+    probe, joint, default_depth = sweep.probe, swept.joint, options.max_depth_m
     # Ignore pairs whose depth is within a declared allowance.
-    counted = {
+    considered = {
         pair: overlap
         for pair, overlap in swept.deepest.items()
-        if overlap.depth > sweep.allowed[pair] or sweep.allowed[pair] <= usual
+        if overlap.depth > sweep.allowed[pair] or sweep.allowed[pair] <= default_depth
     }
-    pair = max(counted, key=lambda pair: counted[pair].depth, default=None)
-    depth, value, threshold, other, state = 0.0, 0.0, usual, "", {}
+    pair = max(considered, key=lambda pair: considered[pair].depth, default=None)
+    depth, value, threshold, other, state = 0.0, 0.0, default_depth, "", {}
     if pair is not None:
-        overlap, threshold = counted[pair], sweep.allowed[pair]
+        overlap, threshold = considered[pair], sweep.allowed[pair]
         depth, value, state = max(overlap.depth, 0.0), overlap.value, overlap.state
         other = probe.names[next((k for k in pair if k not in swept.moving), pair[0])]
     fault = Fault.LIMIT_INTO_PART
@@ -146,17 +147,17 @@ def _over_range(
         low, high = free[joint.name]
         if joint.type == "revolute" and _better_pivot(sweep, swept):
             fault = Fault.PIVOT_OFF
-        elif high - low < AT_ONCE * swept.width:
+        elif high - low < BLOCKED_FRACTION * swept.width:
             fault = Fault.JOINT_INTO_PART
     unit = "m" if joint.type == "prismatic" else "rad"
     position = f"{value:.3g}"
     if joint.type == "ball":
         position = f"({', '.join(f'{v:.3g}' for v in state.values())})"
     evidence = f"{joint.child} in {other} with {joint.name} at {position} {unit}"
-    evidence += "".join(f", {name} open" for name in swept.opened)
+    evidence += "".join(f", {name} open" for name in swept.prerequisites)
     names = {"part": joint.child, "joint": joint.name}
     limit = Limit(threshold, "m", fault)
-    return judged(
+    return make_check(
         "joint_range", f"depth:{joint.name}", depth, limit, **names, at=value, evidence=evidence
     )
 
@@ -164,8 +165,8 @@ def _over_range(
 def _free_range(sweep: JointSweep, swept: JointRange) -> tuple[float, float]:
     """Return a joint's collision-free range around zero [rad or m], with clearance if possible."""
     # A range that is cut exactly at the threshold would pass only as borderline.
-    low, high = free_range(sweep, swept, CLEAR)
-    if high - low >= AT_ONCE * swept.width:
+    low, high = free_range(sweep, swept, CLEARANCE_FRACTION)
+    if high - low >= BLOCKED_FRACTION * swept.width:
         return low, high
     return free_range(sweep, swept)
 
@@ -181,10 +182,12 @@ def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
     if on_edge(joint, low, high):
         return False
     for edge in pivot_edges(joint, low, high):
-        moved = joint.model_copy(update={"pos": tuple(edge.tolist())})
-        probe = Probe(with_joint(spec, moved))
+        candidate = joint.model_copy(update={"pos": tuple(edge.tolist())})
+        probe = Probe(with_joint(spec, candidate))
         if not any(
-            collides_at(probe, moved, float(value), swept.opened, swept.pairs, sweep.allowed)
+            collides_at(
+                probe, candidate, float(value), swept.prerequisites, swept.pairs, sweep.allowed
+            )
             for value in swept.values
         ):
             return True
@@ -221,11 +224,11 @@ def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
     return edges
 
 
-def _together(
+def _combinations(
     sweep: JointSweep, free: Mapping[str, tuple[float, float]], options: VerifyOptions
 ) -> Check:
     """Check the largest depth while all joints move at once within their collision-free ranges."""
-    deepest = sweep_together(sweep, options, free)
+    deepest = sweep_combinations(sweep, options, free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
     if pair is not None:
@@ -234,14 +237,14 @@ def _together(
         worst, threshold = overlap.depth, sweep.allowed[pair]
         evidence = f"{first} in {second} with {state}"[:300]
     limit = Limit(threshold, "m", Fault.RANGE_CONFLICT)
-    return judged("joint_range", "depth:together", worst, limit, evidence=evidence)
+    return make_check("joint_range", "depth:together", worst, limit, evidence=evidence)
 
 
 def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
-    slack = max(GAP_SLACK * options.touch_gap_m, GAP_SHARE * size)
+    slack = max(GAP_SLACK * options.touch_gap_m, GAP_FRACTION * size)
     reach = 20 * slack
     limit = Limit(slack, "m", Fault.PART_DETACHED)
     for joint in probe.spec.joints:
@@ -249,9 +252,9 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
         if any(is_placeholder(probe.spec.part(name)) for name in ends):
             continue
         parent, child = (probe.of_part(probe.names.index(name)) for name in ends)
-        near = probe.nearest(parent, child, reach)
-        gap = reach if near is None else max(near.distance, 0.0)
-        yield judged(
+        closest = probe.nearest(parent, child, reach)
+        gap = reach if closest is None else max(closest.distance, 0.0)
+        yield make_check(
             "static", f"gap:{joint.name}", gap, limit, part=joint.child, joint=joint.name,
             evidence=f"{joint.child} hangs in the air beside {joint.parent}",
         )  # fmt: skip
@@ -274,7 +277,7 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
             distance = max(distance, line_box_distance(point, axis, *parent) / 2)
         size = float(np.linalg.norm(child[1] - child[0]))
         limit = Limit(max(options.max_pivot_off * size, 0.004), "m", Fault.PIVOT_OFF)
-        yield judged(
+        yield make_check(
             "static", f"pivot:{joint.name}", distance, limit, part=joint.child, joint=joint.name,
             evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",
         )  # fmt: skip
@@ -285,7 +288,7 @@ def _intents(spec: ObjectSpec) -> Iterator[Check]:
     for joint in spec.joints:
         intent, names = joint.intent, {"part": joint.child, "joint": joint.name}
         if intent is None:
-            if joint.type in SINGLE:
+            if joint.type in SINGLE_DOF_TYPES:
                 yield skipped("intent", joint.name, "no intent is declared", joint.name)
             continue
         if intent.type is not None:
@@ -293,20 +296,20 @@ def _intents(spec: ObjectSpec) -> Iterator[Check]:
             limit = Limit(0.0, "", Fault.JOINT_TYPE)
             evidence = f"{joint.name} is {joint.type} and meant to be {intent.type}"
             name = f"type:{joint.name}"
-            yield judged("intent", name, wrong, limit, **names, evidence=evidence)
+            yield make_check("intent", name, wrong, limit, **names, evidence=evidence)
             if wrong:
                 continue
-        if intent.opens is not None and joint.type in SINGLE:
+        if intent.opens is not None and joint.type in SINGLE_DOF_TYPES:
             name, cosine = f"opens:{joint.name}", opening_alignment(spec, joint)
             if cosine is None:
                 reason = "its middle hardly moves, so it has no opening direction"
                 yield skipped("intent", name, reason, joint.name)
                 continue
-            limit = Limit(OPENS_COSINE, "cosine", Fault.AXIS_REVERSED, least=True)
+            limit = Limit(MIN_OPENING_COSINE, "cosine", Fault.AXIS_REVERSED, least=True)
             evidence = f"{joint.child} sets out the wrong way"
-            yield judged("intent", name, cosine, limit, **names, evidence=evidence)
+            yield make_check("intent", name, cosine, limit, **names, evidence=evidence)
         if intent.travel is not None and joint.type in ("revolute", "prismatic"):
             unit, travel = "m" if joint.type == "prismatic" else "rad", intent.travel
             limit = Limit(0.9 * travel, unit, Fault.LIMITS_NARROW, least=True, best=travel)
             width = joint.upper - joint.lower
-            yield judged("intent", f"travel:{joint.name}", width, limit, **names)
+            yield make_check("intent", f"travel:{joint.name}", width, limit, **names)

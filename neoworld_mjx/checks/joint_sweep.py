@@ -18,7 +18,7 @@ from ..spec import JointSpec, joint_keys
 from ..spec.kinematics import followers, moving_parts, welded
 from ..spec.opening import prerequisite_state, with_prerequisites
 from .allowance import Allowance
-from .part_distances import Near, Probe
+from .part_distances import PieceDistance, Probe
 
 Pair = tuple[int, int]
 """Indices of two parts, in ascending order."""
@@ -41,7 +41,7 @@ class Overlap:
 
     depth: float
     """Depth [m]; at most 0 if the parts only touch."""
-    near: Near
+    pieces: PieceDistance
     """The two convex pieces that overlap most deeply."""
     state: State
     """Positions of the joints."""
@@ -54,7 +54,7 @@ class JointRange:
     """Measurements of one joint over its range, while its prerequisites are open."""
 
     joint: JointSpec
-    opened: State
+    prerequisites: State
     """Positions of the prerequisites."""
     moving: frozenset[int]
     """Indices of the parts that the joint moves."""
@@ -62,7 +62,7 @@ class JointRange:
     """Pairs of parts whose distance depends on the joint."""
     values: NDArray
     """Positions at which depths are measured, ascending [rad or m], shape [value]."""
-    depth_share: NDArray
+    depth_ratio: NDArray
     """Largest ratio of depth to allowed depth over all pairs at each position, shape [value]."""
     deepest: Mapping[Pair, Overlap]
     """Deepest overlap of each pair that touches or overlaps."""
@@ -130,7 +130,8 @@ def sweep_joints(
                 allowed[a, b], reasons[a, b] = allowance.depth, allowance.reason
     probe.place({})
     at_rest = {
-        pair: Overlap(-near.distance, near, {}) for pair, near in probe.depths(allowed).items()
+        pair: Overlap(-closest.distance, closest, {})
+        for pair, closest in probe.depths(allowed).items()
     }
     pairs = [p for p in allowed if p not in at_rest or at_rest[p].depth <= allowed[p]]
     ranges = [
@@ -148,7 +149,7 @@ def sweep_range(
     pairs: Sequence[Pair],
     allowed: Mapping[Pair, float],
     steps: int,
-    opened: State | None = None,
+    prerequisites: State | None = None,
 ) -> JointRange:
     """Measure the deepest overlap of each pair over the range of one joint.
 
@@ -158,27 +159,28 @@ def sweep_range(
         pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        opened: positions of the other joints; by default, the joint's prerequisites are open.
+        prerequisites: positions of the other joints; by default, those in which the joint's
+            prerequisites are open.
     """
     spec = probe.spec
-    opened = prerequisite_state(spec, joint) if opened is None else opened
+    prerequisites = prerequisite_state(spec, joint) if prerequisites is None else prerequisites
     moving = frozenset(probe.names.index(name) for name in moving_parts(spec, joint))
     changed = [pair for pair in pairs if (pair[0] in moving) != (pair[1] in moving)]
     if followers(spec, joint):
         changed += [pair for pair in pairs if pair[0] in moving and pair[1] in moving]
     values = joint_positions(joint, steps)
-    share = np.zeros(len(values))
+    ratios = np.zeros(len(values))
     deepest: dict[Pair, Overlap] = {}
     for k, value in enumerate(values):
-        for state, depths in _poses(probe, joint, float(value), opened, changed):
-            for pair, near in depths.items():
-                share[k] = max(share[k], -near.distance / allowed[pair])
-                overlap = Overlap(-near.distance, near, state, float(value))
+        for state, depths in _poses(probe, joint, float(value), prerequisites, changed):
+            for pair, closest in depths.items():
+                ratios[k] = max(ratios[k], -closest.distance / allowed[pair])
+                overlap = Overlap(-closest.distance, closest, state, float(value))
                 deepest[pair] = max(deepest.get(pair, overlap), overlap, key=_depth)
-    return JointRange(joint, opened, moving, changed, values, share, deepest)
+    return JointRange(joint, prerequisites, moving, changed, values, ratios, deepest)
 
 
-def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tuple[float, float]:
+def free_range(sweep: JointSweep, swept: JointRange, fraction: float = 1.0) -> tuple[float, float]:
     """Return the range around zero in which no depth exceeds a fraction of the allowed depth.
 
     Bisection finds the ends of the range with a tolerance of a thousandth of the joint's range.
@@ -186,7 +188,7 @@ def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tupl
     Args:
         sweep: measurements of the object.
         swept: measurements of the joint.
-        share: the fraction of the allowed depth.
+        fraction: the fraction of the allowed depth.
 
     Returns:
         The lower and upper end [rad or m]. The two are equal if parts collide with the joint at 0.
@@ -195,7 +197,7 @@ def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tupl
 
     def free(value: float) -> bool:
         return not collides_at(
-            probe, swept.joint, value, swept.opened, swept.pairs, sweep.allowed, share
+            probe, swept.joint, value, swept.prerequisites, swept.pairs, sweep.allowed, fraction
         )
 
     start = float(np.clip(0.0, values[0], values[-1]))
@@ -203,16 +205,16 @@ def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tupl
         return start, start
     ends = []
     for side in (np.flatnonzero(values < start)[::-1], np.flatnonzero(values > start)):
-        inside, outside = start, None
+        free_end, blocked = start, None
         for k in side:
-            if swept.depth_share[k] > share:
-                outside = float(values[k])
+            if swept.depth_ratio[k] > fraction:
+                blocked = float(values[k])
                 break
-            inside = float(values[k])
-        while outside is not None and abs(outside - inside) > 1e-3 * swept.width:
-            middle = (inside + outside) / 2
-            inside, outside = (middle, outside) if free(middle) else (inside, middle)
-        ends.append(inside)
+            free_end = float(values[k])
+        while blocked is not None and abs(blocked - free_end) > 1e-3 * swept.width:
+            middle = (free_end + blocked) / 2
+            free_end, blocked = (middle, blocked) if free(middle) else (free_end, middle)
+        ends.append(free_end)
     return ends[0], ends[1]
 
 
@@ -220,20 +222,20 @@ def collides_at(
     probe: Probe,
     joint: JointSpec,
     value: float,
-    opened: State,
+    prerequisites: State,
     pairs: Sequence[Pair],
     allowed: Mapping[Pair, float],
-    share: float = 1.0,
+    fraction: float = 1.0,
 ) -> bool:
     """Return True if, at a joint position, any depth exceeds a fraction of the allowed depth."""
     return any(
-        -near.distance > share * allowed[pair]
-        for _, depths in _poses(probe, joint, value, opened, pairs)
-        for pair, near in depths.items()
+        -closest.distance > fraction * allowed[pair]
+        for _, depths in _poses(probe, joint, value, prerequisites, pairs)
+        for pair, closest in depths.items()
     )
 
 
-def sweep_together(
+def sweep_combinations(
     sweep: JointSweep,
     options: JointSweepOptions,
     free: Mapping[str, tuple[float, float]] | None = None,
@@ -267,8 +269,8 @@ def sweep_together(
             state |= states[0 if len(states) == 1 else random.integers(len(states))]
         state = with_prerequisites(probe.spec, state, opening=k % 2 == 0)
         probe.place(state)
-        for pair, near in probe.depths(pairs).items():
-            overlap = Overlap(-near.distance, near, state)
+        for pair, closest in probe.depths(pairs).items():
+            overlap = Overlap(-closest.distance, closest, state)
             if overlap.depth > sweep.allowed[pair]:
                 deepest[pair] = max(deepest.get(pair, overlap), overlap, key=_depth)
     probe.place({})
@@ -308,9 +310,9 @@ def joint_states(joint: JointSpec, value: float) -> list[State]:
 
 
 def _poses(
-    probe: Probe, joint: JointSpec, value: float, opened: State, pairs: Sequence[Pair]
-) -> Iterator[tuple[State, dict[Pair, Near]]]:
+    probe: Probe, joint: JointSpec, value: float, prerequisites: State, pairs: Sequence[Pair]
+) -> Iterator[tuple[State, dict[Pair, PieceDistance]]]:
     """Yield each state of a joint at a value, and the pairs that touch or overlap in the state."""
     for state in joint_states(joint, value):
-        probe.place({**opened, **state})
+        probe.place({**prerequisites, **state})
         yield state, probe.depths(pairs)

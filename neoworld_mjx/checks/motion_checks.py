@@ -10,36 +10,36 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..spec.pose import angle_between, tilt_between
-from .scenarios import STEEPEST_DEG, STILL_S, TILT_FROM_S, slope_at
+from .scenarios import FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
 from .simulation import G, Simulation, Trajectory
 from .support_polygon import on_wheels, support_polygon
-from .verdict import Check, Fault, Limit, judged, skipped
+from .verdict import Check, Fault, Limit, make_check, skipped
 
-SETTLED_S = 0.2
+SETTLE_WINDOW_S = 0.2
 """Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
 """Largest speed of a settled joint, measured at the far end of the parts that it moves [m/s]."""
-STIRRED = 0.02
+MAX_FREE_MOTION = 0.02
 """Largest motion of a joint on which no force acts, as a fraction of the joint's range."""
-BEGINS_M = 0.001
+SLIDING_M = 0.001
 """Displacement on a slope from which an object counts as sliding [m]."""
-COASTED_S = 0.5
+COAST_S = 0.5
 """Time after which the loss of speed of a coasting joint is measured [s]."""
-SHORT_M, SHORT_RAD = 0.08, 0.6
+MIN_RANGE_M, MIN_RANGE_RAD = 0.08, 0.6
 """Overshoot is relative to the range, but at least to this: sliding [m], turning joints [rad]."""
-ROUND = 0.01
+ROUND_WIDTH = 0.01
 """A bottom is round if the support polygon's width, over the object's size, is below this."""
-WIDENS = 1.25
+ROUND_WIDENING = 1.25
 """A faceted bottom is round if the support polygon widens by more than this factor when leaning.
 
 The object leans by `max_tilt_deg`.
 """
-ROUND_SHARE = 0.7
+FLAT_BASE_FRACTION = 0.7
 """A base is flat with a bump, and not round, if the widened polygon is at least this wide.
 
 The value is a fraction of the object's smaller horizontal extent.
 """
-NODS_DEG, NODS = 30.0, 0.5
+ROUND_MAX_TILT_DEG, ROUND_MAX_DRIFT = 30.0, 0.5
 """Limits for a round object, which may settle with another side down.
 
 The first is the largest tilt [deg], which is also the largest tilt that composition corrects. The
@@ -77,26 +77,30 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
     # Pieces that touch the floor before the object leans too far also support the object.
     lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(simulation.size[:2]) / 2)
     wider = support_polygon(simulation, lean)
-    rolls = width < ROUND * size and max(margin, wider[1]) > -ROUND * size
+    rolls = width < ROUND_WIDTH * size and max(margin, wider[1]) > -ROUND_WIDTH * size
     # The polygon of a round bottom widens as the object leans. That of a flat base with a bump
     # below it widens much more.
-    is_round = rolls or wider[0] > WIDENS * width
-    is_round &= wider[0] < ROUND_SHARE * float(simulation.size[:2].min())
+    is_round = rolls or wider[0] > ROUND_WIDENING * width
+    is_round &= wider[0] < FLAT_BASE_FRACTION * float(simulation.size[:2].min())
     if margin < 0 and wider[1] > margin:
         width, margin = wider
-        rolls = width < ROUND * size and margin > -ROUND * size
-    is_round &= margin > -ROUND * size
+        rolls = width < ROUND_WIDTH * size and margin > -ROUND_WIDTH * size
+    is_round &= margin > -ROUND_WIDTH * size
     if rolls:
         yield skipped("free_fall", "balance", "its bottom is round, or it stands on points")
     else:
         # The best margin is that of a center of mass above the middle of the support polygon.
         limit = Limit(0.0, "m", Fault.OFF_BALANCE, least=True, best=width / 2)
-        yield judged("free_fall", "balance", margin, limit)
+        yield make_check("free_fall", "balance", margin, limit)
     upright = Limit(o.max_tilt_deg, "deg", Fault.TOPPLES)
     in_place = Limit(o.max_drift_m, "m", Fault.DRIFTS)
     if is_round:
-        upright = Limit(max(NODS_DEG, o.max_tilt_deg), "deg", Fault.TOPPLES, hint=ROUND_HINT)
-        in_place = Limit(max(NODS * size, o.max_drift_m), "m", Fault.DRIFTS, hint=ROUND_HINT)
+        upright = Limit(
+            max(ROUND_MAX_TILT_DEG, o.max_tilt_deg), "deg", Fault.TOPPLES, hint=ROUND_HINT
+        )
+        in_place = Limit(
+            max(ROUND_MAX_DRIFT * size, o.max_drift_m), "m", Fault.DRIFTS, hint=ROUND_HINT
+        )
     drop = o.drop_height_m
     on_floor = Limit(drop + max(o.max_depth_m, 0.01 * size), "m", Fault.SINKS_IN, best=drop)
     for trajectory in trajectories:
@@ -107,7 +111,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
         tilted = name not in ("fall", "fall_high")
         if not (rolls and tilted):
-            speeds = np.linalg.norm(_settled(o, trajectory.qvel)[:, :3], axis=1)
+            speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
             limit = Limit(o.max_rest_speed, "m/s", Fault.RESTLESS)
             yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
         yield from _free_run(simulation, trajectory, name)
@@ -156,8 +160,8 @@ def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iter
     # height, the energy of soft contacts would be large for a plate.
     weight = simulation.mass * G * float(simulation.size.max())
     # A push adds energy. Afterwards, the energy must not increase.
-    after = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
-    energy = trajectory.energy[after:]
+    first = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
+    energy = trajectory.energy[first:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
     limit = Limit(o.max_energy_gain, "", Fault.GAINS_ENERGY)
     yield _check(trajectory, f"energy_gain:{name}", gain, limit, part=pushed)
@@ -176,20 +180,20 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     span = joint.high - joint.low
     names = {"part": joint.child, "joint": joint.name}
     kind = name.partition(":")[0]
-    if kind != "release" and joint.sprung:
+    if kind != "release" and joint.has_spring:
         yield skipped("joint_release", name, "a spring moves it", joint.name)
     elif kind == "still":
         q = trajectory.qpos[:, position]
-        limit = Limit(STIRRED, "of its range", Fault.JOINT_MOVES_ITSELF)
+        limit = Limit(MAX_FREE_MOTION, "of its range", Fault.JOINT_MOVES_ITSELF)
         yield _check(trajectory, name, float(np.abs(q - q[0]).max()) / span, limit, **names)
     elif kind == "coast":
-        step = min(round(COASTED_S / o.timestep_s), len(trajectory.time) - 1)
+        step = min(round(COAST_S / o.timestep_s), len(trajectory.time) - 1)
         loss = 1.0 - abs(float(trajectory.qvel[step, dof])) / abs(scenario.speeds[joint.name])
         limit = Limit(o.min_loss, "of it", Fault.JOINT_UNDAMPED, least=True)
-        yield _check(trajectory, name, loss, limit, **names, time=COASTED_S)
+        yield _check(trajectory, name, loss, limit, **names, time=COAST_S)
     else:
         if span < 2 * np.pi - 1e-6:
-            fastest = float(np.abs(_settled(o, trajectory.qvel)[:, dof]).max())
+            fastest = float(np.abs(_last_steps(o, trajectory.qvel)[:, dof]).max())
             limit = Limit(JOINT_SPEED, "m/s", Fault.RESTLESS)
             speed = fastest * simulation.moment_arm(joint)
             yield _check(trajectory, name, speed, limit, **names)
@@ -202,8 +206,8 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     joint = simulation.joint_of(scenario)
     q = trajectory.qpos[:, simulation.address(joint.name)[0]]
     covered = float(np.ptp(q)) / (joint.high - joint.low)
-    least = simulation.options.min_mobility
-    limit = Limit(least, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
+    threshold = simulation.options.min_mobility
+    limit = Limit(threshold, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
     yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
 
 
@@ -215,17 +219,17 @@ def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
         yield skipped(kind, name, "it stands on wheels")
         return
     begin = round(STILL_S / o.timestep_s)
-    sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > BEGINS_M
-    leaning = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
-    slope = np.degrees(slope_at(trajectory.time, o.duration_s))
+    sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > SLIDING_M
+    tilted = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
+    slope = np.degrees(slope_angle(trajectory.time, o.duration_s))
     first = int(np.argmax(sliding)) if sliding.any() else len(slope) - 1
-    if leaning[: first + 1].any():
-        degrees = slope[int(np.argmax(leaning))]
+    if tilted[: first + 1].any():
+        degrees = slope[int(np.argmax(tilted))]
         yield skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
         return
-    # The ground continues to tilt while the object slides by BEGINS_M: x = g rate t^3 / 6.
-    rate = np.radians(STEEPEST_DEG) / (o.duration_s - TILT_FROM_S)
-    delay = (6 * BEGINS_M / (G * rate)) ** (1 / 3)
+    # The ground continues to tilt while the object slides by SLIDING_M: x = g rate t^3 / 6.
+    rate = np.radians(FINAL_SLOPE_DEG) / (o.duration_s - SLOPE_START_S)
+    delay = (6 * SLIDING_M / (G * rate)) ** (1 / 3)
     angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
     shallow = angle < o.min_slide_deg
     threshold = o.min_slide_deg if shallow else o.max_slide_deg
@@ -241,12 +245,12 @@ def _diverged(trajectory: Trajectory) -> Check:
     return _check(trajectory, name, float("nan"), limit, part=part, joint=joint, time=time)
 
 
-def _settled(options: VerifyOptions, values: NDArray) -> NDArray:
+def _last_steps(options: VerifyOptions, values: NDArray) -> NDArray:
     """Return the values of the last steps of a run, during which the object must be settled.
 
     The first axis of the values is time.
     """
-    return values[-max(1, round(SETTLED_S / options.timestep_s)) :]
+    return values[-max(1, round(SETTLE_WINDOW_S / options.timestep_s)) :]
 
 
 def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None]:
@@ -259,9 +263,9 @@ def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[floa
     mujoco.mj_forward(model, data)
     if data.ncon == 0:
         return 0.0, None
-    worst = int(np.argmin(data.contact.dist[: data.ncon]))
-    depth = max(-float(data.contact.dist[worst]), 0.0)
-    body = model.body(int(model.geom_bodyid[int(data.contact.geom[worst].max())])).name
+    deepest = int(np.argmin(data.contact.dist[: data.ncon]))
+    depth = max(-float(data.contact.dist[deepest]), 0.0)
+    body = model.body(int(model.geom_bodyid[int(data.contact.geom[deepest].max())])).name
     return depth, body.split("-", 1)[-1] if "-" in body else simulation.spec.root
 
 
@@ -277,7 +281,7 @@ def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Che
     low, high = model.jnt_range[limited].T
     # Limits are soft, so an excess of a millimeter must not count more for a very short range.
     sliding = model.jnt_type[limited] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-    span = np.maximum(high - low, np.where(sliding, SHORT_M, SHORT_RAD))
+    span = np.maximum(high - low, np.where(sliding, MIN_RANGE_M, MIN_RANGE_RAD))
     excess = np.maximum(low - q, q - high) / span
     step, index = np.unravel_index(int(np.argmax(excess)), excess.shape)
     joint = model.joint(int(limited[index])).name.split("-", 1)[-1]
@@ -289,7 +293,7 @@ def _check(trajectory: Trajectory, name: str, value: float, limit: Limit, **cont
     """Compare a value that was measured in a run with a limit; the evidence is the run."""
     scenario = trajectory.scenario
     evidence = f"run {scenario.name}"
-    return judged(scenario.kind, name, float(value), limit, evidence=evidence, **context)
+    return make_check(scenario.kind, name, float(value), limit, evidence=evidence, **context)
 
 
 def _largest(trajectory: Trajectory, name: str, values: NDArray, limit: Limit) -> Check:

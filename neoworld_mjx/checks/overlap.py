@@ -10,9 +10,9 @@ from .joint_sweep import (
     JointSweep,
     Overlap,
     Pair,
+    sweep_combinations,
     sweep_joints,
     sweep_range,
-    sweep_together,
 )
 from .part_distances import Probe
 from .signals import Signal, error_signal
@@ -39,7 +39,7 @@ def overlap_signals(
         ]
         if not signals:
             signals += _needless_prerequisites(sweep, swept, options)
-    for pair, overlap in sweep_together(sweep, options).items():
+    for pair, overlap in sweep_combinations(sweep, options).items():
         a, b = (probe.names[index] for index in pair)
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
         message = f"parts {a!r} and {b!r} enter each other with {state[:200]}"
@@ -58,9 +58,9 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
     probe.place({})
     pairs = itertools.combinations(range(len(probe.names)), 2)
     return [
-        _at_rest(probe, pair, Overlap(-near.distance, near, {}), limit)
-        for pair, near in probe.depths(pairs).items()
-        if -near.distance > limit
+        _at_rest(probe, pair, Overlap(-closest.distance, closest, {}), limit)
+        for pair, closest in probe.depths(pairs).items()
+        if -closest.distance > limit
     ]
 
 
@@ -73,13 +73,13 @@ def _needless_prerequisites(
     """
     joint = swept.joint
     for name in joint.after:
-        other = sweep.probe.spec.joint(name)
-        closed = {key: value for key, value in swept.opened.items() if key != name}
+        prerequisite = sweep.probe.spec.joint(name)
+        others_open = {key: value for key, value in swept.prerequisites.items() if key != name}
         alone = sweep_range(
-            sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, closed
+            sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, others_open
         )
         if not sweep.too_deep(alone.deepest):
-            message = f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not "
+            message = f"joint {joint.name!r} waits for {name!r}, but {prerequisite.child!r} is not "
             message += "in its way when closed"
             names = {"joint": joint.name, "part": joint.child}
             yield error_signal("after_needless", message, hint="leave after= out", **names)
@@ -87,8 +87,8 @@ def _needless_prerequisites(
 
 def _at_rest(probe: Probe, pair: Pair, overlap: Overlap, allowed: float) -> Signal:
     a, b = (probe.names[index] for index in pair)
-    pieces = (overlap.near.first, overlap.near.second)
-    shapes = (probe.geom_names[probe.geom[piece]] for piece in pieces)
+    indices = (overlap.pieces.first, overlap.pieces.second)
+    shapes = (probe.geom_names[probe.geom[piece]] for piece in indices)
     message = f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}"
     hint = "parts that move against each other may touch, not overlap: leave 0.5 to 1 mm"
     depths = {"value": overlap.depth, "threshold": allowed}

@@ -24,7 +24,7 @@ class OutOfTime(Exception):
 
 
 @dataclass(frozen=True)
-class Near:
+class PieceDistance:
     """Indices of two convex pieces, and their signed distance [m], negative if they overlap."""
 
     first: int
@@ -42,14 +42,14 @@ class Probe:
 
     def __init__(self, spec: ObjectSpec, seconds: float = float("inf")) -> None:
         self.spec = spec
-        self._until = time.thread_time() + seconds
+        self._deadline = time.thread_time() + seconds
         self.names = [part.name for part in spec.parts]
         world = mujoco.MjSpec()
         owner: list[int] = []
         geom: list[int] = []
         order = [g.name for part in spec.parts for g in part.geoms]
         for index, part in enumerate(spec.parts):
-            for placed, piece, pose in pieces(part):
+            for collider, piece, pose in pieces(part):
                 added = world.worldbody.add_geom(
                     type=GEOM_TYPES[piece.kind], size=piece.size, pos=pose.pos, quat=pose.quat
                 )
@@ -59,7 +59,7 @@ class Probe:
                     mesh.uservert = np.array(piece.vertices).ravel()
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
                 owner.append(index)
-                geom.append(order.index(placed.name))
+                geom.append(order.index(collider.name))
             self.check_time()
         self._model = world.compile()
         self._data = mujoco.MjData(self._model)
@@ -74,18 +74,18 @@ class Probe:
 
     def check_time(self) -> None:
         """Raise `OutOfTime` if the limit on processor time is exceeded."""
-        if time.thread_time() > self._until:
+        if time.thread_time() > self._deadline:
             raise OutOfTime
 
     def place(self, joint_state: Mapping[str, float]) -> None:
         """Set the poses of all pieces from joint positions [rad or m]; missing joints are at 0."""
         self.check_time()
-        moved = link_poses(self.spec, dict(joint_state))
-        quats = np.array([moved[name].quat for name in self.names])
-        turn = rotate(quats[:, None], np.eye(3)).swapaxes(1, 2)[self.owner]
-        shift = np.array([moved[name].pos for name in self.names])[self.owner]
-        xpos = np.einsum("gij,gj->gi", turn, self._rest_pos) + shift
-        xmat = turn @ self._rest_mat
+        poses = link_poses(self.spec, dict(joint_state))
+        quats = np.array([poses[name].quat for name in self.names])
+        rotations = rotate(quats[:, None], np.eye(3)).swapaxes(1, 2)[self.owner]
+        offsets = np.array([poses[name].pos for name in self.names])[self.owner]
+        xpos = np.einsum("gij,gj->gi", rotations, self._rest_pos) + offsets
+        xmat = rotations @ self._rest_mat
         self._data.geom_xpos[:] = xpos
         self._data.geom_xmat[:] = xmat.reshape(-1, 9)
         box = self._model.geom_aabb
@@ -98,7 +98,7 @@ class Probe:
         owned = self.owner == part
         return self.low[owned].min(axis=0), self.high[owned].max(axis=0)
 
-    def nearest(self, first: NDArray, second: NDArray, reach: float) -> Near | None:
+    def nearest(self, first: NDArray, second: NDArray, reach: float) -> PieceDistance | None:
         """Return the pair of pieces with the smallest signed distance, one from each of two sets.
 
         Args:
@@ -109,7 +109,7 @@ class Probe:
         Returns:
             The pair, or None if no pair lies within `reach`.
         """
-        closest: Near | None = None
+        closest: PieceDistance | None = None
         low_1, high_1 = self.low[first].min(axis=0) - reach, self.high[first].max(axis=0) + reach
         second = second[np.all((self.low[second] <= high_1) & (self.high[second] >= low_1), axis=1)]
         for a in first:
@@ -117,7 +117,7 @@ class Probe:
             for b in second[np.all(gaps <= reach, axis=1)]:
                 distance = geom_distance(self._model, self._data, int(a), int(b), reach)
                 if distance < reach and (closest is None or distance < closest.distance):
-                    closest = Near(int(a), int(b), distance)
+                    closest = PieceDistance(int(a), int(b), distance)
             self.check_time()
         return closest
 
@@ -134,12 +134,12 @@ class Probe:
             second, shape [3]. If the distance exceeds `reach` or is 0, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
-        near = self.nearest(self.of_part(first), self.of_part(second), reach)
-        if near is None:
+        closest = self.nearest(self.of_part(first), self.of_part(second), reach)
+        if closest is None:
             return reach, up
         ends = np.zeros(6)
         distance = mujoco.mj_geomDistance(
-            self._model, self._data, near.first, near.second, reach, ends
+            self._model, self._data, closest.first, closest.second, reach, ends
         )
         offset = ends[3:] - ends[:3]
         length = float(np.linalg.norm(offset))
@@ -154,7 +154,7 @@ class Probe:
 
     def depths(
         self, pairs: Iterable[tuple[int, int]], reach: float = 1e-6
-    ) -> dict[tuple[int, int], Near]:
+    ) -> dict[tuple[int, int], PieceDistance]:
         """Return the nearest pair of pieces for every pair of parts that touch or overlap.
 
         Args:
@@ -170,9 +170,9 @@ class Probe:
         overlapping = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
         deepest = {}
         for a, b in part_pairs[overlapping].tolist():
-            near = self.nearest(self.of_part(a), self.of_part(b), reach)
-            if near is not None:
-                deepest[a, b] = near
+            closest = self.nearest(self.of_part(a), self.of_part(b), reach)
+            if closest is not None:
+                deepest[a, b] = closest
         return deepest
 
 

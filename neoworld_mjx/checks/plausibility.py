@@ -23,7 +23,8 @@ from ..spec.csg import faceted
 from ..spec.mass import LEAST_KG
 from .signals import Severity, Signal, error_signal
 
-SMALLEST_M, LARGEST_M = 0.002, 20.0
+SMALLEST_M, LARGEST_M = 0.01, 20.0
+"""Limits on the longest edge of an object [m]."""
 HEAVIEST_KG = 2000.0
 SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
 """Limits on a part's mass over the volume of the part's convex hull.
@@ -68,13 +69,13 @@ def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
 
 
 def _size(size: np.ndarray) -> Iterator[Signal]:
-    largest, smallest = float(size.max()), float(size.min())
+    longest = float(size.max())
     message = f"the object measures {' x '.join(f'{v:.4g}' for v in size)} m"
     hint = "lengths are in metres"
-    if largest > LARGEST_M:
-        yield error_signal("size", message, value=largest, threshold=LARGEST_M, hint=hint)
-    if largest < 5 * SMALLEST_M:
-        yield error_signal("size", message, value=smallest, threshold=SMALLEST_M, hint=hint)
+    if longest > LARGEST_M:
+        yield error_signal("size", message, value=longest, threshold=LARGEST_M, hint=hint)
+    if longest < SMALLEST_M:
+        yield error_signal("size", message, value=longest, threshold=SMALLEST_M, hint=hint)
 
 
 def _density(part: str, mass: float, density: float) -> Iterator[Signal]:

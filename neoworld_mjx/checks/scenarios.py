@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from ..config import VerifyOptions
 from .verdict import ScenarioKind
 
-World = Literal["free", "gripping", "held", "weightless"]
+World = Literal["free", "gripping", "fixed_base", "weightless"]
 """Environment of a scenario.
 
 - "free": the object is free on the floor.
 - "gripping": the object is free on a floor on which contacts do not creep.
-- "held": the object's base is fixed, and there is no floor.
+- "fixed_base": the object's base is fixed, and there is no floor.
 - "weightless": the object's base is fixed, and there is neither floor nor gravity.
 """
-SINGLE = ("revolute", "continuous", "prismatic")
+SINGLE_DOF_TYPES = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom. Ball joints are neither released nor driven."""
 STILL_S = 0.1
 """Time before a joint is driven [s]."""
-TILT_FROM_S, STEEPEST_DEG = 0.3, 70.0
+SLOPE_START_S, FINAL_SLOPE_DEG = 0.3, 70.0
 """Time at which the slope begins to rise [s], and the final angle of the slope [deg]."""
 DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
@@ -47,7 +47,7 @@ class Scenario:
     """Initial rotations about x and y relative to the orientation at rest [rad]."""
     joints: dict[str, float] = field(default_factory=dict)
     """Initial joint positions [rad or m]."""
-    propped: frozenset[str] = frozenset()
+    fixed_joints: frozenset[str] = frozenset()
     """Joints that are fixed at their initial positions, such as the door in front of a rack."""
     speeds: dict[str, float] = field(default_factory=dict)
     """Initial joint velocities [rad/s or m/s]."""
@@ -78,9 +78,9 @@ class SingleJoint:
     """Lower limit [rad or m]; -pi for a continuous joint."""
     high: float
     """Upper limit [rad or m]; pi for a continuous joint."""
-    sprung: bool = False
+    has_spring: bool = False
     """True if the joint has a stiffness."""
-    opened: dict[str, float] = field(default_factory=dict)
+    prerequisites: dict[str, float] = field(default_factory=dict)
     """Open positions [rad or m] of the joints that must be open before the joint moves."""
 
 
@@ -137,16 +137,17 @@ def _releases(joint: SingleJoint) -> list[Scenario]:
     # Without losses, a coasting joint reaches the end of its range after one second.
     speed = (joint.high - joint.low) / 2
     runs: list[tuple[str, World, float, dict[str, float]]] = [
-        (f"release:{joint.name}:low", "held", joint.low, {}),
-        (f"release:{joint.name}:middle", "held", middle, {}),
-        (f"release:{joint.name}:high", "held", joint.high, {}),
+        (f"release:{joint.name}:low", "fixed_base", joint.low, {}),
+        (f"release:{joint.name}:middle", "fixed_base", middle, {}),
+        (f"release:{joint.name}:high", "fixed_base", joint.high, {}),
         (f"still:{joint.name}", "weightless", middle, {}),
         (f"coast:{joint.name}", "weightless", middle, {joint.name: speed}),
     ]
     return [
         Scenario(
             "joint_release", name, world, joint=joint.name, speeds=speeds,
-            joints={**joint.opened, joint.name: position}, propped=frozenset(joint.opened),
+            joints={**joint.prerequisites, joint.name: position},
+            fixed_joints=frozenset(joint.prerequisites),
         )
         for name, world, position, speeds in runs
     ]  # fmt: skip
@@ -154,22 +155,23 @@ def _releases(joint: SingleJoint) -> list[Scenario]:
 
 def _drives(joint: SingleJoint) -> list[Scenario]:
     """Return drives of a joint to its upper limit and back, without and with gravity."""
-    worlds: dict[str, World] = {"drive": "weightless", "drive_loaded": "held"}
+    worlds: dict[str, World] = {"drive": "weightless", "drive_loaded": "fixed_base"}
     return [
         Scenario(
             "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
-            joints={**joint.opened, joint.name: joint.low}, propped=frozenset(joint.opened),
+            joints={**joint.prerequisites, joint.name: joint.low},
+            fixed_joints=frozenset(joint.prerequisites),
         )
         for name, world in worlds.items()
     ]  # fmt: skip
 
 
-def slope_at(time: NDArray, duration: float) -> NDArray:
+def slope_angle(time: NDArray, duration: float) -> NDArray:
     """Return the angle of the ground at times of a run [rad].
 
     Args:
         time: the times [s], shape [t].
         duration: length of the run [s].
     """
-    share = np.clip((time - TILT_FROM_S) / (duration - TILT_FROM_S), 0.0, 1.0)
-    return np.radians(STEEPEST_DEG) * share
+    fraction = np.clip((time - SLOPE_START_S) / (duration - SLOPE_START_S), 0.0, 1.0)
+    return np.radians(FINAL_SLOPE_DEG) * fraction

@@ -82,8 +82,8 @@ def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
         return signal.severity == "error", abs(signal.value or 0)
 
     for signal in signals:
-        other = worst.setdefault(signal.identity, signal)
-        if rank(signal) > rank(other):
+        previous = worst.setdefault(signal.identity, signal)
+        if rank(signal) > rank(previous):
             worst[signal.identity] = signal
     return tuple(sorted(worst.values(), key=lambda signal: signal.severity != "error"))
 
@@ -93,7 +93,7 @@ def has_errors(signals: Iterable[Signal]) -> bool:
     return any(signal.severity == "error" for signal in signals)
 
 
-def in_radians(degrees: float) -> str:
+def radians_hint(degrees: float) -> str:
     """Return the hint that angles are in radians, with the value that was probably intended."""
     return (
         f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "

@@ -23,10 +23,10 @@ from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
-from .scenarios import SINGLE, STILL_S, Scenario, SingleJoint, World, slope_at
+from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World, slope_angle
 
 FLOOR = "test_floor"
-HOLDING_MASS = 1e6
+FIXING_ARMATURE = 1e6
 """Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
 CONTROL_BYTES = 64 << 20
 """Limit on the memory for the forces of a batch; further scenarios are run in the next batch."""
@@ -81,7 +81,7 @@ class Simulation:
         # stiff. If damping stops a joint within one step, stiff friction would drive the joint.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
         free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
-        self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
+        self._fixed_joint_models: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
         self.data = mujoco.MjData(free)
         self.root = free.body(spec.name).id
         self.floor = free.geom(FLOOR).id
@@ -92,28 +92,33 @@ class Simulation:
         self.joints = [
             _single_joint(spec, joint)
             for joint in spec.joints
-            if joint.type in SINGLE and not joint.mimic
+            if joint.type in SINGLE_DOF_TYPES and not joint.mimic
         ]
         group = welded(spec)
         self.groups = [part.name for part, _ in spec.ordered if group[part.name] == part.name]
 
     def _worlds(self, free: mujoco.MjModel) -> dict[World, mujoco.MjModel]:
         """Return the model of each world, given the model of the free object."""
-        held = copy.copy(free)
-        held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
-        heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * HOLDING_MASS
-        held.dof_armature[:6] = heavy
-        mujoco.mj_setConst(held, mujoco.MjData(held))
+        fixed_base = copy.copy(free)
+        fixed_base.geom_contype[self.floor] = fixed_base.geom_conaffinity[self.floor] = 0
+        armature = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * FIXING_ARMATURE
+        fixed_base.dof_armature[:6] = armature
+        mujoco.mj_setConst(fixed_base, mujoco.MjData(fixed_base))
         # With MuJoCo's default tolerance, a part of a few grams on the heavy base would jitter.
-        held.opt.tolerance = 1e-15
-        weightless = copy.copy(held)
+        fixed_base.opt.tolerance = 1e-15
+        weightless = copy.copy(fixed_base)
         weightless.opt.gravity[:] = 0.0
         # By default, contacts creep under a constant force. On the slope, they must stick until
         # the object slides.
         gripping = copy.copy(free)
         gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         gripping.opt.impratio = 100.0
-        return {"free": free, "held": held, "weightless": weightless, "gripping": gripping}
+        return {
+            "free": free,
+            "fixed_base": fixed_base,
+            "weightless": weightless,
+            "gripping": gripping,
+        }
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -122,21 +127,21 @@ class Simulation:
 
     def model_of(self, scenario: Scenario) -> mujoco.MjModel:
         """Return the model of a scenario's world, in which the propped joints are fixed."""
-        if not scenario.propped:
+        if not scenario.fixed_joints:
             return self.models[scenario.world]
-        key = (scenario.world, scenario.propped)
-        if key not in self._propped:
+        key = (scenario.world, scenario.fixed_joints)
+        if key not in self._fixed_joint_models:
             model = copy.copy(self.models[scenario.world])
             data = mujoco.MjData(model)
             mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
             mujoco.mj_forward(model, data)
             inertia = np.diag(_mass_matrix(model, data))
-            for joint in scenario.propped:
+            for joint in scenario.fixed_joints:
                 _, dof = self.address(joint)
-                model.dof_armature[dof] += HOLDING_MASS * inertia[dof]
+                model.dof_armature[dof] += FIXING_ARMATURE * inertia[dof]
             mujoco.mj_setConst(model, mujoco.MjData(model))
-            self._propped[key] = model
-        return self._propped[key]
+            self._fixed_joint_models[key] = model
+        return self._fixed_joint_models[key]
 
     def joint_of(self, scenario: Scenario) -> SingleJoint:
         """Return the joint that a scenario releases or drives."""
@@ -159,7 +164,7 @@ class Simulation:
         data.qpos[:3] = [0.0, 0.0, scenario.height - low[2]]
         data.qpos[3:7] = quat
         for joint in self.spec.joints:
-            if joint.type not in SINGLE:
+            if joint.type not in SINGLE_DOF_TYPES:
                 continue
             position, dof = self.address(joint.name)
             value = joint_value(self.spec, joint, state)
@@ -199,7 +204,7 @@ class Simulation:
             joint[(time >= STILL_S) & (time < half), dof] = force
             joint[time >= half, dof] = -force
         if scenario.slope:
-            angle = slope_at(time, o.duration_s)
+            angle = slope_angle(time, o.duration_s)
             pull = np.zeros((steps, 3))
             pull[:, 1], pull[:, 2] = G * np.sin(angle), G * (1 - np.cos(angle))
             body[:, self.root :, :3] = pull[:, None] * model.body_mass[self.root :, None]
@@ -212,13 +217,13 @@ class Simulation:
         """
         model, data, total = self.model, self.data, 0.0
         centre = data.subtree_com[body]
-        below = {body}
+        subtree = {body}
         for b in range(body, model.nbody):
-            if b == body or int(model.body_parentid[b]) in below:
-                below.add(b)
+            if b == body or int(model.body_parentid[b]) in subtree:
+                subtree.add(b)
                 arm = data.xipos[b] - centre
-                turn = data.ximat[b].reshape(3, 3)
-                about_centre = float((turn[2] ** 2) @ model.body_inertia[b])
+                rotation = data.ximat[b].reshape(3, 3)
+                about_centre = float((rotation[2] ** 2) @ model.body_inertia[b])
                 total += about_centre + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
         return total
 
@@ -235,20 +240,20 @@ class Simulation:
         load, inertia = 0.0, 0.0
         for value in np.linspace(joint.low, joint.high, 5):
             data.qpos[:] = model.key_qpos[0]
-            for propped in scenario.propped:
-                data.qpos[self.address(propped)[0]] = scenario.joints[propped]
+            for name in scenario.fixed_joints:
+                data.qpos[self.address(name)[0]] = scenario.joints[name]
             data.qpos[position] = value
             mujoco.mj_forward(model, data)
             inertia = max(inertia, float(_mass_matrix(model, data)[dof, dof]))
             load = max(load, abs(float(data.qfrc_bias[dof])))
         span = joint.high - joint.low
-        need = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
-        need += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
+        required = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
+        required += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
         # Springs and contacts require a larger force.
-        need = max(2 * need, 1e-9)
+        required = max(2 * required, 1e-9)
         child = model.body(body_name(self.spec, joint.child)).id
         weight = G * float(model.body_subtreemass[child])
-        return min(need, self.moment_arm(joint) * (o.hand_force_n + 0.5 * weight) + load)
+        return min(required, self.moment_arm(joint) * (o.hand_force_n + 0.5 * weight) + load)
 
     def moment_arm(self, single: SingleJoint) -> float:
         """Return the distance [m] from a joint's axis to the far end of the parts that it moves.
@@ -258,11 +263,11 @@ class Simulation:
         joint = self.spec.joint(single.name)
         if joint.type == "prismatic":
             return 1.0
-        moved = {joint.child}
+        moving = {joint.child}
         for part, support in self.spec.ordered:
-            if support is not None and support.parent in moved:
-                moved.add(part.name)
-        boxes = np.array([part_bounds(self.spec, self.spec.part(name)) for name in moved])
+            if support is not None and support.parent in moving:
+                moving.add(part.name)
+        boxes = np.array([part_bounds(self.spec, self.spec.part(name)) for name in moving])
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
         arm = corners - np.array(joint.pos)
@@ -291,10 +296,10 @@ class Simulation:
 
     def _trajectory(self, scenario: Scenario, state: NDArray, energies: NDArray) -> Trajectory:
         time, qpos, qvel = np.split(state, [1, 1 + self.model.nq], axis=1)
-        good = np.all(np.isfinite(np.hstack([state, energies])), axis=1)
+        valid = np.all(np.isfinite(np.hstack([state, energies])), axis=1)
         # MuJoCo fills the rest of a diverged run with the last state, so the time is constant.
-        good[1:] &= np.diff(time[:, 0]) > 0
-        n = int(np.logical_and.accumulate(good).sum())
+        valid[1:] &= np.diff(time[:, 0]) > 0
+        n = int(np.logical_and.accumulate(valid).sum())
         qvel = qvel[:n, : self.model.nv]
         return Trajectory(
             scenario, time[:n, 0], qpos[:n], qvel, energies[:n].sum(axis=1), n < len(time)
@@ -302,10 +307,10 @@ class Simulation:
 
 
 def _single_joint(spec: ObjectSpec, joint: JointSpec) -> SingleJoint:
-    turns = joint.type == "continuous"
-    low, high = (-np.pi, np.pi) if turns else (float(joint.lower), float(joint.upper))
-    opened = prerequisite_state(spec, joint)
-    return SingleJoint(joint.name, joint.child, low, high, joint.stiffness > 0, opened)
+    is_continuous = joint.type == "continuous"
+    low, high = (-np.pi, np.pi) if is_continuous else (float(joint.lower), float(joint.upper))
+    prerequisites = prerequisite_state(spec, joint)
+    return SingleJoint(joint.name, joint.child, low, high, joint.stiffness > 0, prerequisites)
 
 
 def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray:

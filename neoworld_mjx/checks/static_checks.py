@@ -9,7 +9,7 @@ from ..spec import ObjectSpec, PartSpec, inertial, part_bounds, pieces
 from ..spec.convex import Piece, mass_properties, planes
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import Pose
-from .verdict import Check, Fault, Limit, judged
+from .verdict import Check, Fault, Limit, make_check
 
 MASS_RATIO = 10.0
 """Largest ratio of an authored mass to the mass from volume and density.
@@ -22,16 +22,16 @@ DENSEST, LIGHTEST = 22000.0, 0.5
 The largest is close to the density of osmium, and the smallest is below the density of any foam.
 """
 HEAVIEST_KG = 2000.0
-GYRATION = 30.0
+INERTIA_RATIO = 30.0
 """Largest ratio of the inertia from volume and density to an authored inertia.
 
-The smallest ratio is 3 / GYRATION.
+The smallest ratio is 3 / INERTIA_RATIO.
 """
-COVER_SAMPLES = 240
+SURFACE_SAMPLES = 240
 """Number of points that are sampled on a part's visible surface."""
-MISSING_SHARE = 0.2
+MAX_UNCOVERED_FRACTION = 0.2
 """Largest fraction of a part's visible surface without a collider."""
-PROUD_SHARE = 0.04
+MAX_COLLIDER_EXCESS = 0.04
 """Largest distance by which colliders exceed the visible shape, over the visible diagonal."""
 
 
@@ -44,7 +44,7 @@ def check_statics(spec: ObjectSpec) -> Iterator[Check]:
         total += part.mass if part.mass is not None else inertial(spec, part).mass
         yield from _mass(spec, part)
     limit = Limit(HEAVIEST_KG, "kg", Fault.MASS_IMPLAUSIBLE)
-    yield judged("static", "mass", total, limit)
+    yield make_check("static", "mass", total, limit)
     for part in spec.parts:
         yield from _colliders(spec, part)
 
@@ -72,17 +72,17 @@ def _inertia(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
     positive = moments[0] > 0
     value = violation / size if positive else np.inf
     limit = Limit(0.02, "", Fault.INERTIA_IMPOSSIBLE)
-    yield judged("static", f"moments:{part.name}", value, limit, part=part.name)
+    yield make_check("static", f"moments:{part.name}", value, limit, part=part.name)
     if is_placeholder(part):
         return
     derived = inertial(spec, part.model_copy(update={"inertia": None}))
     ratio = max(derived.diagonal) / size if positive else np.inf
-    limit = Limit(GYRATION, "times", Fault.INERTIA_IMPOSSIBLE)
-    yield judged("static", f"spread:{part.name}", max(ratio, 3 / ratio), limit, part=part.name)
+    limit = Limit(INERTIA_RATIO, "times", Fault.INERTIA_IMPOSSIBLE)
+    yield make_check("static", f"spread:{part.name}", max(ratio, 3 / ratio), limit, part=part.name)
     low, high = part_bounds(spec, part)
-    outside = float(np.maximum(low - part.inertia.pos, part.inertia.pos - high).max())
+    excess = float(np.maximum(low - part.inertia.pos, part.inertia.pos - high).max())
     limit = Limit(0.05 * float(np.linalg.norm(high - low)), "m", Fault.INERTIA_IMPOSSIBLE)
-    yield judged("static", f"centre:{part.name}", max(outside, 0.0), limit, part=part.name)
+    yield make_check("static", f"centre:{part.name}", max(excess, 0.0), limit, part=part.name)
 
 
 def _mass(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
@@ -105,7 +105,7 @@ def _mass(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
         limit = Limit(MASS_RATIO, "times", Fault.MASS_IMPLAUSIBLE)
         ratio = part.mass / derived
         value = max(ratio, 1 / ratio / MASS_RATIO)
-    yield judged("static", f"mass:{part.name}", value, limit, part=part.name)
+    yield make_check("static", f"mass:{part.name}", value, limit, part=part.name)
 
 
 def _colliders(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
@@ -118,15 +118,17 @@ def _colliders(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
     size = float(np.linalg.norm(high - low))
     lowest, highest = part_bounds(spec, part)
     excess = float(np.maximum(low - lowest, highest - high).max())
-    limit = Limit(max(0.003, PROUD_SHARE * size), "m", Fault.COLLIDER_LARGE)
-    yield judged("static", f"colliders_out:{part.name}", max(excess, 0.0), limit, part=part.name)
+    limit = Limit(max(0.003, MAX_COLLIDER_EXCESS * size), "m", Fault.COLLIDER_LARGE)
+    yield make_check(
+        "static", f"colliders_out:{part.name}", max(excess, 0.0), limit, part=part.name
+    )
     distances = distance_outside(points, [(piece, pose) for _, piece, pose in pieces(part)])
-    bare = float(np.mean(distances > max(0.003, 0.03 * size)))
-    limit = Limit(MISSING_SHARE, "of it", Fault.COLLIDER_MISSING)
-    yield judged("static", f"colliders_missing:{part.name}", bare, limit, part=part.name)
+    uncovered = float(np.mean(distances > max(0.003, 0.03 * size)))
+    limit = Limit(MAX_UNCOVERED_FRACTION, "of it", Fault.COLLIDER_MISSING)
+    yield make_check("static", f"colliders_missing:{part.name}", uncovered, limit, part=part.name)
 
 
-def visible_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
+def visible_points(part: PartSpec, count: int = SURFACE_SAMPLES) -> NDArray:
     """Sample points uniformly on a part's visible surface, and add the extreme vertices.
 
     Returns:
@@ -167,26 +169,26 @@ def distance_outside(points: NDArray, solids: Sequence[tuple[Piece, Pose]]) -> N
         s = np.array(piece.size)
         if piece.kind in ("box", "mesh"):
             faces = planes(piece)
-            outside = (local @ faces[:, :3].T - faces[:, 3]).max(axis=1)
+            distance = (local @ faces[:, :3].T - faces[:, 3]).max(axis=1)
         elif piece.kind == "sphere":
-            outside = np.linalg.norm(local, axis=1) - s[0]
+            distance = np.linalg.norm(local, axis=1) - s[0]
         elif piece.kind == "ellipsoid":
-            outside = (np.linalg.norm(local / s, axis=1) - 1.0) * s.min()
+            distance = (np.linalg.norm(local / s, axis=1) - 1.0) * s.min()
         elif piece.kind == "capsule":
             local[:, 2] -= np.clip(local[:, 2], -s[1], s[1])
-            outside = np.linalg.norm(local, axis=1) - s[0]
+            distance = np.linalg.norm(local, axis=1) - s[0]
         else:
             radial, axial = np.hypot(local[:, 0], local[:, 1]), np.abs(local[:, 2])
-            outside = np.maximum(radial - s[0], axial - s[1])
-        nearest = np.minimum(nearest, outside)
+            distance = np.maximum(radial - s[0], axial - s[1])
+        nearest = np.minimum(nearest, distance)
     return nearest
 
 
 def without_bad_inertia(spec: ObjectSpec, checks: Sequence[Check]) -> ObjectSpec:
     """Return the object without impossible authored inertias, so that it can be simulated."""
-    bad = {check.part for check in checks if check.fault is Fault.INERTIA_IMPOSSIBLE}
+    names = {check.part for check in checks if check.fault is Fault.INERTIA_IMPOSSIBLE}
     parts = tuple(
-        part.model_copy(update={"inertia": None}) if part.name in bad else part
+        part.model_copy(update={"inertia": None}) if part.name in names else part
         for part in spec.parts
     )
-    return spec.model_copy(update={"parts": parts}) if bad else spec
+    return spec.model_copy(update={"parts": parts}) if names else spec

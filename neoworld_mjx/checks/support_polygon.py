@@ -31,17 +31,17 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
     """
     spec, tilt = simulation.spec, pose((0, 0, 0), simulation.tilt)
     links = link_poses(spec, simulation.state)
-    placed = [
+    posed_pieces = [
         (piece, tilt.then(links[p.name]).then(piece_pose))
         for p in spec.parts
         for _, piece, piece_pose in pieces(p)
     ]
-    bottoms = [float(box_around(piece, piece_pose)[0][2]) for piece, piece_pose in placed]
+    bottoms = [float(box_around(piece, piece_pose)[0][2]) for piece, piece_pose in posed_pieces]
     reach = min(bottoms) + max(0.001, 0.002 * float(simulation.size[2]), slack)
     points = np.vstack(
         [
             _contact_points(piece, piece_pose.pos, matrix(piece_pose.quat), reach)
-            for (piece, piece_pose), bottom in zip(placed, bottoms, strict=True)
+            for (piece, piece_pose), bottom in zip(posed_pieces, bottoms, strict=True)
             if bottom <= reach
         ]
     )
@@ -94,9 +94,9 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
             half = s[1] if piece.kind == "capsule" else 0.0
             ends = np.array([[0, 0, -half], [0, 0, half]])
             radius = s if piece.kind == "ellipsoid" else np.full(3, s[0])
-            down = radius**2 * -rotation[2]
-            down = down / np.sqrt(np.sum((rotation[2] * radius) ** 2))
-            local = ends + down
+            lowest = radius**2 * -rotation[2]
+            lowest = lowest / np.sqrt(np.sum((rotation[2] * radius) ** 2))
+            local = ends + lowest
     points = local @ rotation.T + pos
     return points[points[:, 2] <= reach + 1e-9][:, :2].reshape(-1, 2)
 
@@ -109,9 +109,9 @@ def on_wheels(simulation: Simulation) -> bool:
     data.qpos[:7] = [0, 0, -low[2] - 1e-4, *simulation.tilt]
     mujoco.mj_forward(model, data)
     pairs = data.contact.geom[: data.ncon]
-    touching = model.geom_bodyid[pairs[(pairs == simulation.floor).any(axis=1)]]
+    touching_bodies = model.geom_bodyid[pairs[(pairs == simulation.floor).any(axis=1)]]
     return any(
-        model.body(body_name(simulation.spec, joint.child)).id in touching
+        model.body(body_name(simulation.spec, joint.child)).id in touching_bodies
         for joint in simulation.spec.joints
         if joint.type == "continuous"
     )

@@ -129,8 +129,8 @@ class Check(Spec):
         name = self.name.replace("_", " ")
         if self.threshold is None:
             return name
-        value = "not finite" if self.value is None else quantity(self.value, self.unit)
-        bound = quantity(self.threshold, self.unit)
+        value = "not finite" if self.value is None else format_quantity(self.value, self.unit)
+        bound = format_quantity(self.threshold, self.unit)
         return f"{name} {value}, {'at least' if self.least else 'at most'} {bound}"
 
     @property
@@ -197,13 +197,13 @@ For example, the object is round, or is supported by its surroundings in the sce
 """
 
 
-def waived(verdict: Verdict) -> Verdict:
+def with_waived_falls(verdict: Verdict) -> Verdict:
     """Return the verdict with failed falls skipped whose fault is one of `SCENE_FAULTS`.
 
     This is for objects that the critic judges to be valid.
     """
     checks = tuple(
-        check.model_copy(update={"outcome": "SKIP", "fault": None, "hint": WAIVED})
+        check.model_copy(update={"outcome": "SKIP", "fault": None, "hint": WAIVER_HINT})
         if check.scenario == "free_fall" and check.outcome == "FAIL" and check.fault in SCENE_FAULTS
         else check
         for check in verdict.checks
@@ -213,16 +213,16 @@ def waived(verdict: Verdict) -> Verdict:
     )
 
 
-WAIVED = "the critic finds that the real object would do the same"
+WAIVER_HINT = "the critic finds that the real object would do the same"
 """Hint of a waived check. The check's value and threshold remain unchanged."""
 
 
-def quantity(value: float, unit: str) -> str:
+def format_quantity(value: float, unit: str) -> str:
     """Format the value of a check: lengths in mm, angles in degrees, fractions in percent."""
     if unit.startswith("of "):
         percent = 100 * value
         return f"{percent:.0f} % {unit}" if abs(percent) >= 100 else f"{percent:.3g} % {unit}"
-    factor, shown = {
+    factor, unit_name = {
         "m": (1000.0, "mm"),
         "rad": (180 / np.pi, "degrees"),
         "deg": (1.0, "degrees"),
@@ -232,7 +232,7 @@ def quantity(value: float, unit: str) -> str:
     digits = f"{value:.1f}" if 0.1 <= size < 1000 else f"{value:.1g}" if size >= 1e-3 else "0"
     if size >= 1000:
         digits = f"{value:.0f}"
-    return f"{digits} {shown}".strip()
+    return f"{digits} {unit_name}".strip()
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,9 @@ class Limit:
         return bool(distance) and (value - best) / distance >= BORDERLINE
 
 
-def judged(scenario: ScenarioKind, name: str, value: float, limit: Limit, **context: Any) -> Check:
+def make_check(
+    scenario: ScenarioKind, name: str, value: float, limit: Limit, **context: Any
+) -> Check:
     """Compare a value with a limit, and return the check; a value that is not finite fails.
 
     Args:

@@ -39,7 +39,7 @@ class ExportCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Write the files."""
-        from ..export.formats import collider_error, lost, write_formats
+        from ..export.formats import collider_error, unsupported_data, write_formats
         from ..io.files import write_inside
         from ..spec import SceneSpec
 
@@ -64,7 +64,7 @@ class ExportCommand(ConfiguredCommand):
             "target": str(self.target),
             "folder": str(self.out),
             "files": files,
-            "lost": {kind: lost(described, kind) for kind in kinds},
+            "lost": {kind: unsupported_data(described, kind) for kind in kinds},
         }
         if notes:
             result["notes"] = notes

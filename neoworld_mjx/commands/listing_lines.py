@@ -58,9 +58,9 @@ def template_lines(result: CommandResult) -> list[str]:
 def example_lines(result: CommandResult) -> list[str]:
     """Summarize the bundled photographs, each in one line."""
     rows = [
-        f"{each['name']}: {count(each['objects'], 'object')}, {count(each['joints'], 'joint')}; "
-        f"{each['shows']} ({each['licence']})"
-        for each in result["examples"]
+        f"{example['name']}: {count(example['objects'], 'object')}, "
+        f"{count(example['joints'], 'joint')}; {example['shows']} ({example['licence']})"
+        for example in result["examples"]
     ]
     return [*rows, f"next: neoworld reconstruct NAME --out DIR; credits and files: {DETAILS[9:]}"]
 

@@ -95,7 +95,7 @@ class BuildCommand(ConfiguredCommand):
     def run(self) -> CommandResult:
         """Build the program and write the object in every format."""
         from ..program.watch import FAILED, watch, write_built, write_failed
-        from ..verify.patch import overlay_path
+        from ..verify.patch import patch_path
         from ..verify.patched import build_patched, read_program
 
         out = self.out
@@ -108,7 +108,7 @@ class BuildCommand(ConfiguredCommand):
             return self._convert()
         if self.watch:
             read_program(self.program)  # Report a missing file immediately.
-            overlays = (overlay_path(self.program),)
+            overlays = (patch_path(self.program),)
             builds = watch(
                 self.program, out, lambda p: build_patched(p, options), overlays, options
             )

@@ -53,7 +53,7 @@ class RenderCommand(ConfiguredCommand):
         """Render the scene."""
         from ..io.files import check_output, write_output
         from ..render import render_scene, to_png
-        from ..render.viewpoints import opened
+        from ..render.viewpoints import with_open_joints
         from ..view.pages.view_target import open_target
 
         config = self.load_config()
@@ -64,7 +64,7 @@ class RenderCommand(ConfiguredCommand):
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
-            scene = opened(scene, self.open)
+            scene = with_open_joints(scene, self.open)
         width = self.width or options.width
         if self.turntable:
             data, size = self._turntable(scene, width, options.supersample, out.suffix.lower())

@@ -49,11 +49,11 @@ def photo_lines(result: CommandResult) -> list[str]:
     """Summarize the reconstruction of a folder of photographs."""
     words = {True: "valid", False: "not valid", None: "not refined yet"}
     rows = [
-        f"{each['photo']}: {each['error'] or words[each['passed']]}, {each['seconds']:.1f} s, in "
-        f"{each['folder']}"
-        for each in result["photos"]
+        f"{entry['photo']}: {entry['error'] or words[entry['passed']]}, {entry['seconds']:.1f} s, "
+        f"in {entry['folder']}"
+        for entry in result["photos"]
     ]
-    valid = sum(each["passed"] is True for each in result["photos"])
+    valid = sum(entry["passed"] is True for entry in result["photos"])
     return [f"{valid} of {count(rows, 'photograph')} valid", *rows,
             f"{_cost(result['mllm'])}; {DETAILS}"]  # fmt: skip
 
@@ -62,11 +62,11 @@ def rescue_lines(result: CommandResult) -> list[str]:
     """Summarize the rescue of another method's scene."""
     moves = result["moves_m"]
     furthest = max(moves, key=moves.__getitem__)
-    known = [o for o in result["outlines_px"].values() if None not in o.values()]
+    outlines = [o for o in result["outlines_px"].values() if None not in o.values()]
     photo = []
-    if known:
-        given, ended = (median(o[key] for o in known) for key in ("given", "rescued"))
-        photo = [f"photo:  outlines {given:.1f} px off before, {ended:.1f} px after (median)"]
+    if outlines:
+        before, after = (median(o[key] for o in outlines) for key in ("given", "rescued"))
+        photo = [f"photo:  outlines {before:.1f} px off before, {after:.1f} px after (median)"]
     return [
         f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
         f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); the deepest overlap before "
@@ -155,9 +155,9 @@ def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str
 def export_lines(result: CommandResult) -> list[str]:
     """Summarize an export."""
     rows = [f"written: {count(result['files'], 'file')} in {result['folder']}"]
-    for kind, lost in result["lost"].items():
-        if lost:
-            rows.append(f"lost in {kind}: {_reasons(lost)}")
+    for kind, unsupported in result["lost"].items():
+        if unsupported:
+            rows.append(f"lost in {kind}: {_reasons(unsupported)}")
     rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     if "collider_error_mm" in result:
         rows.append(f"colliders differ by up to {result['collider_error_mm']} mm")
@@ -215,10 +215,10 @@ def _value_and_threshold(check: Mapping[str, Any]) -> str:
     if check.get("value") is None:
         return str(check.get("evidence") or check["outcome"])
     unit = check.get("unit", "")
-    factor, shown = _UNITS.get(unit, (1.0, unit))
+    factor, unit_text = _UNITS.get(unit, (1.0, unit))
     threshold = check.get("threshold")
     suffix = "" if threshold is None else f" against {factor * threshold:.3g}"
-    return f"{factor * check['value']:.3g}{suffix} {shown}".strip()
+    return f"{factor * check['value']:.3g}{suffix} {unit_text}".strip()
 
 
 def _threshold_ratio(check: Mapping[str, Any]) -> float:
@@ -260,8 +260,8 @@ def _cost(ledger: Mapping[str, Any]) -> str:
 
 def _reasons(reasons: Iterable[str]) -> str:
     listed = list(reasons)
-    more = f"; and {len(listed) - MAX_REASONS} more" if len(listed) > MAX_REASONS else ""
-    return "; ".join(listed[:MAX_REASONS]) + more
+    omitted = f"; and {len(listed) - MAX_REASONS} more" if len(listed) > MAX_REASONS else ""
+    return "; ".join(listed[:MAX_REASONS]) + omitted
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -110,8 +110,8 @@ class MergeCommand(Command):
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
         missing = result["missing"]
-        more = [f"{missing} runs are missing: complete the shards, or sweep with --resume"]
-        return [*sweep_lines(result), *(more if missing else [])]
+        notice = [f"{missing} runs are missing: complete the shards, or sweep with --resume"]
+        return [*sweep_lines(result), *(notice if missing else [])]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ class TemplateCommand(Command):
         if self.name is None:
             if self.out or self.size or self.set or self.seed is not None:
                 raise SpecError("template: name a template; `neoworld template` lists them")
-            return {"templates": {name: each.label for name, each in templates().items()}}
+            return {"templates": {name: template.label for name, template in templates().items()}}
         chosen = template(self.name)
         if self.seed is not None and self.seed < 0:
             raise SpecError(f"--seed: got {self.seed}, valid is 0 or more")

@@ -25,8 +25,8 @@ from ..spec import (
 from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .inside import covers, entrance
-from .joint_friction import with_held_joints
+from .inside import has_same_footprint, position_inside
+from .joint_friction import with_joint_friction
 from .on_supports import in_contact
 from .resting_pose import is_stable_upright, on_level, resting_tilt
 from .settle import settle
@@ -92,10 +92,10 @@ def compose(
             placed[node.name] = _settle_tilted(node, tree, placed, notes, shortfalls)
             placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
-            placed[node.name] = with_held_joints(placed[node.name], notes)
+            placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene, moved = in_contact(scene, options)
-    return Composed(scene, scales, (*shortfalls, *notes, *moved), tuple(shortfalls))
+    scene, contact_notes = in_contact(scene, options)
+    return Composed(scene, scales, (*shortfalls, *notes, *contact_notes), tuple(shortfalls))
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:
@@ -138,7 +138,7 @@ def _place(
     tilt, shift = node.base_tilt, np.zeros(3)
     # On other supports, unstable objects settle from their resting poses on level ground.
     if on_level(node, tree) or (node.relation == "on" and np.allclose(tilt, IDENTITY)):
-        tilt, shift = _rest(node, spec, state, notes, shortfalls)
+        tilt, shift = _resting_tilt(node, spec, state, notes, shortfalls)
     local_pose = local_pose.then(pose(shift))
     fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
@@ -186,28 +186,28 @@ def _settle_tilted(
     support.
     """
     obj = placed[node.name]
-    stays = np.allclose(obj.base_tilt, IDENTITY) and (
+    is_stable = np.allclose(obj.base_tilt, IDENTITY) and (
         node.relation != "on" or is_stable_upright(obj.spec, obj.joint_state)
     )
-    settles = not (obj.static or on_level(node, tree) or stays)
+    settles = not (obj.static or on_level(node, tree) or is_stable)
     if node.parent is None or not settles or node.relation not in ("on", "in"):
         return obj
-    resting = settle(placed[node.parent], obj, _neighbors(obj, placed))
-    if resting is None:
+    settled = settle(placed[node.parent], obj, _neighbors(obj, placed))
+    if settled is None:
         shortfalls.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
             f"{node.parent}"
         )
         return obj
-    tilted = float(np.degrees(angle_between(obj.base_tilt, resting.base_tilt)))
-    shift = float(np.hypot(*np.subtract(resting.xy, obj.xy)))
+    tilted = float(np.degrees(angle_between(obj.base_tilt, settled.base_tilt)))
+    shift = float(np.hypot(*np.subtract(settled.xy, obj.xy)))
     if tilted > NOTED_SLOPE_TILT_DEG or shift > NOTED_SHIFT_M:
         notes.append(
             f"{node.name}: settling it {node.relation} {node.parent} tilted it by {tilted:.0f} deg "
             f"and moved it by {1e3 * shift:.0f} mm sideways and "
-            f"{1e3 * (resting.z - obj.z):+.0f} mm in height"
+            f"{1e3 * (settled.z - obj.z):+.0f} mm in height"
         )
-    return resting
+    return settled
 
 
 def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
@@ -216,9 +216,9 @@ def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[s
     if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
         return obj
     parent = placed[obj.parent]
-    if obj.relation == "on" and (parent.environment or not covers(parent, obj)):
+    if obj.relation == "on" and (parent.environment or not has_same_footprint(parent, obj)):
         return obj
-    position = entrance(parent, obj, _neighbors(obj, placed))
+    position = position_inside(parent, obj, _neighbors(obj, placed))
     if position is None:
         return obj
     shift = float(np.hypot(*np.subtract(position, obj.xy)))
@@ -236,7 +236,7 @@ def _neighbors(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneOb
     return [other for other in others if (other.parent, other.parent_link) == location]
 
 
-def _rest(
+def _resting_tilt(
     node: TreeNode,
     spec: ObjectSpec,
     state: dict[str, float],
@@ -262,8 +262,8 @@ def _rest(
         return parsed, np.zeros(3)
     if tilted > NOTED_TILT_DEG:
         notes.append(f"{node.name}: composition tilted it by {tilted:.1f} deg to its resting pose")
-    before, after = (np.mean(bounds(spec, state, quat), axis=0) for quat in (parsed, tilt))
-    return tilt, (before - after) * [1.0, 1.0, 0.0]
+    parsed_center, center = (np.mean(bounds(spec, state, quat), axis=0) for quat in (parsed, tilt))
+    return tilt, (parsed_center - center) * [1.0, 1.0, 0.0]
 
 
 def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:

@@ -17,24 +17,24 @@ from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.extent import part_bounds
 from ..spec.pose import IDENTITY
 
-SIDE = 48
+GRID_SIZE = 48
 """Number of grid points along each side of a container, for example 2 mm apart over 10 cm."""
-LOWER, LOWER_M = 0.1, 0.005
+MIN_DROP, MIN_DROP_M = 0.1, 0.005
 """Smallest drop, relative to the object's height and [m]. A tilted floor causes smaller drops."""
-DEEP = 0.5
+INSIDE_FRACTION = 0.5
 """Fraction of the largest drop above which a grid point is inside the container."""
-AS_LOW_M = 0.002
+EQUAL_HEIGHT_M = 0.002
 """Difference up to which heights count as equal [m]."""
-WITHIN = 0.9
+MIN_OUTLINE_DISTANCE = 0.9
 """Smallest distance of a position from the container's outline, relative to half of the object's
 width."""
-CLEAR = 1
+CENTERING_CELLS = 1
 """Neighborhood, in grid spacings, over which a position is centered between walls."""
-ALIKE = 0.12
+FOOTPRINT_TOLERANCE = 0.12
 """Largest relative difference between two footprints at which one object covers the other."""
 
 
-def entrance(
+def position_inside(
     parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
 ) -> Float[np.ndarray, " 2"] | None:
     """Return the nearest position at which an object stands inside its container.
@@ -53,8 +53,8 @@ def entrance(
     upright = obj.model_copy(update={"base_tilt": IDENTITY})
     scene = SceneSpec(name="inside", objects=(base, upright))
     low, high = _bounds_of(parent, obj.parent_link)
-    step = (high - low)[:2] / (SIDE - 1)
-    sides = np.linspace(low[:2], high[:2], SIDE).T
+    step = (high - low)[:2] / (GRID_SIZE - 1)
+    sides = np.linspace(low[:2], high[:2], GRID_SIZE).T
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
     positions = np.concatenate([(low + high)[None, :2] / 2, grid])
     parsed_xy = np.array(obj.xy)
@@ -62,28 +62,31 @@ def entrance(
     bottom, top = bounds(obj.spec, obj.joint_state)
     depths = _depths(parent, obj.parent_link, positions)
     reach = min(float((top - bottom)[:2].min()) / 2, float(depths.max()))
-    gains = np.where(depths > WITHIN * reach, parsed_height - np.array(heights), -np.inf)
+    gains = np.where(
+        depths > MIN_OUTLINE_DISTANCE * reach, parsed_height - np.array(heights), -np.inf
+    )
     for other in others:
         gains[np.linalg.norm(positions - other.xy, axis=1) < _min_separation(obj, other)] = -np.inf
-    if gains.max() < max(LOWER * float(top[2] - bottom[2]), LOWER_M):
+    if gains.max() < max(MIN_DROP * float(top[2] - bottom[2]), MIN_DROP_M):
         return None
-    inside = gains > DEEP * gains.max()
+    inside = gains > INSIDE_FRACTION * gains.max()
     nearest = positions[inside][np.linalg.norm(positions[inside] - parsed_xy, axis=1).argmin()]
-    nearby = inside & (np.abs(positions - nearest) <= (CLEAR + 0.5) * step).all(axis=1)
-    nearby &= gains > gains[nearby].max() - AS_LOW_M
+    nearby = inside & (np.abs(positions - nearest) <= (CENTERING_CELLS + 0.5) * step).all(axis=1)
+    nearby &= gains > gains[nearby].max() - EQUAL_HEIGHT_M
     centred = positions[nearby].mean(axis=0)
-    fits = parsed_height - _heights(scene, centred[None])[0] > gains[nearby].max() - AS_LOW_M
+    fits = parsed_height - _heights(scene, centred[None])[0] > gains[nearby].max() - EQUAL_HEIGHT_M
     return centred if fits else positions[nearby][gains[nearby].argmax()]
 
 
-def covers(parent: SceneObject, obj: SceneObject) -> bool:
+def has_same_footprint(parent: SceneObject, obj: SceneObject) -> bool:
     """Return whether an object and its parent have about equal footprints, like a lid and a jar."""
     size = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
     low, high = _bounds_of(parent, obj.parent_link)
     parent_size = (high - low)[:2]
     return bool(
         np.all(
-            np.abs(np.sort(size) - np.sort(parent_size)) <= ALIKE * np.maximum(size, parent_size)
+            np.abs(np.sort(size) - np.sort(parent_size))
+            <= FOOTPRINT_TOLERANCE * np.maximum(size, parent_size)
         )
     )
 

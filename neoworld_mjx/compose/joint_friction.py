@@ -53,7 +53,7 @@ def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, f
     return obj.model_copy(update={"spec": spec}), changes
 
 
-def with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
+def with_joint_friction(obj: SceneObject, notes: list[str]) -> SceneObject:
     """Return an object with enough friction to hold its joints; append a note for each change."""
     holding, changes = hold_joints(obj)
     for joint, (before, after) in changes.items():

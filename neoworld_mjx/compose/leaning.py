@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 from ..physics.exact import geom_distance, object_depths, start_state
 from ..spec import SceneSpec, bounds, world_poses
 from ..spec.pose import matrix
-from .sliding import SceneColliders, colliders, shift_object, supported_geoms
+from .sliding import SceneColliders, compile_colliders, shift_object, supported_geoms
 
-FARTHEST = 0.5
+MAX_SHIFT_RATIO = 0.5
 """Largest displacement, relative to the object's height. An object does not lean on objects that
 are farther away."""
-FARTHEST_NAMED = 1.0
+MAX_SHIFT_RATIO_STATED = 1.0
 """Largest displacement of an object whose `leans_on` is stated, relative to its height."""
-LEAST_M = 0.001
+MIN_SHIFT_M = 0.001
 """Smallest displacement [m]; smaller ones are left to the search."""
 TOUCHING_M = 2e-4
 """Distance up to which two objects count as touching [m]."""
 STEPS = 60
 """Maximum number of steps; each step moves to the nearest geom ahead, or out of the deepest
 overlap."""
-LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
+MIN_LEAN, MAX_LEAN = np.radians(2.0), np.radians(60.0)
 """Range of tilts of a leaning object [rad]. At smaller tilts, the object stands; at larger ones, it
 lies."""
-FOOT = 0.1
+FOOT_FRACTION = 0.1
 """Fraction of the object's height below which a contact is a support, not something to lean on."""
-AHEAD = 0.3
+MIN_AHEAD_COSINE = 0.3
 """Smallest cosine between the direction of motion and the direction to an object to lean on."""
 
 
@@ -56,7 +56,7 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     directions = _lean_directions(scene)
     if not directions:
         return scene, {}
-    collision_scene = colliders(scene)
+    collision_scene = compile_colliders(scene)
     moved: dict[str, tuple[float, str]] = {}
     for name, direction in directions:
         gap = _gap(scene, name, direction, collision_scene)
@@ -66,7 +66,7 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     return scene, moved
 
 
-def bring_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
+def move_walls_into_contact(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
     """Move walls into contact with the objects that lean on them.
 
     After an alignment with the photograph, the pose of a leaning object is known better than that
@@ -80,21 +80,23 @@ def bring_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
     Raises:
         SpecError: MuJoCo cannot compile the scene.
     """
-    directions, moved = dict(_lean_directions(scene)), lean(scene)[1]
+    directions, gaps_by_object = dict(_lean_directions(scene)), lean(scene)[1]
     supports = {item.parent for item in scene.objects}
-    brought = dict[str, float]()
+    moved_walls = dict[str, float]()
     for wall in scene.objects:
         if not wall.environment or wall.name in supports:
             continue
-        gaps = {name: gap for name, (gap, on) in moved.items() if on == wall.name}
+        gaps = {
+            name: gap for name, (gap, support) in gaps_by_object.items() if support == wall.name
+        }
         if not gaps:
             continue
         nearest = min(gaps, key=lambda name: gaps[name])
         shift = -gaps[nearest] * directions[nearest]
         end = shift_object(scene, wall.name, shift)
-        if _depth(end, wall.name) <= max(_depth(scene, wall.name), LEAST_M):
-            scene, brought[wall.name] = end, float(np.linalg.norm(shift))
-    return scene, brought
+        if _depth(end, wall.name) <= max(_depth(scene, wall.name), MIN_SHIFT_M):
+            scene, moved_walls[wall.name] = end, float(np.linalg.norm(shift))
+    return scene, moved_walls
 
 
 def _depth(scene: SceneSpec, name: str) -> float:
@@ -112,7 +114,7 @@ def _lean_directions(scene: SceneSpec) -> list[tuple[str, NDArray]]:
     for name, world_pose in world_poses(scene).items():
         obj, up = scene.object(name), matrix(world_pose.quat)[:, 2]
         tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
-        if obj.relation == "leaning" and not obj.static and LEAST_LEAN < tilt < MOST_LEAN:
+        if obj.relation == "leaning" and not obj.static and MIN_LEAN < tilt < MAX_LEAN:
             direction = up[:2] / np.linalg.norm(up[:2])
             directions.append((float(direction @ world_pose.pos[:2]), name, direction))
     return [
@@ -137,43 +139,43 @@ def _gap(
     geoms = np.flatnonzero(owner == scene.index(name))
     obj = scene.object(name)
     candidates = (owner >= 0) & ~moving
-    farthest = FARTHEST
+    farthest = MAX_SHIFT_RATIO
     if obj.leans_on in {item.name for item in scene.objects}:
         candidates &= owner == scene.index(obj.leans_on)
-        farthest = FARTHEST_NAMED
+        farthest = MAX_SHIFT_RATIO_STATED
     others = np.flatnonzero(candidates)
     if not len(others):
         return None
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
-    foot = data.body(name).xpos[2] + bottom[2] + FOOT * height
-    before, moved, overlapped = data.geom_xpos.copy(), 0.0, -1
+    foot_height = data.body(name).xpos[2] + bottom[2] + FOOT_FRACTION * height
+    initial_xpos, distance, overlapped = data.geom_xpos.copy(), 0.0, -1
     ahead = _geoms_ahead(data, geoms, others, owner, direction)
     for _ in range(STEPS):
         back, other = _overlap_ahead(model, data, geoms, ahead, direction)
-        if other is None or back <= LEAST_M:
+        if other is None or back <= MIN_SHIFT_M:
             break
-        moved, overlapped = moved - back, other
+        distance, overlapped = distance - back, other
         data.geom_xpos[moving, :2] -= back * direction
-    if moved < -farthest * height:
-        data.geom_xpos[:] = before
+    if distance < -farthest * height:
+        data.geom_xpos[:] = initial_xpos
         return None
-    if moved:
-        return moved, scene.objects[owner[overlapped]].name
+    if distance:
+        return distance, scene.objects[owner[overlapped]].name
     for _ in range(STEPS):
-        reach = farthest * height - moved
-        step, other = _nearest_ahead(model, data, geoms, others, direction, reach, foot)
+        reach = farthest * height - distance
+        step, other = _nearest_ahead(model, data, geoms, others, direction, reach, foot_height)
         if other is None:
             break
         if step <= TOUCHING_M:
-            if moved < LEAST_M:
+            if distance < MIN_SHIFT_M:
                 break
-            return moved, scene.objects[owner[other]].name
+            return distance, scene.objects[owner[other]].name
         # MuJoCo gives no direction between geoms that just touch.
         step -= TOUCHING_M / 2
-        moved += step
+        distance += step
         data.geom_xpos[moving, :2] += step * direction
-    data.geom_xpos[:] = before
+    data.geom_xpos[:] = initial_xpos
     return None
 
 
@@ -184,9 +186,9 @@ def _geoms_ahead(
 
     Objects that overlap and are in front therefore stay in front.
     """
-    along = data.geom_xpos[:, :2] @ direction
-    centers = {k: along[owner == k].mean() for k in np.unique(owner[others])}
-    center = along[geoms].mean()
+    coordinates = data.geom_xpos[:, :2] @ direction
+    centers = {k: coordinates[owner == k].mean() for k in np.unique(owner[others])}
+    center = coordinates[geoms].mean()
     return others[[centers[k] > center for k in owner[others]]]
 
 
@@ -205,7 +207,7 @@ def _overlap_ahead(
             depth = -geom_distance(model, data, int(a), int(b), TOUCHING_M, ends)
             vector = ends[:3] - ends[3:]
             cosine = float(vector[:2] @ direction) / max(float(np.linalg.norm(vector)), 1e-12)
-            if depth > 0 and cosine > AHEAD and depth / cosine > farthest:
+            if depth > 0 and cosine > MIN_AHEAD_COSINE and depth / cosine > farthest:
                 farthest, geom = depth / cosine, int(b)
     return farthest, geom
 
@@ -217,7 +219,7 @@ def _nearest_ahead(
     others: NDArray,
     direction: NDArray,
     reach: float,
-    foot: float,
+    foot_height: float,
 ) -> tuple[float, int | None]:
     """Return the distance [m] to the nearest geom ahead and above the foot, and the geom.
 
@@ -232,7 +234,10 @@ def _nearest_ahead(
             gap = geom_distance(model, data, int(a), int(b), nearest, ends)
             # The two end points are swapped for overlapping geoms.
             vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
-            ahead = vector[:2] @ direction > AHEAD * np.linalg.norm(vector) and ends[2] > foot
+            ahead = (
+                vector[:2] @ direction > MIN_AHEAD_COSINE * np.linalg.norm(vector)
+                and ends[2] > foot_height
+            )
             if gap < nearest and ahead:
                 nearest, geom = max(gap, 0.0), int(b)
     return nearest, geom

@@ -16,47 +16,52 @@ from ..spec import SceneObject, SceneSpec, bounds, scale, world_poses
 from ..spec.pose import Pose
 from ..spec.scale import scaled_state
 
-MOST = 0.2
+MAX_CHANGE = 0.2
 """Largest relative change of a size. If a larger change is needed, the height is probably wrong,
 not the size."""
 
 
-def fitted_sizes(
-    given: SceneSpec, supported: SceneSpec, kept: Collection[str]
+def fit_sizes(
+    given: SceneSpec, supported: SceneSpec, fixed: Collection[str]
 ) -> tuple[SceneSpec, list[str]]:
     """Return the given scene, with objects scaled about their middles.
 
     Args:
         given: objects at their given poses, without parents.
         supported: the same objects on their supports, at the given sizes.
-        kept: names of the objects whose sizes do not change.
+        fixed: names of the objects whose sizes do not change.
 
     Returns:
         The scene, and a note for each size that changed.
     """
-    before, after = world_poses(given), world_poses(supported)
+    given_poses, supported_poses = world_poses(given), world_poses(supported)
     free = [item for item in supported.objects if not item.static]
     column = {item.name: k for k, item in enumerate(free)}
     # An object's rise is linear in the changes of its size and of the sizes of all objects below.
     rises: dict[str, np.ndarray] = {}
-    moved, extent = np.zeros(len(free)), np.zeros(len(free))
+    displacement, extent = np.zeros(len(free)), np.zeros(len(free))
     for k, item in enumerate(free):
-        height, rise = _middle(item, after[item.name])[2], np.zeros(len(free))
-        underside = float(after[item.name].pos[2] + _lowest(item, after[item.name]))
+        height, rise = _middle(item, supported_poses[item.name])[2], np.zeros(len(free))
+        underside = float(
+            supported_poses[item.name].pos[2] + _lowest(item, supported_poses[item.name])
+        )
         rise[k] = height - underside
         if item.parent in column:
             below = supported.object(item.parent)
             rise += rises[item.parent]
-            rise[column[item.parent]] += underside - _middle(below, after[item.parent])[2]
+            rise[column[item.parent]] += underside - _middle(below, supported_poses[item.parent])[2]
         rises[item.name] = rise
-        moved[k] = height - _middle(given.object(item.name), before[item.name])[2]
+        displacement[k] = height - _middle(given.object(item.name), given_poses[item.name])[2]
         extent[k] = _mean_square(item)
     changes = _least_motion(
-        np.array(list(rises.values())), moved, extent, np.array([i.name in kept for i in free])
+        np.array(list(rises.values())),
+        displacement,
+        extent,
+        np.array([i.name in fixed for i in free]),
     )
     sizes = {i.name: 1 + float(c) for i, c in zip(free, changes, strict=True) if abs(c) > 1e-3}
     objects = [
-        _scaled(item, before[item.name], sizes[item.name]) if item.name in sizes else item
+        _scaled(item, given_poses[item.name], sizes[item.name]) if item.name in sizes else item
         for item in given.objects
     ]
     notes = [
@@ -66,29 +71,32 @@ def fitted_sizes(
 
 
 def _least_motion(
-    rises: np.ndarray, moved: np.ndarray, extent: np.ndarray, known: np.ndarray
+    rises: np.ndarray, displacement: np.ndarray, extent: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
     """Return the relative changes of size at which surfaces move least, shape [n].
 
     Args:
         rises: derivative of the rise of each middle with respect to each change of size [m], shape
             [n, n].
-        moved: rise of each middle at the given sizes [m], shape [n].
+        displacement: rise of each middle at the given sizes [m], shape [n].
         extent: mean square distance of each surface from its middle [m^2], shape [n].
-        known: True for each object whose size does not change, shape [n].
+        fixed: True for each object whose size does not change, shape [n].
     """
-    known, weights, n = known.copy(), np.ones(len(moved)), len(moved)
+    fixed, weights, n = fixed.copy(), np.ones(len(displacement)), len(displacement)
     while True:
         # Unknowns: the changes of size, and the shift of all objects.
         heights = np.column_stack([rises, -np.ones(n)]) * weights[:, None]
         spread = np.column_stack([np.diag(np.sqrt(extent)), np.zeros(n)])
-        rows, right = np.vstack([heights, spread]), np.concatenate([-moved * weights, np.zeros(n)])
-        rows[:, :n][:, known] = 0
+        rows, right = (
+            np.vstack([heights, spread]),
+            np.concatenate([-displacement * weights, np.zeros(n)]),
+        )
+        rows[:, :n][:, fixed] = 0
         changes = np.linalg.lstsq(rows, right)[0][:n]
-        worst = int(np.argmax(np.abs(changes)))
-        if abs(changes[worst]) <= MOST:
+        largest = int(np.argmax(np.abs(changes)))
+        if abs(changes[largest]) <= MAX_CHANGE:
             return changes
-        known[worst], weights[worst] = True, 0.0
+        fixed[largest], weights[largest] = True, 0.0
 
 
 def _middle(item: SceneObject, pose: Pose) -> np.ndarray:

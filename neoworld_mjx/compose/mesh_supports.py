@@ -26,7 +26,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.pose import Pose, angle_between, conjugate, from_yaw, quat_mul, rotate, yaw_of
-from .mesh_sizes import fitted_sizes
+from .mesh_sizes import fit_sizes
 from .on_supports import snap
 from .resting_pose import resting_tilt
 
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 FOOTPRINT_GRID = 9
 """Number of rays along each side of an object's footprint."""
-LEAST_SHARE = 0.15
+MIN_HIT_FRACTION = 0.15
 """Least share of an object's rays that must hit its support. An object hit by fewer rays is a
 neighbor."""
-WIDE = 4.0
+MIN_AREA_RATIO = 4.0
 """Least area of a support that is not fixed in the given scene, relative to the largest footprint
 that it carries."""
 MARGIN_M = 0.5
@@ -87,19 +87,19 @@ def find_supports(scene: SceneSpec) -> FoundSupports:
         item.model_copy(update={"environment": True}) if item.name in supports else item
         for item in scene.objects
     ]
-    loose = [item.name for item in objects if not item.static and item.name not in parents]
-    if loose:
-        floor = _floor(scene, loose)
+    unsupported = [item.name for item in objects if not item.static and item.name not in parents]
+    if unsupported:
+        floor = _floor(scene, unsupported)
         objects.append(floor)
-        notes.append(f"{floor.name} is added below what nothing carries: {', '.join(loose)}")
-        parents |= dict.fromkeys(loose, floor.name)
+        notes.append(f"{floor.name} is added below what nothing carries: {', '.join(unsupported)}")
+        parents |= dict.fromkeys(unsupported, floor.name)
     return FoundSupports(
         scene.model_copy(update={"objects": tuple(objects)}), parents, tuple(notes)
     )
 
 
 def with_supports(
-    found: FoundSupports, *, resting: Collection[str] = (), sizes: bool = False
+    supports: FoundSupports, *, resting: Collection[str] = (), sizes: bool = False
 ) -> Supported:
     """Return a scene with every object on its support.
 
@@ -107,24 +107,24 @@ def with_supports(
     and horizontal positions do not change, and heights follow from the supports.
 
     Args:
-        found: the objects and their supports.
+        supports: the objects and their supports.
         resting: names of the objects that rest at their given poses. Such an object keeps its pose
             if the objects that carry it keep theirs.
-        sizes: if True, correct sizes by the given heights (`fitted_sizes`).
+        sizes: if True, correct sizes by the given heights (`fit_sizes`).
     """
-    scene, parents = found.scene, found.parents
-    kept = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
-    composed, notes = _composed(scene, parents, kept)
+    scene, parents = supports.scene, supports.parents
+    fixed = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
+    composed, notes = _compose(scene, parents, fixed)
     changes: list[str] = []
     if sizes:
-        scene, changes = fitted_sizes(scene, composed, kept)
+        scene, changes = fit_sizes(scene, composed, fixed)
     if changes:
-        composed, notes = _composed(scene, parents, kept)
-    return Supported(composed, (*found.notes, *notes, *changes))
+        composed, notes = _compose(scene, parents, fixed)
+    return Supported(composed, (*supports.notes, *notes, *changes))
 
 
-def _composed(
-    scene: SceneSpec, parents: Mapping[str, str], kept: Collection[str]
+def _compose(
+    scene: SceneSpec, parents: Mapping[str, str], fixed: Collection[str]
 ) -> tuple[SceneSpec, list[str]]:
     """Put objects onto their supports, from the bottom up; return the scene, and notes on tilts."""
     poses, notes = world_poses(scene), list[str]()
@@ -133,8 +133,8 @@ def _composed(
     free = [item for item in scene.objects if not item.static]
     for item in sorted(free, key=lambda item: len(_chain(item.name, parents))):
         parent = parents[item.name]
-        placed, note = _placed(
-            item, poses[item.name], parent, frames[parent], as_given=item.name in kept
+        placed, note = _place(
+            item, poses[item.name], parent, frames[parent], as_given=item.name in fixed
         )
         objects.append(placed)
         pos = frames[parent].pos + rotate(
@@ -144,33 +144,33 @@ def _composed(
         notes += note
     composed = scene.model_copy(update={"objects": tuple(objects)})
     snapped = [
-        before if before.name in kept else after
-        for before, after in zip(objects, snap(composed).objects, strict=True)
+        unsnapped if unsnapped.name in fixed else snapped_item
+        for unsnapped, snapped_item in zip(objects, snap(composed).objects, strict=True)
     ]
     return composed.model_copy(update={"objects": tuple(snapped)}), notes
 
 
-def _placed(
+def _place(
     item: SceneObject, pose: Pose, parent: str, frame: Pose, *, as_given: bool
 ) -> tuple[SceneObject, list[str]]:
     """Return an object in its parent's frame, in a resting pose unless `as_given`; and notes."""
     yaw = yaw_of(pose.quat)
     tilt = quat_mul(conjugate(from_yaw(yaw)), pose.quat)
     tilt = tuple((tilt / np.linalg.norm(tilt)).tolist())
-    resting = tilt if as_given else resting_tilt(item.spec, item.joint_state, tilt)
+    rest_tilt = tilt if as_given else resting_tilt(item.spec, item.joint_state, tilt)
     notes = []
-    if resting is None:
+    if rest_tilt is None:
         notes.append(f"{item.name} has no resting pose near its tilt, which is kept")
-        resting = tilt
+        rest_tilt = tilt
     else:
-        angle = np.degrees(angle_between(np.array(resting), np.array(tilt)))
+        angle = np.degrees(angle_between(np.array(rest_tilt), np.array(tilt)))
         if angle > 0.1:
             notes.append(f"{item.name} is turned upright by {angle:.1f} deg")
     # The object turns about its middle, which does not move.
     low, high = bounds(item.spec, item.joint_state)
     middle = (low + high) / 2
-    turned = quat_mul(from_yaw(yaw), np.array(resting))
-    pos = pose.apply(middle) - rotate(turned, middle)
+    quat = quat_mul(from_yaw(yaw), np.array(rest_tilt))
+    pos = pose.apply(middle) - rotate(quat, middle)
     heading = yaw_of(frame.quat)
     x, y, z = rotate(from_yaw(-heading), pos - frame.pos).tolist()
     update = {
@@ -178,7 +178,7 @@ def _placed(
         "xy": (x, y),
         "z": z,
         "yaw": float(yaw - heading),
-        "base_tilt": resting,
+        "base_tilt": rest_tilt,
     }
     return item.model_copy(update=update), notes
 
@@ -207,7 +207,7 @@ def _parents(scene: SceneSpec) -> dict[str, str]:
             if other == item.name or not _above(item_mesh, mesh):
                 continue
             heights = _heights(mesh, rays)
-            if len(heights) >= LEAST_SHARE * len(rays):
+            if len(heights) >= MIN_HIT_FRACTION * len(rays):
                 height = float(np.quantile(heights, 0.9))
                 if best is None or height > best[0]:
                     best = height, other
@@ -264,7 +264,7 @@ def _supports(scene: SceneSpec, parents: dict[str, str]) -> set[str]:
         carried = [scene.object(name) for name, other in parents.items() if other == item.name]
         if item.static or item.name in parents or not carried:
             continue
-        if _area(item) >= WIDE * max(_area(other) for other in carried):
+        if _area(item) >= MIN_AREA_RATIO * max(_area(other) for other in carried):
             result.add(item.name)
     return result
 

@@ -8,8 +8,8 @@ from ..physics.placed import VERTICAL
 from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import from_yaw, rotate
-from .joint_friction import with_held_joints
-from .leaning import bring_walls, lean
+from .joint_friction import with_joint_friction
+from .leaning import lean, move_walls_into_contact
 from .put_back import put_back
 from .walls import clear_walls
 
@@ -22,8 +22,8 @@ def in_contact(
     Args:
         scene: the scene.
         options: options of the composition.
-        composed: the scene before its alignment, see `kept_on_level` and `bring_walls`; None if the
-            scene was not aligned.
+        composed: the scene before its alignment, see `restore_supported` and
+            `move_walls_into_contact`; None if the scene was not aligned.
 
     Returns:
         The scene, and a note for each object that moved sideways and for each joint whose friction
@@ -32,10 +32,10 @@ def in_contact(
     options = options or ComposeOptions()
     notes: list[str] = []
     if options.hold_joints:
-        scene = _held(scene, notes)
-    kept = dict[str, str]()
+        scene = _with_joint_friction(scene, notes)
+    refused_moves = dict[str, str]()
     if composed is not None:
-        scene, kept = kept_on_level(scene, composed, options.gap_m)
+        scene, refused_moves = restore_supported(scene, composed, options.gap_m)
     if not options.settle:
         return snap(scene, options.gap_m), tuple(notes)
     scene, returned = put_back(scene)
@@ -43,7 +43,7 @@ def in_contact(
     notes += [
         f"{item}: composition kept it where it was before the alignment, which would have moved it "
         f"{refused}"
-        for item, refused in kept.items()
+        for item, refused in refused_moves.items()
     ]
     notes += [
         f"{item}: composition moved it by {1e3 * distance:.0f} mm sideways, back onto "
@@ -58,27 +58,27 @@ def in_contact(
             f"of {scene.object(item).parent}"
         )
     if composed is not None:
-        scene, brought = bring_walls(scene)
-        for wall, distance in brought.items():
+        scene, moved_walls = move_walls_into_contact(scene)
+        for wall, distance in moved_walls.items():
             notes.append(
                 f"{wall}: composition moved it by {1e3 * distance:.0f} mm, up to an object that "
                 "leans on it"
             )
     scene, moved = lean(scene)
     scene = snap(scene, options.gap_m) if moved else scene
-    for leaning, (distance, other) in moved.items():
+    for name, (distance, support) in moved.items():
         direction = "up to" if distance > 0 else "out of"
         notes.append(
-            f"{leaning}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
-            f"{other}, on which it leans"
+            f"{name}: composition moved it by {1e3 * abs(distance):.0f} mm {direction} "
+            f"{support}, on which it leans"
         )
     return scene, tuple(notes)
 
 
-def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
+def _with_joint_friction(scene: SceneSpec, notes: list[str]) -> SceneSpec:
     """Raise the friction of joints on objects whose openings were aligned; see `joint_friction`."""
     objects = [
-        with_held_joints(item, notes)
+        with_joint_friction(item, notes)
         if item.uncertainty is not None and item.uncertainty.joints
         else item
         for item in scene.objects
@@ -86,7 +86,7 @@ def _held(scene: SceneSpec, notes: list[str]) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def kept_on_level(
+def restore_supported(
     scene: SceneSpec, composed: SceneSpec, gap: float
 ) -> tuple[SceneSpec, dict[str, str]]:
     """Move objects that the alignment moved off their supports back to their composed positions.
@@ -107,31 +107,31 @@ def kept_on_level(
     Returns:
         The scene, and a phrase that describes each refused move, by the object's name.
     """
-    objects, kept = [], dict[str, str]()
-    for item, level, before in zip(
+    objects, refused_moves = [], dict[str, str]()
+    for item, level, composed_item in zip(
         scene.objects, snap(scene, gap).objects, composed.objects, strict=True
     ):
-        rise = level.z - before.z
+        rise = level.z - composed_item.z
         size = float(np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state))))
         if item.parent is None or item.static:
             objects.append(item)
             continue
         refused = ""
         if abs(rise) > VERTICAL[0] * size + VERTICAL[1]:
-            way = "up" if rise > 0 else "down"
-            refused = f"{1e3 * abs(rise):.0f} mm {way}, off what it rests on"
-        elif _above(composed, before) and not _above(scene, item):
-            distance = float(np.linalg.norm(np.subtract(item.xy, before.xy)))
+            direction = "up" if rise > 0 else "down"
+            refused = f"{1e3 * abs(rise):.0f} mm {direction}, off what it rests on"
+        elif _above(composed, composed_item) and not _above(scene, item):
+            distance = float(np.linalg.norm(np.subtract(item.xy, composed_item.xy)))
             refused = f"by {1e3 * distance:.0f} mm, off {item.parent}"
         if refused:
-            kept[item.name] = refused
+            refused_moves[item.name] = refused
             # The support may have been scaled.
             ends = (bounds(s.object(item.parent).spec) for s in (scene, composed))
-            after, first = (float(np.linalg.norm(np.subtract(*end))) for end in ends)
-            xy = np.array(before.xy) * after / first
-            item = item.model_copy(update={"xy": tuple(xy.tolist()), "yaw": before.yaw})
+            size_now, size_composed = (float(np.linalg.norm(np.subtract(*end))) for end in ends)
+            xy = np.array(composed_item.xy) * size_now / size_composed
+            item = item.model_copy(update={"xy": tuple(xy.tolist()), "yaw": composed_item.yaw})
         objects.append(item)
-    return scene.model_copy(update={"objects": tuple(objects)}), kept
+    return scene.model_copy(update={"objects": tuple(objects)}), refused_moves
 
 
 def _above(scene: SceneSpec, item: SceneObject) -> bool:

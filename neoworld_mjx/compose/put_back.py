@@ -38,17 +38,17 @@ def put_back(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
 
 def _shift(scene: SceneSpec, item: SceneObject) -> NDArray:
     """Return the shift in the support's frame [m], shape [2]; zero if the object needs no shift."""
-    none = np.zeros(2)
+    no_shift = np.zeros(2)
     if item.parent is None or item.static or item.relation != "on" or item.parent_link is not None:
-        return none
+        return no_shift
     parent = scene.object(item.parent)
     if not parent.environment or not np.allclose(parent.base_tilt, IDENTITY):
-        return none
+        return no_shift
     low, high = (ends[:2] for ends in bounds(parent.spec, parent.joint_state))
     lower, upper = bounds(item.spec, item.joint_state, item.base_tilt)
     offset = rotate(from_yaw(item.yaw), np.array([*(lower + upper)[:2] / 2, 0.0]))[:2]
     middle = np.add(item.xy, offset)
     if np.all((middle >= low) & (middle <= high)):
-        return none
+        return no_shift
     inset = np.minimum(INSET * float((upper - lower)[:2].min()), (high - low) / 2)
     return np.clip(middle, low + inset, high - inset) - middle

@@ -18,7 +18,7 @@ from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 MAX_TILT_RAD = np.radians(30.0)
 """Largest change of the tilt [rad]. If a larger change is needed, the object has another support,
 or the parse is wrong."""
-LEVEL_M = 1e-7
+STABLE_DROP_M = 1e-7
 """Drop of the center of mass by a tilt up to which an object counts as stable [m]. The drop of a
 ball is zero."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
@@ -39,11 +39,13 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
     best_height = float((lowest(down) @ down).max())
-    known = np.vstack([lowest(direction) for direction in (down, *_around(down, step))])
+    known_points = np.vstack(
+        [lowest(direction) for direction in (down, *_tilted_directions(down, step))]
+    )
     while step > _LAST_STEP_RAD:
-        direction, predicted = _lowered(known, down, step)
+        direction, predicted = _lower(known_points, down, step)
         points = lowest(direction)
-        known = np.vstack([known, points])
+        known_points = np.vstack([known_points, points])
         height = float((points @ direction).max())
         if best_height - height > max(0.5 * (best_height - predicted), 1e-9):
             down, best_height = direction, height
@@ -51,7 +53,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
             step *= 0.85  # The new points have extended the linear model.
         if down @ parsed < np.cos(MAX_TILT_RAD):
             return None
-    return _turned(tilt, down, parsed)
+    return _rotate_tilt(tilt, down, parsed)
 
 
 def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
@@ -61,8 +63,8 @@ def is_stable_upright(spec: ObjectSpec, state: dict[str, float]) -> bool:
     although a tilt by the tested angle lowers its center of mass; see `resting_tilt`.
     """
     lowest, down = _lowest_points(spec, state), np.array([0.0, 0.0, -1.0])
-    lowest_height = float((lowest(down) @ down).max()) - LEVEL_M
-    sides = _around(down, _FIRST_STEP_RAD)
+    lowest_height = float((lowest(down) @ down).max()) - STABLE_DROP_M
+    sides = _tilted_directions(down, _FIRST_STEP_RAD)
     sides += [(a + b) / np.linalg.norm(a + b) for a in sides[:2] for b in sides[2:]]
     return all(float((lowest(side) @ side).max()) >= lowest_height for side in sides)
 
@@ -74,7 +76,7 @@ def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArr
 
     """
     links = link_poses(spec, state)
-    placed = [
+    posed_pieces = [
         (piece, links[part.name].then(frame))
         for part in spec.parts
         for _, piece, frame in pieces(part)
@@ -90,7 +92,7 @@ def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArr
             np.array(
                 [
                     frame.apply(_furthest(s, rotate(conjugate(frame.quat), down)))
-                    for s, frame in placed
+                    for s, frame in posed_pieces
                 ]
             )
             - center
@@ -126,19 +128,19 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
     upright = np.allclose(tilt, IDENTITY)
     if upright and (node.relation != "in" or is_stable_upright(spec, {})):
         return tilt, False
-    rest = resting_tilt(spec, {}, tilt)
+    rest_tilt = resting_tilt(spec, {}, tilt)
     if upright:
-        return tilt, rest is None
-    return (tilt, not level) if rest is None else (rest, False)
+        return tilt, rest_tilt is None
+    return (tilt, not level) if rest_tilt is None else (rest_tilt, False)
 
 
-def _around(down: NDArray, step: float) -> list[NDArray]:
+def _tilted_directions(down: NDArray, step: float) -> list[NDArray]:
     """Return four unit vectors that are tilted from `down` in four directions."""
-    across = np.linalg.svd(down[None])[2][1:]
-    return [(down + side) / np.hypot(1.0, step) for side in step * np.vstack([across, -across])]
+    tangents = np.linalg.svd(down[None])[2][1:]
+    return [(down + side) / np.hypot(1.0, step) for side in step * np.vstack([tangents, -tangents])]
 
 
-def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
+def _lower(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
     """Minimize the extent of points along a direction that is within a step of `down`.
 
     The extent is a maximum of linear functions, so it is not smooth. A linear program minimizes it.
@@ -146,14 +148,14 @@ def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, floa
     Returns:
         The unit vector, and the extent along it [m].
     """
-    across = np.linalg.svd(down[None])[2][1:]
+    tangents = np.linalg.svd(down[None])[2][1:]
     solution = linprog(
         [0.0, 0.0, 1.0],
-        A_ub=np.column_stack([points @ across.T, -np.ones(len(points))]),
+        A_ub=np.column_stack([points @ tangents.T, -np.ones(len(points))]),
         b_ub=-points @ down,
         bounds=[(-step, step), (-step, step), (None, None)],
     )
-    direction = down + solution.x[:2] @ across
+    direction = down + solution.x[:2] @ tangents
     direction /= np.linalg.norm(direction)
     return direction, float((points @ direction).max())
 
@@ -176,12 +178,12 @@ def _furthest(piece: Piece, d: NDArray) -> NDArray:
     return end + np.array([d[0], d[1], 0.0]) * (s[0] / max(float(np.hypot(d[0], d[1])), 1e-12))
 
 
-def _turned(tilt: Quat, normal: NDArray, down: NDArray) -> Quat:
+def _rotate_tilt(tilt: Quat, normal: NDArray, down: NDArray) -> Quat:
     """Compose a tilt with the smallest rotation that takes `normal` to `down`."""
     axis = np.cross(normal, down)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-9:
         return tilt
-    turn = from_axis_angle(axis / sine, float(np.arctan2(sine, normal @ down)))
-    quat = quat_mul(np.array(tilt), turn)
+    rotation = from_axis_angle(axis / sine, float(np.arctan2(sine, normal @ down)))
+    quat = quat_mul(np.array(tilt), rotation)
     return tuple((quat / np.linalg.norm(quat)).tolist())

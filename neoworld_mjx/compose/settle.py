@@ -25,7 +25,7 @@ from ..spec.pose import (
     rotate,
     yaw_of,
 )
-from .inside import entrance
+from .inside import position_inside
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
@@ -35,7 +35,7 @@ MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 8.0, 0.002, 0.1
 STILL_M_S, CREEP_M_S = 5e-4, 0.003
 """Speeds of an object's ends [m/s]. Below the first speed, the object is at rest. If it is below
 the second speed at the time limit, only its contacts creep, which never stops on a slope."""
-CLEAR_M, LIFT_M = 1e-4, 0.002
+MAX_PENETRATION_M, LIFT_M = 1e-4, 0.002
 MAX_SHIFT, MAX_SHIFT_INSIDE = 0.25, 1.0
 """Largest horizontal shift relative to the object's diagonal, outside and inside a container. It is
 larger in a container, because the object must enter the container."""
@@ -63,7 +63,7 @@ def settle(
     Args:
         parent: the parent, which does not move.
         obj: the object; it is first lifted until it touches nothing.
-        others: objects already in the container, see `entrance`; they are not simulated.
+        others: objects already in the container, see `position_inside`; they are not simulated.
 
     Returns:
         The object with the heading, tilt and position of its resting pose. None if there is no
@@ -97,7 +97,9 @@ def settle(
     ]
     tilt = float(angle_between(obj.base_tilt, IDENTITY))
     position = (
-        entrance(parent, obj, others) if obj.relation == "in" and tilt < MAX_TILT_RAD else None
+        position_inside(parent, obj, others)
+        if obj.relation == "in" and tilt < MAX_TILT_RAD
+        else None
     )
     if position is not None:
         # The object fits into a narrow hole only if it is upright.
@@ -105,14 +107,16 @@ def settle(
         drops.append((rotate(frame.quat, [*np.subtract(position, obj.xy), 0.0])[:2], upright))
     for shift, quat in drops:
         end, height = _drop(model, root.id, shift, quat, size)
-        resting = None if end is None else _resting(obj, frame.inverse().then(end), start, size)
-        if resting is None:
+        settled = (
+            None if end is None else _settled_object(obj, frame.inverse().then(end), start, size)
+        )
+        if settled is None:
             continue
         # The tilt term penalizes an object that got stuck on the rim.
-        cost = height + size / 2 * float(angle_between(obj.base_tilt, resting.base_tilt))
-        cost += SHIFT_COST * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
+        cost = height + size / 2 * float(angle_between(obj.base_tilt, settled.base_tilt))
+        cost += SHIFT_COST * float(np.hypot(*np.subtract(settled.xy, obj.xy)))
         if cost < least_cost:
-            best, least_cost = resting, cost
+            best, least_cost = settled, cost
     return best
 
 
@@ -141,8 +145,10 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
     sides = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     box = model.geom_aabb[geoms]
     local = box[:, None, :3] + sides * box[:, None, 3:]
-    turn = data.geom_xmat[geoms].reshape(-1, 1, 3, 3)
-    return (data.geom_xpos[geoms][:, None] + np.einsum("gkij,gkj->gki", turn, local)).reshape(-1, 3)
+    rotation = data.geom_xmat[geoms].reshape(-1, 1, 3, 3)
+    return (data.geom_xpos[geoms][:, None] + np.einsum("gkij,gkj->gki", rotation, local)).reshape(
+        -1, 3
+    )
 
 
 def _drop(
@@ -157,7 +163,7 @@ def _drop(
     joint = model.body_jntadr[body]
     data.qpos[model.jnt_qposadr[joint] + np.arange(2)] += shift
     data.qpos[model.jnt_qposadr[joint] + 3 + np.arange(4)] = quat
-    if not _lifted(model, data, body, size):
+    if not _lift_free(model, data, body, size):
         return None, np.inf
     dofs = model.jnt_dofadr[joint] + np.arange(6)
     speed = np.inf
@@ -172,7 +178,7 @@ def _drop(
     return end, float(data.body(body).subtree_com[2])
 
 
-def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:
+def _settled_object(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:
     """Return an object at its resting pose, or None if that is too far from the parsed pose.
 
     Args:
@@ -197,7 +203,7 @@ def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObje
     )
 
 
-def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, limit: float) -> bool:
+def _lift_free(model: mujoco.MjModel, data: mujoco.MjData, body: int, limit: float) -> bool:
     """Lift a free body until it penetrates nothing; return False if that exceeds `limit` [m]."""
     height = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
     tree = model.body_rootid[model.geom_bodyid]
@@ -205,7 +211,7 @@ def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, limit: float)
         mujoco.mj_forward(model, data)
         # Contacts between parts of the parent do not count.
         touches = np.count_nonzero(tree[data.contact.geom] == body, axis=1) == 1
-        if not np.any(data.contact.dist[touches] < -CLEAR_M):
+        if not np.any(data.contact.dist[touches] < -MAX_PENETRATION_M):
             return True
         data.qpos[height] += LIFT_M
     return False

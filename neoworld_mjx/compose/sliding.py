@@ -22,7 +22,7 @@ class SceneColliders(NamedTuple):
     """Index of each geom's object; -1 for geoms that do not collide."""
 
 
-def colliders(scene: SceneSpec) -> SceneColliders:
+def compile_colliders(scene: SceneSpec) -> SceneColliders:
     """Compile a scene in its initial state.
 
     Raises:

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from ..physics.exact import geom_distance, pair_distance
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import IDENTITY
-from .sliding import SceneColliders, colliders, shift_object, supported_geoms
+from .sliding import SceneColliders, compile_colliders, shift_object, supported_geoms
 
-LEAST_M = 0.001
+MIN_OVERLAP_M = 0.001
 """Smallest overlap that is cleared [m]; smaller overlaps pass the final check."""
 CLEAR_M = 2e-4
 """Distance from the wall after an object has been moved [m]."""
-FARTHEST = 0.5
+MAX_SHIFT_RATIO = 0.5
 """Largest displacement, relative to the object's least width. If a larger one is needed, the object
 does not fit."""
 STEPS = 30
 """Maximum number of steps; each step moves out of the deepest overlap."""
-LEVEL = 0.7
+MIN_HORIZONTAL = 0.7
 """Smallest horizontal component of the unit vector along an overlap; floors and slopes are not
 walls."""
 
@@ -44,7 +44,7 @@ def clear_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
     items = [o for o in scene.objects if _may_have_walls(scene, o)]
     if not items:
         return scene, {}
-    collision_scene = colliders(scene)
+    collision_scene = compile_colliders(scene)
     moved: dict[str, float] = {}
     for item in items:
         shift = _clearing_shift(scene, item, collision_scene)
@@ -62,7 +62,7 @@ def _may_have_walls(scene: SceneSpec, item: SceneObject) -> bool:
     if item.parent_link is not None or not np.allclose(parent.base_tilt, IDENTITY):
         return True
     bottom = item.z + bounds(item.spec, item.joint_state, item.base_tilt)[0][2]
-    return bool(bounds(parent.spec, parent.joint_state)[1][2] > bottom + LEAST_M)
+    return bool(bounds(parent.spec, parent.joint_state)[1][2] > bottom + MIN_OVERLAP_M)
 
 
 def _clearing_shift(
@@ -80,9 +80,9 @@ def _clearing_shift(
     moving = supported_geoms(scene, owner, item.name)
     others = np.flatnonzero((owner >= 0) & ~moving & (owner != scene.index(item.parent)))
     low, high = bounds(item.spec, item.joint_state, item.base_tilt)
-    farthest = FARTHEST * float((high - low)[:2].min())
-    before, shift = data.geom_xpos.copy(), np.zeros(2)
-    step = _step_out(model, data, geoms, walls, -LEAST_M)
+    farthest = MAX_SHIFT_RATIO * float((high - low)[:2].min())
+    initial_xpos, shift = data.geom_xpos.copy(), np.zeros(2)
+    step = _step_out(model, data, geoms, walls, -MIN_OVERLAP_M)
     if step is None:
         return None
     gap = min(pair_distance(model, data, geoms, others), 0.0)
@@ -95,7 +95,7 @@ def _clearing_shift(
     fits = step is None and np.linalg.norm(shift) <= farthest
     if fits and pair_distance(model, data, geoms, others) >= gap:
         return shift
-    data.geom_xpos[:] = before
+    data.geom_xpos[:] = initial_xpos
     return None
 
 
@@ -117,7 +117,7 @@ def _step_out(
                 continue
             # The two end points are swapped for overlapping geoms.
             vector = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
-            level = float(np.linalg.norm(vector[:2]))
-            if level > LEVEL * np.linalg.norm(vector):
-                nearest, shift = gap, (gap - CLEAR_M) * vector[:2] / level
+            horizontal = float(np.linalg.norm(vector[:2]))
+            if horizontal > MIN_HORIZONTAL * np.linalg.norm(vector):
+                nearest, shift = gap, (gap - CLEAR_M) * vector[:2] / horizontal
     return shift

@@ -52,7 +52,7 @@ class ControlledScene:
 
     scene: SceneModel
     model: mujoco.MjModel
-    start: NDArray
+    initial_qpos: NDArray
     """Initial qpos of the model, without reset noise, shape [nq]."""
     drives: tuple[Drive, ...]
     """Drives, in the order of their targets in an action; the gripper's seven targets follow."""
@@ -111,10 +111,10 @@ class ControlledScene:
         return low, high
 
     @cached_property
-    def hold(self) -> NDArray:
+    def hold_action(self) -> NDArray:
         """Action whose targets are the initial state without reset noise, shape [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
-        return np.array([drive.held for drive in self.drives] + tail, np.float32)
+        return np.array([drive.target for drive in self.drives] + tail, np.float32)
 
     def controls(self, action: Any, xp: Any = np) -> Any:
         """Clip an action to its bounds and convert it to actuator targets, shape [nu].
@@ -136,7 +136,7 @@ class ControlledScene:
         Each object moves in the frame of its parent, together with the objects on it, and is
         placed at the height of its support. Joint positions are clipped to the joints' ranges.
         """
-        start = jnp.asarray(self.start, jnp.float32)
+        qpos = jnp.asarray(self.initial_qpos, jnp.float32)
         keys = jax.random.split(key, 3)
         count = len(self.names)
         free = self.scene.optimised
@@ -147,18 +147,18 @@ class ControlledScene:
             xy = noise.xy * shift + noise.photo * jnp.einsum("oij,poj->poi", axes, shift)
             yaw = jnp.hypot(noise.yaw, noise.photo * yaw) * turn
             layout = Layout(xy * free[:, None], yaw * free, jnp.zeros((1, count)))
-            placed = model_fields(self.scene, self.scene.place(layout))["qpos"][0]
-            start = start.at[: placed.shape[0]].set(placed)
+            scene_qpos = model_fields(self.scene, self.scene.place(layout))["qpos"][0]
+            qpos = qpos.at[: scene_qpos.shape[0]].set(scene_qpos)
         if noise.joints and len(self.joints):
             joints = [self.model.joint(name) for name in self.joints]
             limited = np.array([bool(self.model.jnt_limited[j.id]) for j in joints])
             low, high = np.array([self.model.jnt_range[j.id] for j in joints]).T
             width = np.where(limited, high - low, 2 * np.pi)
             draw = noise.joints * width * jax.random.normal(keys[2], (len(joints),))
-            moved = start[self.qpos_of_joints] + draw
-            clipped = jnp.where(limited, jnp.clip(moved, low, high), moved)
-            start = start.at[self.qpos_of_joints].set(clipped)
-        return start
+            sampled = qpos[self.qpos_of_joints] + draw
+            clipped = jnp.where(limited, jnp.clip(sampled, low, high), sampled)
+            qpos = qpos.at[self.qpos_of_joints].set(clipped)
+        return qpos
 
 
 def controlled_scene(
@@ -205,13 +205,13 @@ def controlled_scene(
     if not scene_drives and hand is None:
         raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper")
     mjm = model.compile()
-    start = np.array(mjm.qpos0, float)
+    qpos = np.array(mjm.qpos0, float)
     scene_start = np.asarray(compiled.static.start, float)
-    start[: len(scene_start)] = scene_start
+    qpos[: len(scene_start)] = scene_start
     if hand is not None:
         for side in ("left", "right"):
-            start[mjm.joint(f"{PREFIX}-{side}").qposadr[0]] = hand.opening / 2
-    return ControlledScene(compiled, mjm, start, scene_drives, hand)
+            qpos[mjm.joint(f"{PREFIX}-{side}").qposadr[0]] = hand.opening / 2
+    return ControlledScene(compiled, mjm, qpos, scene_drives, hand)
 
 
 def _add_actuator(model: mujoco.MjSpec, drive: Drive) -> None:

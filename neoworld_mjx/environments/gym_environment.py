@@ -83,11 +83,11 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         key = jax.random.key(int(self.np_random.integers(2**31)))
-        start = self.controlled.start
+        start = self.controlled.initial_qpos
         if self._noise != ResetNoise():
             start = np.asarray(self.controlled.reset_state(key, self._noise), float)
         self.data.qpos[:] = start
-        self.data.ctrl[:] = self.controlled.controls(self.controlled.hold)
+        self.data.ctrl[:] = self.controlled.controls(self.controlled.hold_action)
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}

@@ -50,7 +50,7 @@ class MjxEnv:
         control_s: float,
     ) -> None:
         self.controlled = controlled
-        self.mjx_model: MjxModel = put_compiled(controlled.model, controlled.start)
+        self.mjx_model: MjxModel = put_compiled(controlled.model, controlled.initial_qpos)
         self._data = make_data(self.mjx_model)
         self._reward, self._noise = reward, noise
         self.n_substeps = max(round(control_s / controlled.model.opt.timestep), 1)
@@ -58,12 +58,12 @@ class MjxEnv:
     @property
     def action_size(self) -> int:
         """Length of an action: the drives' targets, followed by the gripper's seven targets."""
-        return len(self.controlled.hold)
+        return len(self.controlled.hold_action)
 
     def reset(self, key: Array) -> EnvState:
         """Start an episode, with noise that depends on a random key. JAX can trace this method."""
         qpos = self.controlled.reset_state(key, self._noise)
-        hold = self.controlled.controls(self.controlled.hold, jnp)
+        hold = self.controlled.controls(self.controlled.hold_action, jnp)
         data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
         data = mjx.kinematics(self.mjx_model.mjx, data)
         return self._state(data, jnp.zeros((), jnp.int32))

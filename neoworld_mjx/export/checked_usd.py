@@ -25,7 +25,7 @@ def open_usd(path: Path) -> Usd.Stage:
             that is missing or outside the folder.
     """
     _check_file(path)
-    home = path.resolve().parent
+    folder = path.resolve().parent
     waiting, visited = [str(path.resolve())], set()
     while waiting:
         file = waiting.pop()
@@ -41,8 +41,8 @@ def open_usd(path: Path) -> Usd.Stage:
         if layer is None:
             raise SpecError(f"{path} is not valid USD: {Path(file).name} cannot be opened")
         _check_prims(path, layer)
-        for named in layer.GetCompositionAssetDependencies():
-            waiting.append(_inside(path, home, layer, named))
+        for dependency in layer.GetCompositionAssetDependencies():
+            waiting.append(_inside(path, folder, layer, dependency))
     try:
         stage = Usd.Stage.Open(str(path.resolve()), Usd.Stage.LoadAll)
     except Tf.ErrorException as error:
@@ -64,19 +64,19 @@ def _check_file(path: Path) -> None:
         raise SpecError(f"{path} is not valid USD: it does not begin like a USD file")
 
 
-def _inside(path: Path, home: Path, layer: Sdf.Layer, named: str) -> str:
+def _inside(path: Path, folder: Path, layer: Sdf.Layer, reference: str) -> str:
     """Return the identifier of a layer that another layer refers to, if it is in the folder."""
-    target = Sdf.ComputeAssetPathRelativeToLayer(layer, named)
+    target = Sdf.ComputeAssetPathRelativeToLayer(layer, reference)
     file = target
     if Ar.IsPackageRelativePath(target):
         file = Ar.SplitPackageRelativePathOuter(target)[0]
     if ":" in file or not file.startswith("/"):
-        raise SpecError(f"{path} names {named!r}, which is not a file in its folder")
+        raise SpecError(f"{path} names {reference!r}, which is not a file in its folder")
     real = Path(file).resolve()
-    if not real.is_relative_to(home):
-        raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
+    if not real.is_relative_to(folder):
+        raise SpecError(f"{path} names {reference!r}, which lies outside its folder {folder}")
     if not real.is_file():
-        raise SpecError(f"{path} names {named!r}, which does not exist")
+        raise SpecError(f"{path} names {reference!r}, which does not exist")
     _check_file(real)
     return target
 

@@ -118,42 +118,42 @@ def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
     yield from parser.read_events()  # pyright: ignore[reportReturnType]
 
 
-def inside(path: Path, named: str) -> Path:
+def inside(path: Path, reference: str) -> Path:
     """Return the path of a file that an XML file refers to.
 
     Args:
         path: the XML file.
-        named: name or URI of the other file, as written in the XML file.
+        reference: name or URI of the other file, as written in the XML file.
 
     Raises:
         SpecError: the other file is outside the XML file's folder, or does not exist.
     """
-    home = path.resolve().parent
-    plain = re.sub(r"^(package|model|file)://", "", named.strip())
-    if plain != named.strip() and named.strip().startswith(("package://", "model://")):
+    folder = path.resolve().parent
+    plain = re.sub(r"^(package|model|file)://", "", reference.strip())
+    if plain != reference.strip() and reference.strip().startswith(("package://", "model://")):
         # The name of the package may, but need not, be the name of a folder.
-        rest = plain.split("/", 1)[-1]
-        plain = plain if (home / plain).exists() else rest
-    return inside_any(path, [plain], named)
+        without_package = plain.split("/", 1)[-1]
+        plain = plain if (folder / plain).exists() else without_package
+    return inside_any(path, [plain], reference)
 
 
-def inside_any(path: Path, candidates: Sequence[str], named: str) -> Path:
+def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
     """Return the first existing file among the files that a name in an XML file may refer to.
 
     Args:
         path: the XML file.
         candidates: paths relative to the XML file's folder.
-        named: the name, for messages.
+        reference: the name, for messages.
 
     Raises:
         SpecError: a candidate is outside the XML file's folder, or no candidate exists.
     """
-    home = path.resolve().parent
+    folder = path.resolve().parent
     # An absolute candidate replaces the folder, and is refused unless it is below the folder.
-    targets = [Path(os.path.join(home, candidate)).resolve() for candidate in candidates]
-    if not all(target.is_relative_to(home) for target in targets):
-        raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
+    targets = [Path(os.path.join(folder, candidate)).resolve() for candidate in candidates]
+    if not all(target.is_relative_to(folder) for target in targets):
+        raise SpecError(f"{path} names {reference!r}, which lies outside its folder {folder}")
     existing = [target for target in targets if target.is_file()]
     if not existing:
-        raise SpecError(f"{path} names {named!r}, which does not exist")
+        raise SpecError(f"{path} names {reference!r}, which does not exist")
     return existing[0]

@@ -58,14 +58,14 @@ def add_filters(model: ET.Element, form: Format, spec: ObjectSpec, links: dict[s
         links: link name of each part, by part name.
     """
     ignored: dict[str, list[str]] = {}
-    for one, other in unjoined_pairs(spec):
-        ignored.setdefault(links[one], []).append(links[other])
-        ignored.setdefault(links[other], [])
+    for first, second in unjoined_pairs(spec):
+        ignored.setdefault(links[first], []).append(links[second])
+        ignored.setdefault(links[second], [])
     for link, others in ignored.items():
         group = ET.SubElement(model, "drake:collision_filter_group", name=f"only_{link}")
         _put(group, form, "member", "link", link)
-        for other in others:
-            _put(group, form, "ignored_collision_filter_group", "name", f"only_{other}")
+        for second in others:
+            _put(group, form, "ignored_collision_filter_group", "name", f"only_{second}")
 
 
 def _put(parent: ET.Element, form: Format, tag: str, attribute: str, value: str) -> None:

@@ -49,8 +49,11 @@ class FileCamera(Spec):
         if self.fx and self.fy and abs(self.fx / self.fy - 1) > SAME_FOCAL:
             raise ValueError(f"fx {self.fx:g} and fy {self.fy:g} differ: pixels must be square")
         if self.pose is not None:
-            turn = np.array(self.pose)[:3, :3]
-            rigid = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
+            rotation = np.array(self.pose)[:3, :3]
+            rigid = (
+                np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+                and np.linalg.det(rotation) > 0
+            )
             if not rigid or not np.allclose(self.pose[3], (0, 0, 0, 1)):
                 raise ValueError("pose is not a rigid transform (a 4 x 4 matrix)")
         return self
@@ -71,7 +74,7 @@ class Viewpoint(NamedTuple):
     """Camera of a photograph, and the transform that moves the scene in front of the camera."""
 
     camera: Camera
-    placed: Pose
+    scene_transform: Pose
     """Horizontal translation and rotation about the vertical that are applied to the scene, so that
     the camera is above the origin and heads along +x."""
     left: int
@@ -105,7 +108,7 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
     """
     if camera.pose is None or (camera.fovy is None and camera.fx is None):
         missing = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
-        raise PhotoError(f"the camera of the photograph has no {missing}: {WHERE}")
+        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
     left, top, size, focal = 0, 0, [width, height], 0.0
     if camera.fovy is not None:
         focal = height / 2 / math.tan(camera.fovy / 2)
@@ -123,21 +126,21 @@ def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
         if crop[1]:
             top, size[1] = max(round(camera.cy - half[1]), 0), round(2 * half[1])
     fovy = 2 * math.atan(size[1] / 2 / focal)
-    shown = Camera(width=size[0], height_px=size[1], fovy=fovy, height=0, pitch=0)
+    level_camera = Camera(width=size[0], height_px=size[1], fovy=fovy, height=0, pitch=0)
     matrix = np.array(camera.pose)
     heading, pitch, roll = _angles(matrix[:3, :3])
-    turned = from_yaw(-heading)
-    eye = rotate(turned, matrix[:3, 3])
+    rotation = from_yaw(-heading)
+    eye = rotate(rotation, matrix[:3, 3])
     update = {"height": float(eye[2]), "pitch": pitch, "roll": roll}
     return Viewpoint(
-        Camera.model_validate(dict(shown) | update),
-        pose((-float(eye[0]), -float(eye[1]), 0.0), turned),
+        Camera.model_validate(dict(level_camera) | update),
+        pose((-float(eye[0]), -float(eye[1]), 0.0), rotation),
         left,
         top,
     )
 
 
-WHERE = (
+CAMERA_HELP = (
     'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
     '"pose": [[4x4]]}, '
     "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
@@ -156,7 +159,7 @@ def _angles(axes: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
     return heading, pitch, math.atan2(float(right @ level_down), float(right @ level_right))
 
 
-def leveled(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+def level_transform(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     """Return the transform from a camera's frame (OpenCV) to a world frame with a level floor.
 
     The origin of the world frame is the camera, its z axis points up, and its x axis is the

@@ -27,15 +27,15 @@ from .write_sdf import sdf_text
 from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_layer
 
-Described = SceneSpec | ObjectSpec
-LAYERS: dict[Simulator, Callable[[Described, str], str]] = {
+SceneOrObject = SceneSpec | ObjectSpec
+LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
 
 
 def format_files(
-    described: Described, kind: Format, *, mjx: bool = False, floor: bool = False
+    described: SceneOrObject, kind: Format, *, mjx: bool = False, floor: bool = False
 ) -> dict[str, bytes]:
     """Return the files of a scene or an object in a format, as contents by relative path.
 
@@ -50,7 +50,7 @@ def format_files(
     return _Writer(described, mjx, floor).files(kind)
 
 
-def lost(described: Described, kind: Format) -> list[str]:
+def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
     """Return descriptions of the data of a scene or an object that a format cannot store."""
     objects = _objects(described)
     joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
@@ -68,11 +68,11 @@ def lost(described: Described, kind: Format) -> list[str]:
             if is_textured(spec, geom)
         }
     )
-    moved = []
+    displaced = []
     if isinstance(described, SceneSpec):
-        moved = [item.name for item in described.objects if any(item.joint_state.values())]
+        displaced = [item.name for item in described.objects if any(item.joint_state.values())]
     textures = ("textures, replaced by plain colors", textured)
-    named: dict[Format, list[tuple[str, list[str]]]] = {
+    specific: dict[Format, list[tuple[str, list[str]]]] = {
         "urdf": [
             textures,
             ("stiffness and armature of joints", with_field("stiffness", "armature")),
@@ -81,7 +81,7 @@ def lost(described: Described, kind: Format) -> list[str]:
         "sdf": [
             textures,
             ("armature of joints", with_field("armature")),
-            ("joint positions; all joints are at zero", moved),
+            ("joint positions; all joints are at zero", displaced),
         ],
         "mjcf": [("velocity limits", with_field("velocity"))],
         "usd": [
@@ -103,11 +103,13 @@ def lost(described: Described, kind: Format) -> list[str]:
         "usd": ["ellipsoid colliders, written as meshes"],
     }
     stored: Format = "usd" if kind == "usdz" else kind
-    listed = [f"{content}: {', '.join(names)}" for content, names in named.get(stored, []) if names]
+    listed = [
+        f"{content}: {', '.join(names)}" for content, names in specific.get(stored, []) if names
+    ]
     return [*listed, *general.get(stored, [])]
 
 
-def collider_error(described: Described) -> float:
+def collider_error(described: SceneOrObject) -> float:
     """Return the largest distance between a collider for MJX and the surface it replaces [m]."""
     return max(
         (
@@ -121,7 +123,7 @@ def collider_error(described: Described) -> float:
 
 
 def write_formats(
-    described: Described,
+    described: SceneOrObject,
     out: Path,
     kinds: Sequence[Format],
     *,
@@ -152,13 +154,13 @@ def write_formats(
     return sorted(files)
 
 
-def _objects(described: Described) -> list[tuple[str, ObjectSpec]]:
+def _objects(described: SceneOrObject) -> list[tuple[str, ObjectSpec]]:
     if isinstance(described, ObjectSpec):
         return [(described.name, described)]
     return [(item.name, item.spec) for item in described.objects]
 
 
-def _stem(described: Described) -> str:
+def _stem(described: SceneOrObject) -> str:
     return "object" if isinstance(described, ObjectSpec) else "scene"
 
 
@@ -166,7 +168,7 @@ def _stem(described: Described) -> str:
 class _Writer:
     """Writer of one scene or object, which builds files that several formats share only once."""
 
-    described: Described
+    described: SceneOrObject
     mjx: bool
     floor: bool
 
@@ -236,26 +238,26 @@ class _Writer:
     def _usdz(self) -> dict[str, bytes]:
         stem = _stem(self.described)
         with tempfile.TemporaryDirectory() as folder:
-            home = Path(folder)
-            write_all(self._usd, home)
-            package = home / f"{stem}.usdz"
-            if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
+            root = Path(folder)
+            write_all(self._usd, root)
+            package = root / f"{stem}.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(str(root / f"{stem}.usdc"), str(package)):
                 raise ExportError(f"USD cannot pack {package.name}")
             return {package.name: package.read_bytes()}
 
 
-def _lowest(described: Described) -> float:
+def _lowest(described: SceneOrObject) -> float:
     """Return the height of the lowest point of all colliders [m]."""
     if isinstance(described, ObjectSpec):
         return float(bounds(described)[0][2])
     lows = []
     poses = world_poses(described)
     for item in described.objects:
-        moved = link_poses(item.spec, item.joint_state)
+        part_poses = link_poses(item.spec, item.joint_state)
         for part in item.spec.parts:
             for _, piece, local in pieces(part):
-                placed = poses[item.name].then(moved[part.name]).then(local)
-                lows.append(float(box_around(piece, placed)[0][2]))
+                piece_pose = poses[item.name].then(part_poses[part.name]).then(local)
+                lows.append(float(box_around(piece, piece_pose)[0][2]))
     return min(lows)
 
 

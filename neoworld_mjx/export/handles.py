@@ -42,7 +42,7 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
     - for a prismatic joint, the center of the side toward which the part moves;
     - for a revolute or ball joint, the center of the side that is farthest from the joint.
     """
-    named = [Frame(site.name, site.part, site.pos) for site in spec.sites]
+    site_frames = [Frame(site.name, site.part, site.pos) for site in spec.sites]
     taken = {site.name for site in spec.sites}
     parts = {(site.name, site.part) for site in spec.sites}
     result = []
@@ -54,24 +54,24 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
             name += "_"
         taken.add(name)
         result.append(_handle(spec, joint, name))
-    return (*named, *result)
+    return (*site_frames, *result)
 
 
 def _handle(spec: ObjectSpec, joint: JointSpec, name: str) -> Frame:
     group = welded(spec)
-    held, whole = [], []
+    handle_boxes, boxes = [], []
     for part in spec.parts:
         if group[part.name] != group[joint.child]:
             continue
         for geom, piece, local in pieces(part):
             box = box_around(piece, local)
-            whole.append(box)
+            boxes.append(box)
             if HANDLE.search(geom.name) or (HANDLE.search(part.name) and part.name != spec.root):
-                held.append(box)
-    lows, highs = zip(*(held or whole), strict=True)
+                handle_boxes.append(box)
+    lows, highs = zip(*(handle_boxes or boxes), strict=True)
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     center, half = (low + high) / 2, (high - low) / 2
-    if not held:
+    if not handle_boxes:
         center, half = _leading_side(joint, center, half)
     return Frame(name, joint.child, _triple(center), _triple(half + MARGIN_M), joint.name)
 

@@ -53,6 +53,8 @@ class Imported:
     spec: ObjectSpec
     notes: tuple[str, ...]
     """Notes on data that the import omits, and on assumptions that it makes."""
+    file_notes: tuple[str, ...] = ()
+    """Those of `notes` that concern the whole file, which may contain other objects."""
     origin: Vec3 = (0.0, 0.0, 0.0)
     """Origin of the object's frame, in the frame of the file [m]."""
     joints: dict[str, str] = field(default_factory=dict)
@@ -166,7 +168,11 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     low, high = bounds(spec)
     origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
     return Imported(
-        recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), joint_names
+        recentred(spec),
+        tuple(dict.fromkeys([*mechanism.file_notes, *notes])),
+        tuple(dict.fromkeys(mechanism.file_notes)),
+        triple(np.array(origin)),
+        joint_names,
     )
 
 
@@ -188,12 +194,12 @@ def _without_empty(
             parent, child = links[joint.parent], links[joint.child]
             if child.shapes and parent.shapes and not child.visual_only:
                 continue
-            into, merged = (parent, child) if parent.shapes else (child, parent)
-            _merge(into, merged)
+            target, merged = (parent, child) if parent.shapes else (child, parent)
+            _merge(target, merged)
             del links[merged.name]
-            owner = {k: into.name if v == merged.name else v for k, v in owner.items()}
+            owner = {k: target.name if v == merged.name else v for k, v in owner.items()}
             joints.remove(joint)
-            joints[:] = [_renamed(j, merged.name, into.name) for j in joints]
+            joints[:] = [_renamed(j, merged.name, target.name) for j in joints]
             changed = True
             break
     for link in links.values():
@@ -209,21 +215,21 @@ def _without_empty(
     return joints, owner
 
 
-def _merge(into: Link, merged: Link) -> None:
-    into.shapes += merged.shapes
+def _merge(target: Link, merged: Link) -> None:
+    target.shapes += merged.shapes
     if merged.mass is None or merged.mass <= 0 or merged.com is None:
         return
-    if into.mass is None or into.com is None or into.inertia is None:
+    if target.mass is None or target.com is None or target.inertia is None:
         return  # The mass is derived from geometry later; the merged link's mass is neglected.
-    total = into.mass + merged.mass
-    com = (into.mass * into.com + merged.mass * merged.com) / total
+    total = target.mass + merged.mass
+    com = (target.mass * target.com + merged.mass * merged.com) / total
     inertia = np.zeros((3, 3))
-    for link in (into, merged):
+    for link in (target, merged):
         assert link.mass is not None and link.com is not None
         d = link.com - com
         about_com = np.zeros((3, 3)) if link.inertia is None else link.inertia
         inertia += about_com + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    into.mass, into.com, into.inertia = total, com, inertia
+    target.mass, target.com, target.inertia = total, com, inertia
 
 
 def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:
@@ -318,11 +324,11 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
     key = (item.rgba, item.friction, helper, item.name, item.density, *gloss.items())
     if key not in materials:
         # A material keeps its name only if the file states a valid density.
-        known = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
-        stem = HELPER if helper else item.name if known else UNKNOWN
+        has_density = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
+        stem = HELPER if helper else item.name if has_density else UNKNOWN
         materials[key] = Material(
             name=identifier(stem, "material", {m.name for m in materials.values()}),
-            density=item.density if known and item.density is not None else DENSITY,
+            density=item.density if has_density and item.density is not None else DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
             **gloss,

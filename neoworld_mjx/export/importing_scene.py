@@ -73,14 +73,14 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
         return read_mesh_scene(path)
     if path.suffix.lower() in SUFFIXES:
         stage = open_usd(path)
-        return read_assemblies(path, stage, apart=True), gravity_of(stage)
+        return read_assemblies(path, stage, separate=True), gravity_of(stage)
     try:
         root = read_xml(path)
     except SpecError as error:
         if path.suffix.lower() in FILES:
             raise
-        known = ", ".join((*FILES, POSES))
-        raise SpecError(f"{error}; files that can be read: {known}") from None
+        supported = ", ".join((*FILES, POSES))
+        raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
         return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)], None
     if root.tag == "mujoco":
@@ -111,7 +111,7 @@ def scene_of_assemblies(
     Raises:
         SpecError: there are too many objects, or a number is out of bounds.
     """
-    bodies = [assembly for assembly in assemblies if not assembly.bare]
+    bodies = [assembly for assembly in assemblies if not assembly.no_rigid_body]
     if len(bodies) > MAX_OBJECTS:
         raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
@@ -120,8 +120,10 @@ def scene_of_assemblies(
     for assembly in assemblies:
         imported = to_object(assembly.mechanism, deadline)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
-        notes += [note if _is_general(note) else f"{name}: {note}" for note in imported.notes]
-        objects.append(_placed(name, assembly, imported))
+        notes += [
+            note if note in imported.file_notes else f"{name}: {note}" for note in imported.notes
+        ]
+        objects.append(_scene_object(name, assembly, imported))
     name = identifier(path.stem, "scene")
     try:
         scene = SceneSpec(name=name, objects=tuple(objects))
@@ -132,11 +134,7 @@ def scene_of_assemblies(
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
 
 
-def _is_general(note: str) -> bool:
-    return "imported" in note and "link" not in note and "joint" not in note
-
-
-def _placed(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
+def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
     """Return an object at the pose that the file states, without a parent."""
     spec = imported.spec
     x, y, z, _ = (assembly.frame @ np.array([*imported.origin, 1.0])).tolist()

@@ -24,9 +24,9 @@ from .newton_layer import (
     GAP_M,
     add_gaps,
     collider_paths,
-    laid_over,
     moves,
     opened_layer,
+    override_text,
     placed_objects,
 )
 from .write_scene_usd import fixture_path, physics_path, remove_schemas
@@ -60,7 +60,7 @@ def isaac_text(described: SceneSpec | ObjectSpec, file: str) -> str:
     for path, item in placed_objects(described, base):
         fixture = fixture_path(described, item) if isinstance(described, SceneSpec) else None
         _add_object(stage, path, item, fixture)
-    return laid_over(stage, file)
+    return override_text(stage, file)
 
 
 def _add_object(

@@ -77,7 +77,14 @@ class Mechanism:
     sites: list[Site] = field(default_factory=list)
     """Named points of links."""
     notes: list[str] = field(default_factory=list)
-    """Notes on data that the reader omits, and on assumptions that it makes."""
+    """Notes on data of the object that the reader omits, and on assumptions that it makes."""
+    file_notes: list[str] = field(default_factory=list)
+    """The same for the whole file; mechanisms from one file may share this list."""
+
+    @property
+    def has_shapes(self) -> bool:
+        """True if a link has a shape."""
+        return any(link.shapes for link in self.links.values())
 
     @property
     def root(self) -> str:
@@ -100,7 +107,7 @@ class Assembly:
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
-    bare: bool = False
+    no_rigid_body: bool = False
     """True if the object is geometry without a rigid body."""
 
 
@@ -120,14 +127,14 @@ def mechanism(spec: ObjectSpec) -> Mechanism:
     return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
 
 
-def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
+def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
     """Return a mechanism in another frame.
 
     Args:
         mechanism: the mechanism.
-        into: rigid transform from the mechanism's frame to the other frame, shape [4, 4].
+        transform: rigid transform from the mechanism's frame to the other frame, shape [4, 4].
     """
-    turn, shift = into[:3, :3], into[:3, 3]
+    turn, shift = transform[:3, :3], transform[:3, 3]
 
     def place(point: ArrayLike) -> NDArray:
         return turn @ np.asarray(point) + shift
@@ -135,7 +142,7 @@ def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
     links = {
         name: replace(
             link,
-            shapes=[replace(shape, frame=into @ shape.frame) for shape in link.shapes],
+            shapes=[replace(shape, frame=transform @ shape.frame) for shape in link.shapes],
             com=None if link.com is None else place(link.com),
             inertia=None if link.inertia is None else turn @ link.inertia @ turn.T,
             origin=place(link.origin),
@@ -149,7 +156,7 @@ def transformed(mechanism: Mechanism, into: NDArray) -> Mechanism:
         for joint in mechanism.joints
     ]
     sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in mechanism.sites]
-    return Mechanism(mechanism.name, links, joints, sites, mechanism.notes)
+    return replace(mechanism, links=links, joints=joints, sites=sites)
 
 
 def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str, str]]) -> str:
@@ -164,14 +171,14 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
         SpecError: a name is unknown or repeated, a link has two parents, links form a cycle, or
             there are several roots.
     """
-    known = set(links)
-    if len(known) < len(links):
-        twice = sorted(link for link, count in Counter(links).items() if count > 1)
-        raise SpecError(f"{path}: link {twice[0]!r} is defined twice")
+    names = set(links)
+    if len(names) < len(links):
+        repeated = sorted(link for link, count in Counter(links).items() if count > 1)
+        raise SpecError(f"{path}: link {repeated[0]!r} is defined twice")
     parents: dict[str, str] = {}
     for name, parent, child in joints:
         for end in (parent, child):
-            if end not in known:
+            if end not in names:
                 raise SpecError(f"{path}: joint {name!r} names link {end!r}, which does not exist")
         if child in parents:
             raise SpecError(f"{path}: link {child!r} is the child of two joints")

@@ -66,8 +66,8 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
     files: dict[str, str] = {}
     for part in spec.parts:
         for geom in part.geoms:
-            shown = is_textured(spec, geom) or visual_file(geom) is not None
-            if geom.role != "collision" and shown:
+            has_visual = is_textured(spec, geom) or visual_file(geom) is not None
+            if geom.role != "collision" and has_visual:
                 vertices, faces, uv = visible_surface(spec, part.name, geom)
                 files[f"{FOLDER}/{geom.name}.obj"] = obj(vertices, faces, smooth=True, uv=uv)
             if geom.role == "visual":

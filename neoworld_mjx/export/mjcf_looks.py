@@ -25,14 +25,14 @@ def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
         for geom in part.geoms:
             if not is_textured(spec, geom) or geom.shape.primitive() is None:
                 continue
-            shown = model.geom(visual_name(owner, geom))
+            visual = model.geom(visual_name(owner, geom))
             vertices, faces, _ = visible_surface(spec, part.name, geom)
             mesh = model.add_mesh(
-                name=shown.name, uservert=vertices.ravel(), userface=faces.ravel()
+                name=visual.name, uservert=vertices.ravel(), userface=faces.ravel()
             )
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            shown.type, shown.meshname = mujoco.mjtGeom.mjGEOM_MESH, shown.name
-            shown.size = np.zeros(3)
+            visual.type, visual.meshname = mujoco.mjtGeom.mjGEOM_MESH, visual.name
+            visual.size = np.zeros(3)
 
 
 def add_materials(
@@ -47,12 +47,12 @@ def add_materials(
         folder: folder of the object's files, relative to the MJCF file: "" or "objects/cup/".
         textured: if True, materials may have textures.
     """
-    shown = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
+    visuals = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
     assets = _section(root, "asset")
     added: set[str] = set()
     for part in spec.parts:
         for geom in part.geoms:
-            element = shown.get(visual_name(owner, geom))
+            element = visuals.get(visual_name(owner, geom))
             if element is None:
                 continue
             material = spec.material(geom.material)

@@ -58,7 +58,7 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
         _add_stops(stage, path, item.spec)
         if isinstance(described, SceneSpec) and moves(item):
             _add_states(stage, path, item.spec, item.joint_state)
-    return laid_over(stage, file)
+    return override_text(stage, file)
 
 
 def placed_objects(
@@ -75,7 +75,7 @@ def moves(item: SceneObject) -> bool:
     return not item.static or any(joint.type != "fixed" for joint in item.spec.joints)
 
 
-def laid_over(stage: Usd.Stage, file: str) -> str:
+def override_text(stage: Usd.Stage, file: str) -> str:
     """Return the USDA text of a layer that overrides a file in the same folder."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())

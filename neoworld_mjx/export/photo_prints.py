@@ -108,8 +108,10 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
         source = mask & np.logical_not(covered)
         aligned = _warped(photo, (stretch, shift), scale, smooth=True)
         filled = _filled(aligned, source if source.any() else mask)
-        moved = link_poses(item.spec, item.joint_state)
-        places = {part.name: poses[item.name].then(moved[part.name]) for part in item.spec.parts}
+        part_poses = link_poses(item.spec, item.joint_state)
+        places = {
+            part.name: poses[item.name].then(part_poses[part.name]) for part in item.spec.parts
+        }
         depth = np.where(mask, view.depth, np.inf)
         if flat:
             depth = np.where(faces, depth, np.inf)

@@ -114,9 +114,11 @@ def _meshes(loaded: Any, frame: Any, nodes: set[Any]) -> list[Triangles]:
         mesh = loaded.geometry[key]
         if hasattr(mesh, "faces"):  # Points and lines are skipped.
             # Copy, because nodes may share a mesh, and a mirroring transform reverses its faces.
-            placed = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
+            upright = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
             meshes.append(
-                merged_vertices(np.array(placed.vertices, float), np.array(placed.faces, np.int64))
+                merged_vertices(
+                    np.array(upright.vertices, float), np.array(upright.faces, np.int64)
+                )
             )
     return meshes
 

@@ -11,6 +11,7 @@ pose and the intrinsics of the photograph's camera.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -23,7 +24,7 @@ from ..io import read_model
 from ..spec import Spec
 from ..spec.base import Vec3
 from .checked_xml import inside
-from .file_camera import FileCamera, Row, leveled
+from .file_camera import FileCamera, Row, level_transform
 from .load_mesh import (
     SUFFIXES,
     load_mesh,
@@ -42,7 +43,7 @@ class MeshScene(NamedTuple):
     """Camera of the photograph; None if the file states no camera."""
     in_camera: bool = False
     """True if the poses in the file are in the camera's frame. The world frame is then the result
-    of `file_camera.leveled`."""
+    of `file_camera.level_transform`."""
 
 
 class PosedFile(Spec):
@@ -75,16 +76,16 @@ def read_mesh_scene(path: Path) -> MeshScene:
             its folder.
     """
     posed = read_model(path, PosedFiles, SpecError, "a list of posed files")
-    in_camera, camera, into = posed.frame == "camera", posed.camera, np.eye(4)
+    in_camera, camera, to_world = posed.frame == "camera", posed.camera, np.eye(4)
     if in_camera:
         if camera is not None and camera.pose is not None:
             raise SpecError(f'{path}: with "frame": "camera", "camera" cannot have a "pose"')
         try:
-            into = leveled(np.array(posed.up))
+            to_world = level_transform(np.array(posed.up))
         except SpecError as error:
             raise SpecError(f"{path}: {error}") from None
-        camera = FileCamera(pose=rows_of(into)).completed_by(camera)
-    objects = [_posed(path, name, item, into) for name, item in posed.objects.items()]
+        camera = FileCamera(pose=rows_of(to_world)).completed_by(camera)
+    objects = [_posed(path, name, item, to_world) for name, item in posed.objects.items()]
     return MeshScene(objects, camera, in_camera)
 
 
@@ -134,12 +135,14 @@ def mesh_object(
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
-def _posed(path: Path, name: str, item: PosedFile, into: NDArray) -> Assembly:
-    file, transform = inside(path, item.file), into @ np.array(item.pose)
+def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembly:
+    file, transform = inside(path, item.file), to_world @ np.array(item.pose)
     if file.suffix.lower() in SUFFIXES:
         return mesh_object(name, [load_mesh(file)], transform, fixed=item.fixed)
     mechanism = _mechanism(file)
-    mechanism.name = name
+    # The file contains only this object, whereas `path` contains several.
+    notes = [*mechanism.file_notes, *mechanism.notes]
+    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[])
     rotation = transform[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise SpecError(f"{path}, object {name[:40]}: the pose of a model must be rigid")

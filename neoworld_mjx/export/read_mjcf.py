@@ -43,7 +43,7 @@ _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
     _G.mjGEOM_ELLIPSOID: lambda x, y, z: Ellipsoid(radii=(x, y, z)),
 }
 """Function that returns a shape from the three numbers of geom_size, by type of geom."""
-LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
+NOT_IMPORTED = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
 """Sections that are not imported, except for the keyframe "start"."""
 
 
@@ -72,14 +72,16 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
             folder, or is refused by MuJoCo, or no body has geometry.
     """
     path = Path(path)
-    notes: list[str] = []
+    file_notes: list[str] = []
     roots = checked_roots(path)
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
-    notes += [
-        f"{tag} is not imported" for tag in LOST if any(r.find(tag) is not None for r in roots)
+    file_notes += [
+        f"{tag} is not imported"
+        for tag in NOT_IMPORTED
+        if any(r.find(tag) is not None for r in roots)
     ]
-    model, stated, massless = compiled_mjcf(path, notes)
+    model, stated, massless = compiled_mjcf(path, file_notes)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
@@ -88,11 +90,13 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _geoms_below(model, b)
     ]
     if np.any(model.geom_bodyid == 0):
-        notes.append("geoms of the world body, such as a floor, are not imported")
+        file_notes.append("geoms of the world body, such as a floor, are not imported")
+    mimics = _mimics(model, file_notes)
     result = []
     for top in tops:
         name = title if len(tops) == 1 else _name(model, top)
-        in_world = _mechanism(path, model, data, top, name, stated, massless, notes)
+        in_world = _mechanism(path, model, data, top, name, stated, massless, mimics)
+        in_world.file_notes = file_notes
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = data.xmat[top].reshape(3, 3), data.xpos[top]
         fixed = not any(model.jnt_type[j] == _J.mjJNT_FREE for j in _body_joints(model, top))
@@ -112,15 +116,16 @@ def _mechanism(
     title: str,
     stated: dict[str, tuple[float, NDArray]],
     massless: set[str],
-    notes: list[str],
+    mimics: dict[int, Mimic],
 ) -> Mechanism:
     """Return the mechanism of a body and its descendants, in the world frame."""
+    notes: list[str] = []
     bodies = [top]
     for b in range(top + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
             bodies.append(b)
     links = [_link(model, data, b, stated, massless, notes) for b in bodies]
-    joints, inner = _joints(path, model, data, bodies, notes)
+    joints, inner = _joints(path, model, data, bodies, mimics, notes)
     links += inner
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
     sites = [
@@ -252,10 +257,14 @@ def _shape(
 
 
 def _joints(
-    path: Path, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], notes: list[str]
+    path: Path,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    bodies: list[int],
+    mimics: dict[int, Mimic],
+    notes: list[str],
 ) -> tuple[list[JointSpec], list[Link]]:
     """Return the joints of bodies, and the links that separate several joints of one body."""
-    mimics = _mimics(model, notes)
     joints: list[JointSpec] = []
     inner: list[Link] = []
     for b in bodies[1:]:
@@ -304,15 +313,15 @@ def _joint(
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
-    rest = float(model.qpos0[model.jnt_qposadr[j]])
-    lower, upper = (float(v) - rest for v in model.jnt_range[j])
+    initial_position = float(model.qpos0[model.jnt_qposadr[j]])
+    lower, upper = (float(v) - initial_position for v in model.jnt_range[j])
     if slide and not limited:
         raise SpecError(f"{path}: joint {name} is a slide joint without limits")
     if limited and not lower < upper:
         raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (
         losses["stiffness"] > 0
-        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - rest) > 1e-9
+        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - initial_position) > 1e-9
     ):
         notes.append(f"joint {name}: the rest position of its spring is not imported")
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0

@@ -26,10 +26,10 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
-from .write_urdf import CLEARANCE_M, unshrunk
+from .write_urdf import CLEARANCE_M, original_half
 
 XACRO = "xacro"
-LOST = {
+NOT_IMPORTED = {
     "transmission": "transmissions",
     "gazebo": "Gazebo's extensions",
     "sensor": "sensors",
@@ -67,7 +67,7 @@ def read_urdf(path: Path) -> Mechanism:
         raise SpecError(f"{path} is not URDF: {type(error).__name__}: {error}"[:300]) from None
     notes = [
         f"{content} are not imported"
-        for tag, content in LOST.items()
+        for tag, content in NOT_IMPORTED.items()
         if root.find(f".//{tag}") is not None
     ]
     frames = _frames(robot, check_tree(
@@ -144,13 +144,13 @@ def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: lis
     hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
     inner = [f"{name}_{axis}_link" for axis in "xy"]
     ends = [(joint.parent, joint.child) for joint in joints]
-    bare = {link.name for link in links if not link.shapes}
+    empty_links = {link.name for link in links if not link.shapes}
     first, middle, last = hinges
     complete = False
     if first and middle and last and _is_ball(first, middle, last):
         chain = [(first.parent, inner[0]), (inner[0], inner[1]), (inner[1], last.child)]
         joined = [end for end in ends if set(end) & set(inner)]
-        complete = joined == chain and bare.issuperset(inner)
+        complete = joined == chain and empty_links.issuperset(inner)
     if not complete:
         notes.append(f"ball joint {name} was edited: imported as separate hinges")
         return
@@ -223,17 +223,17 @@ def _link(
     result = Link(link.name, origin=frame[:3, 3])
     for item in link.visuals:
         rgba = _color(item.material, colors)
-        for shape, placed in _shapes(path, item, link.name, frame, 0.0, notes):
-            result.shapes.append(LinkShape(shape, placed, "visual", rgba))
+        for shape, pose in _shapes(path, item, link.name, frame, 0.0, notes):
+            result.shapes.append(LinkShape(shape, pose, "visual", rgba))
     for item, friction in zip(link.collisions, frictions, strict=False):
-        for shape, placed in _shapes(path, item, link.name, frame, clearance, notes):
-            result.shapes.append(LinkShape(shape, placed, "collision", friction=friction))
+        for shape, pose in _shapes(path, item, link.name, frame, clearance, notes):
+            result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
     inertial = link.inertial
     if inertial is not None and inertial.mass is not None:
-        placed = frame if inertial.origin is None else frame @ inertial.origin
-        result.mass, result.com = float(inertial.mass), placed[:3, 3]
+        pose = frame if inertial.origin is None else frame @ inertial.origin
+        result.mass, result.com = float(inertial.mass), pose[:3, 3]
         if inertial.inertia is not None:
-            rotation = placed[:3, :3]
+            rotation = pose[:3, :3]
             result.inertia = rotation @ np.asarray(inertial.inertia, float) @ rotation.T
     return result
 
@@ -255,23 +255,23 @@ def _shapes(
 
     If `clearance` is not 0, the shapes are enlarged to the size before `write_urdf` shrank them.
     """
-    placed = frame if item.origin is None else frame @ item.origin
+    pose = frame if item.origin is None else frame @ item.origin
     geometry = item.geometry
 
     def original(size: Any) -> float:
         half = float(size) / 2
-        return 2 * (unshrunk(half, clearance) if clearance and half > 0 else half)
+        return 2 * (original_half(half, clearance) if clearance and half > 0 else half)
 
     try:
         if geometry.box is not None:
             x, y, z = (original(v) for v in geometry.box.size)
-            return [(Box(size=(x, y, z)), placed)]
+            return [(Box(size=(x, y, z)), pose)]
         if geometry.sphere is not None:
-            return [(Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), placed)]
+            return [(Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), pose)]
         if geometry.cylinder is not None:
             radius = original(2 * float(geometry.cylinder.radius)) / 2
             height = original(geometry.cylinder.length)
-            return [(Cylinder(radius=radius, height=height), placed)]
+            return [(Cylinder(radius=radius, height=height), pose)]
     except ValueError:
         raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
     if geometry.mesh is None:
@@ -283,8 +283,8 @@ def _shapes(
     if clearance:
         shift = np.eye(4)
         shift[:3, 3] = -(vertices.min(axis=0) + vertices.max(axis=0)) / 2 * (1 - scale)
-        return [((vertices, faces), placed @ shift)]
-    return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), placed)]
+        return [((vertices, faces), pose @ shift)]
+    return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), pose)]
 
 
 def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpec:

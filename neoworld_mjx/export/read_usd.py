@@ -6,7 +6,7 @@ joint positions in the stage.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +58,8 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
 
 def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> Mechanism:
     """Read the only object of a stage; see `read_usd`."""
-    assemblies = read_assemblies(path, stage, object_path, apart=False)
-    objects = [assembly for assembly in assemblies if not assembly.bare]
+    assemblies = read_assemblies(path, stage, object_path, separate=False)
+    objects = [assembly for assembly in assemblies if not assembly.no_rigid_body]
     if len(objects) > 1:
         paths = ", ".join(assembly.path for assembly in objects[:8])
         raise SpecError(f"{path} has {len(objects)} objects, not one: {paths}")
@@ -70,7 +70,7 @@ def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> 
 
 
 def read_assemblies(
-    path: Path, stage: Usd.Stage, object_path: str | None = None, *, apart: bool
+    path: Path, stage: Usd.Stage, object_path: str | None = None, *, separate: bool
 ) -> list[Assembly]:
     """Read all objects of a stage, with their poses.
 
@@ -79,7 +79,7 @@ def read_assemblies(
         stage: the stage.
         object_path: path of the top prim, whose descendants are read. If None, the top prim is the
             default prim, or the root of the stage if there is no default prim.
-        apart: if True, each object is in the frame of the object's prim, and geometry without a
+        separate: if True, each object is in the frame of the object's prim, and geometry without a
             rigid body becomes one static object for each child of the top prim. If False, objects
             are in the frame of `object_path` (the world frame if it is None), and geometry without
             a rigid body becomes a single static object.
@@ -89,7 +89,7 @@ def read_assemblies(
             broken.
     """
     try:
-        return _assemblies(path, stage, object_path, apart)
+        return _assemblies(path, stage, object_path, separate)
     except (Tf.ErrorException, TypeError, ValueError, AttributeError, OverflowError) as error:
         # The type of an attribute in the file may differ from the type in the schema.
         message = " ".join(str(error).split())[:200]
@@ -97,18 +97,18 @@ def read_assemblies(
 
 
 def _assemblies(
-    path: Path, stage: Usd.Stage, object_path: str | None, apart: bool
+    path: Path, stage: Usd.Stage, object_path: str | None, separate: bool
 ) -> list[Assembly]:
     top = stage.GetPrimAtPath(object_path) if object_path else stage.GetDefaultPrim()
     if object_path and not top:
         raise SpecError(f"{path}: no prim at {object_path}")
     top = top or stage.GetPseudoRoot()
-    notes: list[str] = []
+    file_notes: list[str] = []
     upright, to_meters = _world(stage)
     prims = list(Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
     cache = UsdGeom.XformCache()
 
-    def placed(prim: Usd.Prim) -> NDArray:
+    def world_transform(prim: Usd.Prim) -> NDArray:
         # USD multiplies row vectors, hence the transpose.
         raw = to_meters @ np.array(cache.GetLocalToWorldTransform(prim)).T
         if not np.isfinite(raw).all() or np.abs(raw).max() > MAX_NUMBER:
@@ -116,42 +116,50 @@ def _assemblies(
         return raw
 
     def frame_of(prim: Usd.Prim) -> NDArray:
-        return _rigid(placed(prim)) @ upright.T
+        return _rigid(world_transform(prim)) @ upright.T
 
-    bodies = _bodies(prims, placed)
-    reader = JointReader(path, stage, placed, {p: body.rigid for p, body in bodies.items()}, notes)
+    bodies = _bodies(prims, world_transform)
+    reader = JointReader(
+        path, stage, world_transform, {p: body.rigid for p, body in bodies.items()}, file_notes
+    )
     stage_joints = reader.stage_joints([prim for prim in prims if is_joint(prim)])
     loose: dict[str, _Body] = {}
     for prim in prims:
         if prim.IsA(UsdGeom.Gprim):
             owner = _owner(prim, bodies)
             if owner is None:
-                group = _group(prim, top) if apart else top
+                group = _group(prim, top) if separate else top
                 name = str(group.GetPath())
                 if name not in loose:
-                    loose[name] = _Body(group, placed(group), frame_of(group), False)
+                    loose[name] = _Body(group, world_transform(group), frame_of(group), False)
                 owner = loose[name]
-            owner.shapes.append((prim, placed(prim)))
+            owner.shapes.append((prim, world_transform(prim)))
         elif prim.GetTypeName() in _LEFT_OUT:
-            notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
-    notes += _unread(prims)
+            file_notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
+    file_notes += _unread(prims)
     shared = frame_of(top) if object_path else np.eye(4)
     result = []
     for names, inner_joints in _components(bodies, stage_joints):
         world_joints = [
             joint for joint in stage_joints if not joint.parent and joint.child in names
         ]
-        home = _home(top, names)
-        frame = frame_of(home) if apart and home else shared
+        container = _containing_child(top, names)
+        frame = frame_of(container) if separate and container else shared
         result.append(_assembly(bodies, names, inner_joints, world_joints, frame, reader))
     for group, body in loose.items():
-        frame = body.rigid if apart else shared
+        frame = body.rigid if separate else shared
+        notes: list[str] = []
         link = _link(body, "static", np.linalg.inv(frame), stage, notes)
         if not bodies or any(shape.role != "visual" for shape in link.shapes):
             name = group.rpartition("/")[2] or path.stem
-            mechanism = Mechanism(name, {"static": link}, [], [], notes)
-            result.append(Assembly(group, mechanism, frame, fixed=True, bare=True))
-    result = [a for a in result if any(link.shapes for link in a.mechanism.links.values())]
+            mechanism = Mechanism(name, {"static": link}, [], [], notes, file_notes)
+            result.append(Assembly(group, mechanism, frame, fixed=True, no_rigid_body=True))
+        else:
+            file_notes += notes
+    for assembly in result:
+        if not assembly.mechanism.has_shapes:
+            file_notes += assembly.mechanism.notes
+    result = [assembly for assembly in result if assembly.mechanism.has_shapes]
     if not result:
         raise SpecError(f"{path} has no visible or colliding geometry")
     return result
@@ -193,15 +201,17 @@ def _rigid(raw: NDArray) -> NDArray:
     return rigid
 
 
-def _bodies(prims: list[Usd.Prim], placed: Callable[[Usd.Prim], NDArray]) -> dict[str, _Body]:
+def _bodies(
+    prims: list[Usd.Prim], world_transform: Callable[[Usd.Prim], NDArray]
+) -> dict[str, _Body]:
     """Return the rigid bodies by path, including static links as `write_scene_usd` writes them."""
     result = {}
     for prim in prims:
         dynamic = prim.HasAPI(UsdPhysics.RigidBodyAPI)
         # Static links of exported scenes have no RigidBodyAPI but keep their mass attributes.
-        still = prim.IsA(UsdGeom.Xform) and prim.HasAttribute("physics:mass")
-        if dynamic or still:
-            raw = placed(prim)
+        static_link = prim.IsA(UsdGeom.Xform) and prim.HasAttribute("physics:mass")
+        if dynamic or static_link:
+            raw = world_transform(prim)
             enabled = dynamic and UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get()
             kinematic = dynamic and UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr().Get()
             free = enabled is not False and dynamic and not kinematic
@@ -247,11 +257,11 @@ def _components(
         )
 
 
-def _home(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
+def _containing_child(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
     """Return the child of the top prim that contains all bodies of an object, or None."""
     stage = top.GetStage()
-    homes = {str(_group(stage.GetPrimAtPath(name), top).GetPath()) for name in names}
-    return stage.GetPrimAtPath(homes.pop()) if len(homes) == 1 else None
+    paths = {str(_group(stage.GetPrimAtPath(name), top).GetPath()) for name in names}
+    return stage.GetPrimAtPath(paths.pop()) if len(paths) == 1 else None
 
 
 def _assembly(
@@ -263,56 +273,58 @@ def _assembly(
     reader: JointReader,
 ) -> Assembly:
     """Return the object that bodies form, in the frame `frame` with all joints at zero."""
-    into = np.linalg.inv(frame)
-    moved = next((joint for joint in world_joints if not joint.fixed), None)
+    file_notes, reader = reader.notes, replace(reader, notes=[])
+    to_frame = np.linalg.inv(frame)
+    movable = next((joint for joint in world_joints if not joint.fixed), None)
     root = _root(bodies, names, stage_joints, world_joints)
-    rest = {root: bodies[root].rigid}
+    zero_poses = {root: bodies[root].rigid}
     labels = _labels([bodies[name].prim for name in names])
     links: dict[str, Link] = {}
     used: list[StageJoint] = []
-    if moved is not None:
+    if movable is not None:
         # If a movable joint attaches the object to the world, the world is the base link.
-        rest = {"": np.eye(4), moved.child: moved.parent_frame @ np.linalg.inv(moved.child_frame)}
+        child_pose = movable.parent_frame @ np.linalg.inv(movable.child_frame)
+        zero_poses = {"": np.eye(4), movable.child: child_pose}
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
-        used.append(moved)
+        used.append(movable)
     waiting = [*stage_joints]
-    while ready := [t for t in waiting if (t.parent in rest) != (t.child in rest)]:
+    while ready := [t for t in waiting if (t.parent in zero_poses) != (t.child in zero_poses)]:
         for joint in ready:
             waiting.remove(joint)
-            if joint.parent in rest and joint.child in rest:
+            if joint.parent in zero_poses and joint.child in zero_poses:
                 reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
                 continue
-            outward = joint if joint.parent in rest else joint.flipped()
-            joint_frame = rest[outward.parent] @ outward.parent_frame
-            rest[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
+            outward = joint if joint.parent in zero_poses else joint.flipped()
+            joint_frame = zero_poses[outward.parent] @ outward.parent_frame
+            zero_poses[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
             used.append(outward)
     for joint in waiting:
         reader.notes.append(f"joint {joint.name} closes a loop and is not imported")
     sites, stage, notes = [], reader.stage, reader.notes
     for name in names:
         body = bodies[name]
-        links[labels[name]] = _link(
-            body, labels[name], into @ rest[name] @ np.linalg.inv(body.rigid), stage, notes
-        )
+        to_zero = to_frame @ zero_poses[name] @ np.linalg.inv(body.rigid)
+        links[labels[name]] = _link(body, labels[name], to_zero, stage, notes)
         if folder := body.prim.GetChild("sites"):
             for point in folder.GetChildren():
                 local = UsdGeom.Xformable(point).GetLocalTransformation().ExtractTranslation()
-                position = into @ rest[name] @ np.array([*local, 1.0])
+                position = to_frame @ zero_poses[name] @ np.array([*local, 1.0])
                 sites.append(unchecked_site(point.GetName(), labels[name], position[:3]))
     ends = {**labels, "": WORLD}
     joints = [
-        reader.joint(joint, into @ rest[joint.parent] @ joint.parent_frame, ends) for joint in used
+        reader.joint(joint, to_frame @ zero_poses[joint.parent] @ joint.parent_frame, ends)
+        for joint in used
     ]
     actual = {name: bodies[name].rigid for name in names} | {"": np.eye(4)}
     state = {}
     for joint, spec in zip(used, joints, strict=True):
-        displaced = [into @ actual[e] @ np.linalg.inv(rest[e]) @ frame
+        displaced = [to_frame @ actual[e] @ np.linalg.inv(zero_poses[e]) @ frame
                      for e in (joint.parent, joint.child)]  # fmt: skip
         state |= state_of(spec, np.linalg.inv(displaced[0]) @ displaced[1])
     fixed = bool(world_joints) or not any(bodies[name].dynamic for name in names)
-    home = _title(bodies[root].prim, names)
-    mechanism = Mechanism(home.rpartition("/")[2], links, joints, sites, notes)
-    return Assembly(home, mechanism, frame, fixed, state)
+    path = _title(bodies[root].prim, names)
+    mechanism = Mechanism(path.rpartition("/")[2], links, joints, sites, notes, file_notes)
+    return Assembly(path, mechanism, frame, fixed, state)
 
 
 def _root(
@@ -354,15 +366,15 @@ def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
     return result
 
 
-def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
+def _link(body: _Body, name: str, transform: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
     """Return the link of a body.
 
-    The transform `into`, shape [4, 4], moves the body from its pose in the world frame to its pose
-    in the mechanism's frame with all joints at zero.
+    `transform`, shape [4, 4], moves the body from its pose in the world frame to its pose in the
+    mechanism's frame with all joints at zero.
     """
-    link = Link(name, origin=(into @ body.rigid)[:3, 3])
+    link = Link(name, origin=(transform @ body.rigid)[:3, 3])
     for prim, raw in body.shapes:
-        link.shapes += shapes_of(prim, into @ raw, notes)
+        link.shapes += shapes_of(prim, transform @ raw, notes)
     kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     mass = UsdPhysics.MassAPI(body.prim)
@@ -372,10 +384,10 @@ def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[s
     link.mass = float(stated) * kilogram
     center = np.array(list(mass.GetCenterOfMassAttr().Get() or (np.nan,) * 3))
     if np.isfinite(center).all():
-        link.com = (into @ body.raw @ np.array([*center, 1.0]))[:3]
+        link.com = (transform @ body.raw @ np.array([*center, 1.0]))[:3]
     moments = np.array(list(mass.GetDiagonalInertiaAttr().Get() or (0.0,) * 3))
     if np.any(moments):
-        axes = (into @ body.rigid)[:3, :3] @ rotation_matrix(mass.GetPrincipalAxesAttr().Get())
+        axes = (transform @ body.rigid)[:3, :3] @ rotation_matrix(mass.GetPrincipalAxesAttr().Get())
         link.inertia = axes @ np.diag(moments * kilogram * unit**2) @ axes.T
     if (link.com is None) != (link.inertia is None):
         stated = "center of mass" if link.inertia is None else "inertia"

@@ -94,7 +94,7 @@ class JointReader:
 
     path: Path
     stage: Usd.Stage
-    placed: Callable[[Usd.Prim], NDArray]
+    world_transform: Callable[[Usd.Prim], NDArray]
     """Function that returns the transform from a prim's frame to the world frame, with scale [m],
     shape [4, 4]."""
     bodies: dict[str, NDArray]
@@ -137,7 +137,7 @@ class JointReader:
                 f"{self.path}: joint {body.GetPrim().GetPath()} names {targets[0]}, "
                 "which does not exist"
             )
-        raw = self.placed(prim or self.stage.GetPseudoRoot())
+        raw = self.world_transform(prim or self.stage.GetPseudoRoot())
         frame = np.eye(4)
         frame[:3, 3] = (raw @ np.array([*(position.Get() or (0, 0, 0)), 1.0]))[:3]
         linear = raw[:3, :3]
@@ -308,8 +308,8 @@ def state_of(joint: JointSpec, motion: NDArray) -> dict[str, float]:
     if joint.type == "fixed":
         return {}
     if joint.type == "prismatic":
-        moved = motion[:3, :3] @ np.array(joint.pos) + motion[:3, 3] - np.array(joint.pos)
-        value = {joint.name: float(moved @ np.array(joint.axis))}
+        shift = motion[:3, :3] @ np.array(joint.pos) + motion[:3, 3] - np.array(joint.pos)
+        value = {joint.name: float(shift @ np.array(joint.axis))}
     else:
         quat = from_matrix(motion[:3, :3])
         angle = float(angle_between(np.array([1.0, 0, 0, 0]), quat))

@@ -75,8 +75,8 @@ def visible_surface(
     photo = read_print(material.photo)
     corners = geom.pose().apply(vertices)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    _, visible = photo.seen(corners.mean(axis=1), normals)
-    position, _ = photo.seen(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
+    _, visible = photo.project(corners.mean(axis=1), normals)
+    position, _ = photo.project(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
     uv = photo.texture_coordinates(position, np.repeat(visible, 3))
     return vertices, faces, uv.reshape(-1, 3, 2)
 

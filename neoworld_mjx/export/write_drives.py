@@ -38,7 +38,7 @@ class Drive:
     """Range of targets [rad or m]; None if unlimited."""
     effort: float | None
     """Maximum torque or force [N m or N]; None if unlimited."""
-    held: float
+    target: float
     """Target that holds the joint at its position in the scene [rad or m]."""
 
 
@@ -72,7 +72,7 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
                 damping=round_to(2 * inertia * RATE, 4),
                 range=(joint.lower, joint.upper) if limited else None,
                 effort=joint.effort,
-                held=_held(data.joint(name).qpos, axis),
+                target=_target(data.joint(name).qpos, axis),
             )
         )
     return tuple(result)
@@ -99,7 +99,7 @@ def drives_text(scene: SceneSpec | ObjectSpec, file: str) -> str | None:
         _add_drive(actuators, drive)
     keys = ET.SubElement(root, "keyframe")
     _, data = _posed(scene)
-    targets = numbers([drive.held for drive in all_drives])
+    targets = numbers([drive.target for drive in all_drives])
     ET.SubElement(keys, "key", name="held", qpos=numbers(data.qpos), ctrl=targets)
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -129,7 +129,7 @@ def _add_drive(actuators: ET.Element, drive: Drive) -> None:
     ET.SubElement(actuators, "position", fields)
 
 
-def _held(qpos: np.ndarray, axis: str) -> float:
+def _target(qpos: np.ndarray, axis: str) -> float:
     """Return the target that holds a joint, or one axis of a ball joint, at its position."""
     if not axis:
         return float(qpos[0])

@@ -71,7 +71,7 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
         matrix=Y_UP @ transform(pose) @ Y_UP.T,
         metadata={KIND: OBJECT},
     )
-    moved = link_poses(item.spec, item.joint_state)
+    part_poses = link_poses(item.spec, item.joint_state)
     materials = {}
     for material in item.spec.materials:
         surface = finish(material)
@@ -114,6 +114,6 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
         result.graph.update(
             frame_from=item.name,
             frame_to=link,
-            matrix=Y_UP @ transform(moved[part.name]) @ Y_UP.T,
+            matrix=Y_UP @ transform(part_poses[part.name]) @ Y_UP.T,
             metadata=extras_of(item.spec, part, visuals),
         )

@@ -111,18 +111,22 @@ def _add_camera(stage: Usd.Stage, path: Sdf.Path, camera: Camera) -> None:
 def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, world: Pose) -> None:
     prim = UsdGeom.Xform.Define(stage, path)
     set_pose(prim, world)
-    moved = link_poses(item.spec, item.joint_state)
+    part_poses = link_poses(item.spec, item.joint_state)
     origins = link_origins(item.spec)
     for part in item.spec.parts:
-        posed = moved[part.name].then(pose(origins[part.name]))
-        displaced = not np.array_equal(posed.pos, origins[part.name]) or posed.quat[0] != 1.0
+        link_pose = part_poses[part.name].then(pose(origins[part.name]))
+        displaced = (
+            not np.array_equal(link_pose.pos, origins[part.name]) or link_pose.quat[0] != 1.0
+        )
         frozen = item.static and not _articulated(item)
         if not (displaced or frozen):
             continue
         over = stage.OverridePrim(path.AppendChild("links").AppendChild(part.name))
         if displaced:
-            _override(over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*posed.pos))
-            _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(posed.quat))
+            _override(
+                over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*link_pose.pos)
+            )
+            _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(link_pose.quat))
         if frozen:
             # Some simulators let rigid bodies fall even if they are disabled.
             remove_schemas(over, "PhysicsRigidBodyAPI", "PhysicsMassAPI")

@@ -77,11 +77,11 @@ def urdf_text(spec: ObjectSpec) -> str:
         if joint is not None:
             origin = origins[joint.parent]
             ends = {"parent": links[joint.parent], "child": joint.child}
-            named = joint.model_copy(update=ends)
+            renamed = joint.model_copy(update=ends)
             if joint.type == "ball":
-                _add_ball(robot, spec, named, origin)
+                _add_ball(robot, spec, renamed, origin)
             else:
-                _add_joint(robot, named, origin)
+                _add_joint(robot, renamed, origin)
     taken = {part.name for part in spec.parts} | {joint.name for joint in spec.joints}
     taken.add(links[spec.root])
     for frame in frames(spec):
@@ -95,8 +95,8 @@ def srdf_text(spec: ObjectSpec) -> str:
     """Return the SRDF, which lists pairs of links that never collide, for MoveIt and Pinocchio."""
     robot = ET.Element("robot", name=spec.name)
     links = link_names(spec)
-    for one, other in excluded_pairs(spec):
-        pair = {"link1": links[one], "link2": links[other]}
+    for first, second in excluded_pairs(spec):
+        pair = {"link1": links[first], "link2": links[second]}
         ET.SubElement(robot, "disable_collisions", {**pair, "reason": "Adjacent"})
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
@@ -146,8 +146,8 @@ def _fill_link(
             ET.SubElement(visual, "material", name=geom.material)
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
-                placed = local.then(pose(piece.pos, piece.quat))
-                for element in _add_collision(link, geom, k, piece, placed, clearance):
+                piece_pose = local.then(pose(piece.pos, piece.quat))
+                for element in _add_collision(link, geom, k, piece, piece_pose, clearance):
                     add_contact(element, "urdf", piece, spec.material(geom.material).friction)
 
 
@@ -203,7 +203,7 @@ def shrunk(half: float, clearance: float) -> float:
     return half - min(clearance, MAX_SHRINKAGE * half)
 
 
-def unshrunk(half: float, clearance: float) -> float:
+def original_half(half: float, clearance: float) -> float:
     """Invert `shrunk`."""
     original = half + clearance
     return original if MAX_SHRINKAGE * original >= clearance else half / (1 - MAX_SHRINKAGE)

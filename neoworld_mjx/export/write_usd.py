@@ -134,8 +134,8 @@ def _add_link(
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("collisions")).GetPath()
             for k, piece in enumerate(geom.shape.pieces()):
                 collider = folder.AppendChild(f"{geom.name}_{k}")
-                placed = local.then(pose(piece.pos, piece.quat))
-                _add_collider(stage, collider, geom, piece, placed)
+                piece_pose = local.then(pose(piece.pos, piece.quat))
+                _add_collider(stage, collider, geom, piece, piece_pose)
                 bind_material(stage, collider, base, material, physical=True)
     for frame in points:
         if frame.part == part.name:
@@ -368,7 +368,7 @@ def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]
 def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
     """Filter collisions between parts that are welded to the two sides of a joint, as in MJCF."""
     links = base.AppendChild("links")
-    for one, other in unjoined_pairs(spec):
-        prim = stage.GetPrimAtPath(links.AppendChild(one))
+    for first, second in unjoined_pairs(spec):
+        prim = stage.GetPrimAtPath(links.AppendChild(first))
         pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
-        pairs.AddTarget(links.AppendChild(other))
+        pairs.AddTarget(links.AppendChild(second))

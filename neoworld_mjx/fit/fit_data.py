@@ -90,23 +90,25 @@ class FitData:
         """Return the log ratios of edge lengths to initial edge lengths, for the objects `rows`."""
         return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 
-    def unpacked(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
+    def unpack(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
         """Return the camera and the objects' unknowns.
 
         For an object attached to a wall, the displacement along the wall's normal is removed.
         """
         camera = self.tree.camera
         pitch, log_height = x[:CAMERA] * self.camera_sd
-        moved = camera.model_copy(
+        fitted_camera = camera.model_copy(
             update={
                 "pitch": float(np.clip(camera.pitch + pitch, -1.55, 1.55)),
                 "height": camera.height * math.exp(np.clip(log_height, -2, 2)),
             }
         )
         values = x[CAMERA:].reshape(len(self.objects), 7).copy()
-        off = np.sum((values[:, :3] - self.values[:, :3]) * self.normals, axis=1, keepdims=True)
-        values[:, :3] -= off * self.normals
-        return moved, values
+        normal_shift = np.sum(
+            (values[:, :3] - self.values[:, :3]) * self.normals, axis=1, keepdims=True
+        )
+        values[:, :3] -= normal_shift * self.normals
+        return fitted_camera, values
 
     def repeated(self, count: int) -> "FitData":
         """Return `count` copies of all objects with one camera; each copy has its own parents."""

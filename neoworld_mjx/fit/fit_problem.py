@@ -62,7 +62,7 @@ class FitProblem:
         prior of the camera has a quadratic loss instead, so no single object moves the camera far.
         """
         data = self.data
-        _, values = data.unpacked(x)
+        _, values = data.unpack(x)
         pixels = outline_residuals(data, x)
         sd = np.concatenate([data.side_sd, data.side_sd[:, [0, 1]]], axis=1)
         picture = np.sign(pixels) * np.maximum(np.abs(pixels) / sd - DEAD_ZONE, 0.0)
@@ -94,9 +94,9 @@ class FitProblem:
         residuals = self.residuals(x)
         jacobian = np.zeros((len(residuals), len(x)))
         for k in range(CAMERA):
-            ahead = x.copy()
-            ahead[k] += STEP
-            jacobian[:, k] = (self.residuals(ahead) - residuals) / STEP
+            perturbed = x.copy()
+            perturbed[k] += STEP
+            jacobian[:, k] = (self.residuals(perturbed) - residuals) / STEP
         owners = self._owners()
         parents = np.where(owners >= 0, self.data.parents[owners], -1)
         groups = [self.data.levels % 2 == parity for parity in (0, 1)]
@@ -105,17 +105,17 @@ class FitProblem:
             for k in range(7):
                 copies[parity, k, group, k] += STEP
         problem, rows_of_copies = self._repeated
-        ahead = problem.residuals(np.concatenate([x[:CAMERA], copies.ravel()]))[rows_of_copies]
-        changes = ((ahead - residuals) / STEP).reshape(2, 7, -1)
+        perturbed = problem.residuals(np.concatenate([x[:CAMERA], copies.ravel()]))[rows_of_copies]
+        changes = ((perturbed - residuals) / STEP).reshape(2, 7, -1)
         for group, change in zip(groups, changes, strict=True):
-            moved = np.where(
+            perturbed_objects = np.where(
                 (owners >= 0) & group[owners],
                 owners,
                 np.where((parents >= 0) & group[parents], parents, -1),
             )
-            rows = np.flatnonzero(moved >= 0)
+            rows = np.flatnonzero(perturbed_objects >= 0)
             for k in range(7):
-                jacobian[rows, CAMERA + 7 * moved[rows] + k] = change[k, rows]
+                jacobian[rows, CAMERA + 7 * perturbed_objects[rows] + k] = change[k, rows]
         return jacobian
 
     @cached_property
@@ -146,7 +146,7 @@ class FitProblem:
             fixed: True for objects that stay exactly as in the initial tree.
         """
         data = self.data
-        camera, values = data.unpacked(x)
+        camera, values = data.unpack(x)
         log_sizes = data.log_sizes(values, slice(None))
         boxes = {}
         for i, node in enumerate(data.objects):
@@ -159,7 +159,7 @@ class FitProblem:
                 yaw=round(math.remainder(values[i, 6], 2 * math.pi), 5),
             )
         old = data.tree.camera
-        moved = {
+        camera_update = {
             name: round(getattr(camera, name), 5)
             for name in ("pitch", "height")
             if abs(getattr(camera, name) - getattr(old, name)) > 1e-6
@@ -168,7 +168,9 @@ class FitProblem:
             node.model_copy(update={"box3d": boxes[node.name]}) if node.name in boxes else node
             for node in data.tree.nodes
         )
-        return data.tree.model_copy(update={"camera": old.model_copy(update=moved), "nodes": nodes})
+        return data.tree.model_copy(
+            update={"camera": old.model_copy(update=camera_update), "nodes": nodes}
+        )
 
 
 def fit_problem(
@@ -196,14 +198,16 @@ def fit_problem(
     data = object_data(tree, objects, shapes, shown, silhouettes)
     data = replace(data, cut=cut_surfaces(data, shapes, silhouettes))
     # A side far within the outline is hidden, even if it is visible at the parsed position.
-    far = outline_residuals(data, data.initial_unknowns())[:, :4] < -HIDDEN_RESIDUAL * data.side_sd
+    far_inside = (
+        outline_residuals(data, data.initial_unknowns())[:, :4] < -HIDDEN_RESIDUAL * data.side_sd
+    )
     may_hide = np.array([node.occluded and node.name in shown for node in objects])
-    data = replace(data, hidden=data.hidden | (far & may_hide[:, None]))
+    data = replace(data, hidden=data.hidden | (far_inside & may_hide[:, None]))
     # The picture determines the position of a visible object. A hidden object and the content of a
     # container follow their parents.
     inside = np.array([node.relation == "in" for node in objects])
-    share = np.where(inside, 1.0, data.hidden.mean(axis=1))
-    follow = np.column_stack([share, share, np.ones(len(objects))])
+    follow_xy = np.where(inside, 1.0, data.hidden.mean(axis=1))
+    follow = np.column_stack([follow_xy, follow_xy, np.ones(len(objects))])
     offsets = data.values[:, :3] - _anchors(data, follow, data.values)
     offsets[:, 2] += [_prior_lift(tree, node) for node in objects]
     # The prior position is inside a container, even if the parsed position is not.
@@ -221,9 +225,9 @@ def _anchors(
     `follow`. For an object on the environment, it is the world's origin.
     """
     parents = data.parents
-    grown = np.exp(values[parents, np.where(data.rigid[parents], 3, 5)])
+    height_scale = np.exp(values[parents, np.where(data.rigid[parents], 3, 5)])
     top = values[parents, :3].copy()
-    top[:, 2] += grown * data.heights[parents]
+    top[:, 2] += height_scale * data.heights[parents]
     return np.where(parents[:, None] >= 0, follow * top, 0.0)
 
 

@@ -99,10 +99,12 @@ class FitReport:
         """Return JSON data with numbers rounded to four decimals."""
         groups = {"objects": self.objects, "carriers": self.supports}
         return {
-            **{k: _plain(v) for k, v in vars(self).items() if k not in ("objects", "supports")},
+            **{
+                k: _json_value(v) for k, v in vars(self).items() if k not in ("objects", "supports")
+            },
             **{
                 group: {
-                    name: {key: _plain(value) for key, value in vars(change).items()}
+                    name: {key: _json_value(value) for key, value in vars(change).items()}
                     for name, change in changes.items()
                 }
                 for group, changes in groups.items()
@@ -110,9 +112,9 @@ class FitReport:
         }
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, Box3D):
         return value.model_dump(mode="json")
     if isinstance(value, tuple):
-        return [_plain(entry) for entry in value]
+        return [_json_value(entry) for entry in value]
     return round(value, 4) if isinstance(value, float) else value

@@ -125,7 +125,7 @@ def _minimize(
         return initial
     full = initial.copy()
 
-    def expanded(part: Float[np.ndarray, " f"]) -> Float[np.ndarray, " u"]:
+    def expand(part: Float[np.ndarray, " f"]) -> Float[np.ndarray, " u"]:
         full[free] = part
         return full
 
@@ -133,12 +133,12 @@ def _minimize(
     exact = count <= MAX_EXACT_OBJECTS
 
     def derivative(part: Float[np.ndarray, " f"]) -> Any:
-        jacobian = problem.jacobian(expanded(part))[:, free]
+        jacobian = problem.jacobian(expand(part))[:, free]
         # An object's residuals depend on few unknowns.
         return jacobian if exact else csr_matrix(jacobian)
 
     result = least_squares(
-        lambda part: problem.residuals(expanded(part)),
+        lambda part: problem.residuals(expand(part)),
         initial[free],
         jac=derivative,  # pyright: ignore[reportArgumentType] Its stubs lack functions.
         x_scale="jac",
@@ -147,7 +147,7 @@ def _minimize(
         ftol=1e-7,
         xtol=1e-7,
     )
-    return expanded(result.x).copy()
+    return expand(result.x).copy()
 
 
 def _refused_objects(
@@ -216,12 +216,12 @@ def _outcome(
     data = problem.data
     initial, fitted = data.tree, problem.tree(x, fixed)
     # The 3D box of a built object extends beyond its shape, so a good fit may lower its agreement.
-    of_shapes = [outline_agreements(data, u) for u in (data.initial_unknowns(), x)]
+    shape_agreements = [outline_agreements(data, u) for u in (data.initial_unknowns(), x)]
     changes = {}
     for i, node in enumerate(data.objects):
         change = _change(initial, fitted, node, data.hidden[i], refused.get(node.name, ""))
         if node.name in shapes:
-            before, after = (float(values[i]) for values in of_shapes)
+            before, after = (float(values[i]) for values in shape_agreements)
             change = replace(change, agreement_before=before, agreement_after=after)
         changes[node.name] = change
     before, after = np.mean(
@@ -236,10 +236,10 @@ def _outcome(
         name for node in initial.nodes if node.relation == "in" for name in (node.name, node.parent)
     }
     gains = [c.agreement_after - c.agreement_before for n, c in changes.items() if n not in inside]
-    lower = bool(gains) and float(np.mean(gains)) < -MAX_AGREEMENT_LOSS
-    applied = (moved > 0 or fitted.camera != initial.camera) and not lower
+    is_worse = bool(gains) and float(np.mean(gains)) < -MAX_AGREEMENT_LOSS
+    applied = (moved > 0 or fitted.camera != initial.camera) and not is_worse
     reason = f"{moved} of {len(changes)} objects moved, {len(refused)} refused"
-    if lower:
+    if is_worse:
         reason = f"not applied: it would lower the agreement from {before:.3f} to {after:.3f}"
         changes = {
             node.name: replace(

@@ -35,7 +35,7 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     the contact from the projected foot, to the right and down. They are 0 if the contact is
     unknown.
     """
-    camera, values = data.unpacked(x)
+    camera, values = data.unpack(x)
     extents, feet = [], []
     rows = np.arange(len(data.objects))
     for k, points in enumerate((data.inner, data.outer)):
@@ -60,11 +60,15 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     beyond = np.maximum(visible - np.maximum(*extents), 0.0)
     within = np.maximum(np.minimum(*extents) - visible, 0.0)
     sides = beyond - np.where(data.hidden, 0.0, within)
-    (left, right, near), (left_2, right_2, near_2) = feet
+    (left, right, bottom), (left_2, right_2, bottom_2) = feet
     u, v = data.contacts.T
-    aside = _distance_from_interval(u, np.minimum(left, left_2), np.maximum(right, right_2))
-    down = _distance_from_interval(v, np.minimum(near, near_2), np.maximum(near, near_2))
-    contact = np.nan_to_num(np.column_stack([aside, down]), nan=0.0, posinf=0.0, neginf=0.0)
+    horizontal = _distance_from_interval(u, np.minimum(left, left_2), np.maximum(right, right_2))
+    vertical = _distance_from_interval(
+        v, np.minimum(bottom, bottom_2), np.maximum(bottom, bottom_2)
+    )
+    contact = np.nan_to_num(
+        np.column_stack([horizontal, vertical]), nan=0.0, posinf=0.0, neginf=0.0
+    )
     return np.concatenate([sides, contact], axis=1)
 
 

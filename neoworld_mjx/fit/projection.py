@@ -113,18 +113,18 @@ def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | Non
     box = node.box3d
     if node.outline.shape != "rectangle":
         return _outlined_box(camera, node)
-    whole = visible_box(camera, box.corners(node.base_tilt))
+    corner_box = visible_box(camera, box.corners(node.base_tilt))
     points, weight = outline_points(node)
-    if whole is None or weight == 1 or node.environment:
-        return whole
+    if corner_box is None or weight == 1 or node.environment:
+        return corner_box
     pixels, depth = camera.project(to_world(points, box, node.base_tilt))
     if depth.min() < NEAR_M:
-        return whole
+        return corner_box
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     inner = np.clip(np.concatenate([low, high]), 0, [camera.width, camera.height_px] * 2)
     if inner[0] >= inner[2] or inner[1] >= inner[3]:
-        return whole
-    return weight * whole + (1 - weight) * inner
+        return corner_box
+    return weight * corner_box + (1 - weight) * inner
 
 
 def to_world(
@@ -191,7 +191,7 @@ def visible_box(
         pixels = _pixel(camera, local)
         if (pixels >= 0).all() and (pixels <= [camera.width, camera.height_px]).all():
             return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-    near = np.array([0.0, 0.0, 1.0, -NEAR_M])
+    near_plane = np.array([0.0, 0.0, 1.0, -NEAR_M])
     sides = [
         np.array([1.0, 0.0, 0.0, 0.0]),
         np.array([-1.0, 0.0, 0.0, camera.width]),
@@ -200,7 +200,7 @@ def visible_box(
     ]
     clipped = []
     for face in faces:
-        polygon = _clip(local[list(face)], near)
+        polygon = _clip(local[list(face)], near_plane)
         if len(polygon) == 0:
             continue
         flat = np.column_stack([_pixel(camera, polygon), np.zeros(len(polygon))])

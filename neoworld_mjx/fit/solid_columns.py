@@ -28,8 +28,10 @@ class SolidColumns:
         scaled, state = fit.scaled()
         item = SceneObject(name=node.name, spec=scaled, base_tilt=node.base_tilt, joint_state=state)
         x, y, z = node.box3d.position
-        to = pose((x, y, 0.0), from_yaw(node.box3d.yaw)).then(pose(-rotate(node.base_tilt, middle)))
-        self._pieces = [(piece, to.then(local)) for piece, local in posed_pieces(item)]
+        to_world = pose((x, y, 0.0), from_yaw(node.box3d.yaw)).then(
+            pose(-rotate(node.base_tilt, middle))
+        )
+        self._pieces = [(piece, to_world.then(local)) for piece, local in posed_pieces(item)]
         self.articulated = any(joint.type != "fixed" for joint in spec.joints)
         self._lift = 0.0
         corners = footprint(upright(node))
@@ -50,7 +52,9 @@ class SolidColumns:
 
         The result is (inf, -inf) for a piece that does not intersect the column.
         """
-        columns = [vertical_intersections(piece, placed, xy) for piece, placed in self._pieces]
+        columns = [
+            vertical_intersections(piece, piece_pose, xy) for piece, piece_pose in self._pieces
+        ]
         return (
             np.array([low for low, _ in columns]) + self._lift,
             np.array([high for _, high in columns]) + self._lift,

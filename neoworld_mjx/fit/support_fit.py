@@ -31,7 +31,7 @@ class SupportFit:
         self._parsed_box = parsed.node(node.name).box3d
         self._problems: dict[tuple[str, str, float], FitProblem] = {}
 
-    def placed(self, xy: Float[np.ndarray, " 2"], z: float) -> TreeNode:
+    def node_at(self, xy: Float[np.ndarray, " 2"], z: float) -> TreeNode:
         """Return the fitted object at another position [m]."""
         box = self.node.box3d.model_copy(update={"position": (*xy.tolist(), z)})
         return self.node.model_copy(update={"box3d": box})

@@ -28,7 +28,7 @@ from ..spec.tree import Relation
 from .fit_report import MIN_GAIN, OtherSupport
 from .solid_columns import SolidColumns
 from .support_fit import SupportFit
-from .tree_checks import INSIDE_WARNS
+from .tree_checks import INSIDE_WARNING
 from .wireframe import Wireframe
 
 MAX_OVERLAP_M = 0.002
@@ -144,13 +144,13 @@ def _candidates(
         if other.name not in excluded and not (other.environment or solids[other.name].articulated)
     ]
     assert node.parent is not None
-    if node.parent in solids and _share_over(node, tree.node(node.parent)) < MIN_FOOTPRINT:
-        return [other for other in others if _share_over(node, other) >= INSIDE_WARNS]
+    if node.parent in solids and _fraction_over(node, tree.node(node.parent)) < MIN_FOOTPRINT:
+        return [other for other in others if _fraction_over(node, other) >= INSIDE_WARNING]
     solid, no_shift = solids[node.name], np.zeros(3)
     return [other for other in others if solid.depth(solids[other.name], no_shift) > MAX_OVERLAP_M]
 
 
-def _share_over(node: TreeNode, support: TreeNode) -> float:
+def _fraction_over(node: TreeNode, support: TreeNode) -> float:
     """Return the fraction of an object's footprint that is over another object."""
     feet = footprint(upright(node))
     return polygon_intersection(support_footprint(support), feet) / polygon_area(feet)
@@ -160,34 +160,34 @@ def _cost_at(fit: SupportFit, level: _Level) -> float:
     """Return the cost of an object's fit on a level; infinite if the object leaves the support."""
     support, relation, z, xy = level
     cost, fitted_xy = fit.cost(support.name, relation, z)
-    if _share_over(fit.placed(fitted_xy, z), support) >= INSIDE_WARNS:
+    if _fraction_over(fit.node_at(fitted_xy, z), support) >= INSIDE_WARNING:
         return cost
-    if _share_over(fit.placed(xy, z), support) >= INSIDE_WARNS:
+    if _fraction_over(fit.node_at(xy, z), support) >= INSIDE_WARNING:
         return fit.cost(support.name, relation, z, xy)[0]
     return np.inf
 
 
 def _cost_as_parsed(
-    fit: SupportFit, solids: Mapping[str, SolidColumns], others: Sequence[TreeNode]
+    fit: SupportFit, solids: Mapping[str, SolidColumns], obstacles: Sequence[TreeNode]
 ) -> float:
     """Return the cost of an object's fit at the nearest feasible position on its parsed support."""
     node = fit.node
     assert node.parent is not None
     parent = fit.fitted.node(node.parent)
-    if node.parent in solids and _share_over(node, parent) < MIN_FOOTPRINT:
+    if node.parent in solids and _fraction_over(node, parent) < MIN_FOOTPRINT:
         nearest = _nearest_over(node, parent)
         levels = _levels(node, nearest, parent, solids)
-        costs = (fit.cost(parent.name, each.relation, each.z, nearest)[0] for each in levels)
+        costs = (fit.cost(parent.name, level.relation, level.z, nearest)[0] for level in levels)
         return min(costs, default=np.inf)
     solid, z = solids[node.name], node.box3d.position[2]
     position, free = np.array(node.box3d.position[:2]), []
-    reach = max(math.hypot(*other.box3d.size[:2]) for other in others)
+    reach = max(math.hypot(*other.box3d.size[:2]) for other in obstacles)
     reach += math.hypot(*node.box3d.size[:2])
     for angle in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
         direction = np.array([math.cos(angle), math.sin(angle)])
         for step in np.linspace(0, reach, STEPS):
             shift = np.array([*(step * direction), 0.0])
-            if all(solid.depth(solids[other.name], shift) <= MAX_OVERLAP_M for other in others):
+            if all(solid.depth(solids[other.name], shift) <= MAX_OVERLAP_M for other in obstacles):
                 free.append(position + shift[:2])
                 break
     free.sort(key=lambda xy: fit.cost_unfitted(parent.name, node.relation, z, xy))
@@ -214,15 +214,17 @@ def _levels(
     Positions are up to half of the object's width away from `xy`, so that the position of a hole
     need not be accurate.
     """
-    solid, other = solids[node.name], solids[support.name]
-    away = np.linspace(-0.5, 0.5, POSITIONS) * min(node.box3d.size[:2])
-    shifts = np.stack(np.meshgrid(away, away, indexing="ij"), -1).reshape(-1, 2)
+    solid, support_columns = solids[node.name], solids[support.name]
+    offsets = np.linspace(-0.5, 0.5, POSITIONS) * min(node.box3d.size[:2])
+    shifts = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), -1).reshape(-1, 2)
     shifts = shifts[np.argsort(np.linalg.norm(shifts, axis=1), kind="stable")]
     columns = solid.xy + (xy - np.array(node.box3d.position[:2]))
-    _, highs = other.spans((columns + shifts[:, None]).reshape(-1, 2))
+    _, highs = support_columns.spans((columns + shifts[:, None]).reshape(-1, 2))
     tops = highs.max(axis=0).reshape(len(shifts), -1)
     heights = (tops - (solid.bottom - solid.bottom.min())).max(axis=1)
-    rim = float(other.top.max()) - BELOW_RIM * min(node.box3d.size[2], support.box3d.size[2])
+    rim = float(support_columns.top.max()) - BELOW_RIM * min(
+        node.box3d.size[2], support.box3d.size[2]
+    )
     levels: list[float] = []
     for height, shift in zip(heights.tolist(), shifts, strict=True):
         if math.isfinite(height) and all(abs(height - level) > LEVEL_M for level in levels):

@@ -3,7 +3,7 @@
 `SceneTree` itself validates names, parents and the absence of cycles. Each issue states the
 measured value, the threshold, and a hint for the correction.
 
-Of two thresholds, an issue beyond `..._WARNS` is a warning, and an issue beyond `..._FAILS` is an
+Of two thresholds, an issue beyond `..._WARNING` is a warning, and an issue beyond `..._ERROR` is an
 error.
 """
 
@@ -30,24 +30,24 @@ from .categories import size_range
 from .projection import expected_box, outline_of
 from .visible_sides import EDGE, hidden_sides
 
-AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
+AGREEMENT_WARNING, AGREEMENT_ERROR = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""
-INSIDE_WARNS, INSIDE_FAILS = 0.6, 0.25
+INSIDE_WARNING, INSIDE_ERROR = 0.6, 0.25
 """Minimum fraction of a child's footprint that is within its parent's footprint."""
-GAP_WARNS, GAP_FAILS = 0.15, 1.0
+GAP_WARNING, GAP_ERROR = 0.15, 1.0
 """Maximum gap under an object, relative to its height."""
-GAP_LEAST_M = 0.01
+MIN_GAP_M = 0.01
 """Smallest gap that is reported [m]."""
-SIZE_FAILS = 2.0
+SIZE_ERROR = 2.0
 """Factor by which the longest edge of an object must be outside its category's range to be an
 error."""
-OVERLAP_WARNS = 0.4
+OVERLAP_WARNING = 0.4
 """Maximum fraction of the smaller of two boxes that is within the larger box, if neither object
 supports the other."""
-SAME_WARNS = 0.6
+IOU_3D_WARNING = 0.6
 """Maximum intersection over union of two boxes if the larger object may not fill its box. For
 example, the arm of a lamp may be over a cup, or a trunk may be under a table."""
-TWICE_WARNS = 0.85
+DUPLICATE_IOU_WARNING = 0.85
 """Maximum intersection over union of the 2D boxes of two objects with the same label."""
 
 _ENVIRONMENT = ("floor", "wall", "counter", "countertop", "ground", "ceiling", "worktop")
@@ -95,11 +95,11 @@ def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
     """
     objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
     mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
-    lost = {node.name: 0.0 for node in tree.nodes}
+    penalties = {node.name: 0.0 for node in tree.nodes}
     for issue in issues:
         cost = 1.0 if issue.severity == "error" else 1 / 3
-        lost[issue.node] = lost.get(issue.node, 0.0) + cost
-    clean = 1.0 - sum(min(value, 1.0) for value in lost.values()) / len(lost)
+        penalties[issue.node] = penalties.get(issue.node, 0.0) + cost
+    clean = 1.0 - sum(min(value, 1.0) for value in penalties.values()) / len(penalties)
     return (mean_agreement + clean) / 2
 
 
@@ -125,13 +125,13 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
     if node.environment:
         if expected_box(tree.camera, node) is None:
             hint = "its 3D box lies outside the picture"
-            yield _issue(node, "out_of_view", 0.0, 0.0, hint, fails=True)
+            yield _issue(node, "out_of_view", 0.0, 0.0, hint, is_error=True)
         return
     value = agreement(tree, node)
-    if value < AGREEMENT_WARNS and not _within_reading_error(tree, node):
+    if value < AGREEMENT_WARNING and not _within_reading_error(tree, node):
         hint = f"the projection of its 3D box does not match its 2D box{_mismatch(tree, node)}"
-        fails = value < AGREEMENT_FAILS
-        yield _issue(node, "projection", value, AGREEMENT_WARNS, hint, fails=fails)
+        is_error = value < AGREEMENT_ERROR
+        yield _issue(node, "projection", value, AGREEMENT_WARNING, hint, is_error=is_error)
 
 
 def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
@@ -153,9 +153,9 @@ def _mismatch(tree: SceneTree, node: TreeNode) -> str:
     shift = ((expected[:2] + expected[2:]) - (visible[:2] + visible[2:])) / 2 / sides
     ratio = (expected[2:] - expected[:2]) / sides
     phrases = []
-    for value, (before, after) in zip(shift, (("left", "right"), ("up", "down")), strict=True):
+    for value, (negative, positive) in zip(shift, (("left", "right"), ("up", "down")), strict=True):
         if abs(value) > 0.15:
-            phrases.append(f"too far {after if value > 0 else before}")
+            phrases.append(f"too far {positive if value > 0 else negative}")
     for value, extent in zip(ratio, ("wide", "high"), strict=True):
         if not 0.8 < value < 1.25:
             phrases.append(f"{value:.1f} times as {extent}")
@@ -167,12 +167,12 @@ def _size(node: TreeNode) -> Iterator[SceneIssue]:
     if bounds is None:
         return
     low, high = bounds
-    over, bound, word = (longest / high, high, "large")
+    excess, bound, adjective = (longest / high, high, "large")
     if longest <= high:
-        over, bound, word = low / longest, low, "small"
-    if over > 1:
-        hint = f"its longest edge, {longest:.2g} m, is {word} for a {node.label}"
-        yield _issue(node, "size_m", longest, bound, hint, fails=over > SIZE_FAILS)
+        excess, bound, adjective = low / longest, low, "small"
+    if excess > 1:
+        hint = f"its longest edge, {longest:.2g} m, is {adjective} for a {node.label}"
+        yield _issue(node, "size_m", longest, bound, hint, is_error=excess > SIZE_ERROR)
 
 
 def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
@@ -201,33 +201,33 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     if node.relation == "attached":
         size = tuple(edge + 0.04 for edge in child.size)
         x, y, z = child.position
-        grown = child.model_copy(update={"size": size, "position": (x, y, z - 0.02)})
-        if intersection_3d(grown, below) == 0:
+        enlarged = child.model_copy(update={"size": size, "position": (x, y, z - 0.02)})
+        if intersection_3d(enlarged, below) == 0:
             hint = f"it is attached to {parent.name} but does not reach it"
-            yield _issue(node, "attached", 0.0, 0.0, hint, fails=True)
+            yield _issue(node, "attached", 0.0, 0.0, hint, is_error=True)
         return
     feet = footprint(child)
     inside = polygon_intersection(support_footprint(parent), feet) / polygon_area(feet)
-    if inside < INSIDE_WARNS:
+    if inside < INSIDE_WARNING:
         # An object that does not fill its box may stand on a small foot.
-        fails = inside < (0.01 if _fills_box_loosely(node) else INSIDE_FAILS)
+        is_error = inside < (0.01 if _fills_box_loosely(node) else INSIDE_ERROR)
         hint = f"only {inside:.0%} of its footprint lies in that of its support {parent.name}"
-        yield _issue(node, "footprint", inside, INSIDE_WARNS, hint, fails=fails)
+        yield _issue(node, "footprint", inside, INSIDE_WARNING, hint, is_error=is_error)
     bottom, floor = child.position[2], below.position[2]
     top = floor + below.size[2]
-    bound = max(GAP_LEAST_M, GAP_WARNS * min(child.size[2], 1.0))
+    bound = max(MIN_GAP_M, GAP_WARNING * min(child.size[2], 1.0))
     # An object may rest in a hollow below its support's top, but a slab supports only at its top.
     slab = parent.slab and parent.box3d.size[2] < 0.2 * min(parent.box3d.size[:2])
-    gap, words = 0.0, ""
+    gap, problem = 0.0, ""
     if bottom > top + bound and not (node.environment and node.slab):
-        gap, words = bottom - top, f"it floats above {parent.name}"
+        gap, problem = bottom - top, f"it floats above {parent.name}"
     elif bottom < floor - bound:
-        gap, words = floor - bottom, f"it extends below {parent.name}"
+        gap, problem = floor - bottom, f"it extends below {parent.name}"
     elif slab and node.relation == "on" and bottom < top - bound:
-        gap, words = top - bottom, f"it is sunk into {parent.name}"
-    if words:
-        fails = gap > max(GAP_FAILS * child.size[2], 2 * bound)
-        yield _issue(node, "gap_m", gap, bound, f"{words} by {gap:.2g} m", fails=fails)
+        gap, problem = top - bottom, f"it is sunk into {parent.name}"
+    if problem:
+        is_error = gap > max(GAP_ERROR * child.size[2], 2 * bound)
+        yield _issue(node, "gap_m", gap, bound, f"{problem} by {gap:.2g} m", is_error=is_error)
 
 
 def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
@@ -235,9 +235,9 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
     supports = {node.name: _supports(tree, node) for node in objects}
     for first, second in itertools.combinations(objects, 2):
         same_2d = iou_2d(first.box2d, second.box2d)
-        if first.label == second.label and same_2d > TWICE_WARNS:
+        if first.label == second.label and same_2d > DUPLICATE_IOU_WARNING:
             hint = f"it has the box and label of {first.name}: is it listed twice?"
-            yield _issue(second, "twice", same_2d, TWICE_WARNS, hint)
+            yield _issue(second, "twice", same_2d, DUPLICATE_IOU_WARNING, hint)
         if first.name in supports[second.name] or second.name in supports[first.name]:
             continue
         a, b = upright(first), upright(second)
@@ -246,13 +246,13 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
             key=lambda pair: pair[0],
         )
         shared = intersection_3d(a, b)
-        share, same = shared / smaller, shared / (smaller + larger - shared)
-        if share > OVERLAP_WARNS and (same > SAME_WARNS or not _fills_box_loosely(outer)):
+        overlap, iou = shared / smaller, shared / (smaller + larger - shared)
+        if overlap > OVERLAP_WARNING and (iou > IOU_3D_WARNING or not _fills_box_loosely(outer)):
             hint = (
                 f"its 3D box and that of {first.name} occupy the same space: move one, or let "
                 "one support the other"
             )
-            yield _issue(second, "overlap", share, OVERLAP_WARNS, hint)
+            yield _issue(second, "overlap", overlap, OVERLAP_WARNING, hint)
 
 
 def _fills_box_loosely(node: TreeNode) -> bool:
@@ -275,10 +275,10 @@ def _edge(tree: SceneTree) -> float:
 
 
 def _issue(
-    node: TreeNode, code: str, value: float, threshold: float, hint: str, *, fails: bool = False
+    node: TreeNode, code: str, value: float, threshold: float, hint: str, *, is_error: bool = False
 ) -> SceneIssue:
     return SceneIssue(
-        severity="error" if fails else "warning",
+        severity="error" if is_error else "warning",
         node=node.name,
         code=code,
         value=value,

@@ -79,12 +79,12 @@ def _vanishing_point(camera: Camera, lines: ArrayLike) -> NDArray:
     return intersection / np.linalg.norm(intersection)
 
 
-def _focal(camera: Camera, one: NDArray, other: NDArray) -> float | None:
+def _focal(camera: Camera, first: NDArray, second: NDArray) -> float | None:
     """Return the focal length [px] that makes two directions perpendicular, or None."""
-    weight = float(one[2] * other[2])
+    weight = float(first[2] * second[2])
     if abs(weight) < 1e-12:
         return None
-    squared = -float(one[:2] @ other[:2]) / weight
+    squared = -float(first[:2] @ second[:2]) / weight
     if squared <= 0:
         return None
     fovy = 2 * math.atan(camera.height_px / 2 / math.sqrt(squared))

@@ -13,9 +13,9 @@ SIDES = ("left", "top", "right", "bottom")
 EDGE = 0.01
 """Distance from the picture's border within which the border may cut a box, relative to the
 picture's longer side."""
-COVERED = 1 / 3
+HIDDEN_FRACTION = 1 / 3
 """Fraction of a side within the box of a named occluder above which the side counts as hidden."""
-COVERED_UNNAMED = 0.6
+HIDDEN_FRACTION_UNNAMED = 0.6
 """The same fraction for a nearer object that the response does not name as an occluder."""
 CUT_OFF = 0.02
 """Distance outside the picture at which an extreme point counts as cut off, relative to the
@@ -78,15 +78,15 @@ def _covered_sides(
     """Return a mask of the sides of a box that the boxes of possible occluders cover."""
     names, hidden = _occluders(node), np.zeros(4, bool)
     boxes = np.array([other.box2d.as_tuple() for other in tree.nodes])
-    shares = _covered_fractions(box, boxes, edge)
-    for k in np.flatnonzero((shares >= COVERED).any(axis=1)):
+    fractions = _covered_fractions(box, boxes, edge)
+    for k in np.flatnonzero((fractions >= HIDDEN_FRACTION).any(axis=1)):
         other = tree.nodes[k]
         if other.name == node.name:
             continue
         if other.name in names:
-            hidden |= shares[k] >= COVERED
-        elif (shares[k] >= COVERED_UNNAMED).any() and _is_nearer(tree, other, node):
-            hidden |= shares[k] >= COVERED_UNNAMED
+            hidden |= fractions[k] >= HIDDEN_FRACTION
+        elif (fractions[k] >= HIDDEN_FRACTION_UNNAMED).any() and _is_nearer(tree, other, node):
+            hidden |= fractions[k] >= HIDDEN_FRACTION_UNNAMED
     return hidden
 
 
@@ -130,12 +130,12 @@ def _depth(camera: Camera, box: Box3D, tilt: Quat) -> float:
 
 
 def _covered_fractions(
-    box: Float[np.ndarray, "4"], others: Float[np.ndarray, "n 4"], slack: float
+    box: Float[np.ndarray, "4"], occluders: Float[np.ndarray, "n 4"], slack: float
 ) -> Float[np.ndarray, "n 4"]:
     """Return the fraction of each side of a box that lies in other boxes, grown by `slack`."""
-    grown = others + slack * np.array([-1.0, -1.0, 1.0, 1.0])
-    low, high = np.maximum(grown[:, :2], box[:2]), np.minimum(grown[:, 2:], box[2:])
+    enlarged = occluders + slack * np.array([-1.0, -1.0, 1.0, 1.0])
+    low, high = np.maximum(enlarged[:, :2], box[:2]), np.minimum(enlarged[:, 2:], box[2:])
     # Vertical sides extend along y, horizontal ones along x.
-    along = (np.maximum(high - low, 0.0) / (box[2:] - box[:2]))[:, [1, 0, 1, 0]]
-    within = (np.tile(grown[:, :2], 2) <= box) & (box <= np.tile(grown[:, 2:], 2))
-    return np.where(within, along, 0.0)
+    overlap = (np.maximum(high - low, 0.0) / (box[2:] - box[:2]))[:, [1, 0, 1, 0]]
+    within = (np.tile(enlarged[:, :2], 2) <= box) & (box <= np.tile(enlarged[:, 2:], 2))
+    return np.where(within, overlap, 0.0)

@@ -110,8 +110,10 @@ def extents_in_picture(
     ends, depth, owners = ends[ahead], depth[ahead], owners[ahead]
     crosses = np.any(depth < 0, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (depth[:, 0] / (depth[:, 0] - depth[:, 1]))[:, None]
-        crossing = np.where(crosses[:, None], ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), 0.0)
+        fraction = (depth[:, 0] / (depth[:, 0] - depth[:, 1]))[:, None]
+        crossing = np.where(
+            crosses[:, None], ends[:, 0] + fraction * (ends[:, 1] - ends[:, 0]), 0.0
+        )
     ends = np.where((depth < 0)[..., None], crossing[:, None], ends)
     size = np.array([camera.width, camera.height_px], float)
     pixels = ends[..., :2] / np.maximum(ends[..., 2:], NEAR_M) * camera.focal + size / 2
@@ -129,12 +131,12 @@ def extents_in_picture(
             leave = np.where((inside_b < 0) & (inside_a >= 0), np.minimum(leave, t), leave)
             leave = np.where((inside_a < 0) & (inside_b < 0), -1.0, leave)
     shown = enter <= leave
-    a, direction, whose = a[shown], (b - a)[shown], owners[shown]
+    a, direction, visible_owners = a[shown], (b - a)[shown], owners[shown]
     shown_ends = [a + enter[shown, None] * direction, a + leave[shown, None] * direction]
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     for points in shown_ends:
-        np.minimum.at(low, whose, points)
-        np.maximum.at(high, whose, points)
+        np.minimum.at(low, visible_owners, points)
+        np.maximum.at(high, visible_owners, points)
     for surface, corner in _covered_corners(pixels, owners, count, size):
         low[surface] = np.minimum(low[surface], corner)
         high[surface] = np.maximum(high[surface], corner)
@@ -153,8 +155,8 @@ def _covered_corners(
     np.minimum.at(low, owners, pixels.min(axis=1))
     np.maximum.at(high, owners, pixels.max(axis=1))
     corners = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
-    near = ((low[:, None] <= corners) & (corners <= high[:, None])).all(axis=2)
-    for surface, corner in zip(*np.nonzero(near), strict=True):
+    candidates = ((low[:, None] <= corners) & (corners <= high[:, None])).all(axis=2)
+    for surface, corner in zip(*np.nonzero(candidates), strict=True):
         rows = slice(*np.searchsorted(owners, [surface, surface + 1]))
         if _surrounds(pixels[rows].reshape(-1, 2), corners[corner]):
             yield int(surface), corners[corner]
@@ -184,10 +186,10 @@ def near_border(
         except QhullError:  # The points are collinear.
             extreme |= inner
     ends = pixels[edges]
-    far = ((ends < -margin).all(axis=1) | (ends > size + margin).all(axis=1)).any(axis=1)
-    far &= (view[edges][..., 2] > NEAR_M).all(axis=1)
+    outside = ((ends < -margin).all(axis=1) | (ends > size + margin).all(axis=1)).any(axis=1)
+    outside &= (view[edges][..., 2] > NEAR_M).all(axis=1)
     within = inner[edges].all(axis=1) & ~extreme[edges].any(axis=1)
-    remaining = edges[~far & ~within]
+    remaining = edges[~outside & ~within]
     return remaining if len(remaining) else edges
 
 

@@ -8,7 +8,7 @@ the limits of `FileOptions`, and report a file that they cannot read in a single
 from .array_files import read_arrays
 from .file_options import bounded_by, file_bounds, set_file_bounds
 from .image_files import IMAGE_FORMATS, open_image
-from .json_files import read_json, read_model, read_object, read_outside_text
+from .json_files import read_json, read_model, read_object, read_untrusted_text
 
 __all__ = [
     "IMAGE_FORMATS",
@@ -19,6 +19,6 @@ __all__ = [
     "read_json",
     "read_model",
     "read_object",
-    "read_outside_text",
+    "read_untrusted_text",
     "set_file_bounds",
 ]

@@ -24,7 +24,7 @@ from ..errors import NeoWorldError
 
 MIB = 1 << 20
 IRREGULAR = "it is a pipe or device, not a regular file"
-PART = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
+TEMPORARY_NAME = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
 """Temporary name of a file that is being written."""
 _CHUNK = MIB
 _MAX_ENTRIES = 200_000
@@ -43,7 +43,7 @@ def read_bytes(path: Path, max_bytes: int, *, follow: bool = True) -> bytes:
         OSError: the file cannot be read, is not a regular file, or is larger than `max_bytes`;
             `strerror` describes the problem.
     """
-    with _opened(path, 0 if follow else os.O_NOFOLLOW) as handle:
+    with _open_descriptor(path, 0 if follow else os.O_NOFOLLOW) as handle:
         size = os.fstat(handle).st_size
         if size <= max_bytes:
             chunks, remaining = [], max_bytes + 1
@@ -247,7 +247,7 @@ def content_hash(value: object) -> str:
         for file in sorted(p for p in value.rglob("*") if p.is_file()):
             digest.update(f"{file.relative_to(value).as_posix()}\0{content_hash(file)}\n".encode())
     elif isinstance(value, Path):
-        with _opened(value) as handle:
+        with _open_descriptor(value) as handle:
             while chunk := os.read(handle, _CHUNK):
                 digest.update(chunk)
     elif isinstance(value, bytes):
@@ -277,7 +277,7 @@ def disk_full(path: Path) -> bool:
 
 
 @contextmanager
-def _opened(path: Path, flags: int = 0) -> Iterator[int]:
+def _open_descriptor(path: Path, flags: int = 0) -> Iterator[int]:
     # Without O_NONBLOCK, opening a pipe blocks until a writer appears.
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)

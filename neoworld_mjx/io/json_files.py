@@ -17,7 +17,7 @@ _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 _MAX_MESSAGE = 1000
 
 
-def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") -> str:
+def read_untrusted_text(path: Path, error: type[NeoWorldError], kind: str = "") -> str:
     """Read an untrusted text file of at most `files.max_text_mib`.
 
     Args:
@@ -36,7 +36,7 @@ def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") ->
 
 
 def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
-    """Read a JSON value. The arguments are those of `read_outside_text`.
+    """Read a JSON value. The arguments are those of `read_untrusted_text`.
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds a
@@ -92,7 +92,7 @@ def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: st
 
 def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
     """Read the text of a JSON file and check that its number of values is within the limit."""
-    text = read_outside_text(path, error, kind)
+    text = read_untrusted_text(path, error, kind)
     limit = file_bounds().max_values
     if sum(map(text.count, ",[{")) > limit:
         raise error(f"{path} holds over {limit} values; if you trust it, raise files.max_values")

@@ -82,7 +82,7 @@ class Calls:
                 reply = await self._call_provider(request, role, rejected)
             self.ledger.add(request.role, reply.model, reply.usage, billed=False)
             return reply
-        await asyncio.to_thread(request.draw_pictures)
+        await asyncio.to_thread(request.encode_pictures)
         with self._waiting():
             return await self._call_with_retries(request, role, rejected)
 
@@ -212,7 +212,7 @@ class Calls:
         if send is None or not requests:
             return [None] * len(requests)
         for request in requests:
-            await asyncio.to_thread(request.draw_pictures)
+            await asyncio.to_thread(request.encode_pictures)
         calls = list(zip(requests, roles, strict=True))
         bound_usd = _BATCH_SHARE * sum(
             self.ledger.cost_bound(role.model, token_bound(request, role.max_tokens))

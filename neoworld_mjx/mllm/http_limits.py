@@ -34,15 +34,15 @@ def http_limits() -> dict[str, Any]:
     A request raises a ModelError if a redirect or a server's response leads to an origin other than
     that of the first request. Reading a response raises a ModelError if its body is too large.
     """
-    home: list[str] = []
+    first_origin: list[str] = []
 
     async def check_origin(request: httpx2.Request) -> None:
         target = _origin(request.url)
-        home[:] = home or [target]
-        if target != home[0]:
+        first_origin[:] = first_origin or [target]
+        if target != first_origin[0]:
             raise ModelError(
-                f"the server {home[0]} redirects to {target}, where neither the key nor the "
-                "photograph is sent; if you trust that server, name it in mllm.base_url"
+                f"the server {first_origin[0]} redirects to {target}, where neither the key nor "
+                "the photograph is sent; if you trust that server, name it in mllm.base_url"
             )
 
     async def bound_body(response: httpx2.Response) -> None:

@@ -67,8 +67,8 @@ def price_of(model: str, prices: dict[str, Price]) -> Price | None:
     if dated:
         return prices.get(stem)
     for name, price in prices.items():
-        rest = model.removeprefix(name + "-")
-        if rest != model and rest.replace("-", "").isdigit() and len(rest) == 10:
+        suffix = model.removeprefix(name + "-")
+        if suffix != model and suffix.replace("-", "").isdigit() and len(suffix) == 10:
             return price
     return None
 
@@ -240,8 +240,8 @@ class Ledger:
             row.calls += entry["calls"]
             row.failed += entry["failed_calls"]
             row.usage = row.usage + Usage(**entry["tokens"])
-            known = row.cost_usd is not None and entry["cost_usd"] is not None
-            row.cost_usd = row.cost_usd + entry["cost_usd"] if known else None
+            cost_known = row.cost_usd is not None and entry["cost_usd"] is not None
+            row.cost_usd = row.cost_usd + entry["cost_usd"] if cost_known else None
         for note, count in earlier["fallbacks"].items():
             self.fallbacks[note] = self.fallbacks.get(note, 0) + count
 

@@ -94,7 +94,7 @@ class Mailbox:
             # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 self._check_entries()
-                await asyncio.to_thread(request.draw_pictures)
+                await asyncio.to_thread(request.encode_pictures)
                 folder = self._find(request) or self._put(request)
             if not (folder / "response.json").exists():
                 self._report(

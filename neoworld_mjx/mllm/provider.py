@@ -70,8 +70,8 @@ def open_panel(
         raise ConfigError(f"provider: {choices(provider, PROVIDERS)}")
     searched = (*map(Path, tapes), bundled_tapes())
     inputs = ProviderInputs(options, photo, searched, mailbox, mailbox_timeout_s)
-    opened = PROVIDERS[provider](inputs)
-    return Panel(opened, options, ledger=ledger, record=record, photo=photo, made=made)
+    client = PROVIDERS[provider](inputs)
+    return Panel(client, options, ledger=ledger, record=record, photo=photo, made=made)
 
 
 def bundled_tapes() -> Path:

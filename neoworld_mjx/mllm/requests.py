@@ -176,7 +176,7 @@ class Request(Generic[T]):
             text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
         return json.loads(text)
 
-    def draw_pictures(self) -> None:
+    def encode_pictures(self) -> None:
         """Encode the pictures that are not encoded yet, which may take seconds."""
         for picture in self.pictures:
             _ = picture.data

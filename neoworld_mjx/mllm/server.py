@@ -11,7 +11,9 @@ from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
 from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
-_IN_WORDS = "structured output is not supported (server or schema): the prompt has the schema"
+_SCHEMA_IN_PROMPT = (
+    "structured output is not supported (server or schema): the prompt has the schema"
+)
 _UNCOUNTED = "the server gave no token counts: the ledger has their upper bound"
 
 
@@ -98,7 +100,7 @@ class ServerProvider(ABC):
                 continue
             if received.stop is None:
                 raise Transient("the response broke off before its end", usage=received.usage)
-            notes = [] if self.schema_feature in params else [_IN_WORDS]
+            notes = [] if self.schema_feature in params else [_SCHEMA_IN_PROMPT]
             if received.usage is None:
                 notes.append(_UNCOUNTED)
             return Reply(

@@ -39,10 +39,10 @@ def moved_with_camera(
         ValidationError: a camera is invalid.
     """
     old, new = (camera_of(parsed, size) for parsed in (before, after))
-    return [obj if obj.name in placed else _moved(obj, old, new) for obj in objects]
+    return [obj if obj.name in placed else _moved_object(obj, old, new) for obj in objects]
 
 
-def _moved(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
+def _moved_object(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
     at = obj.position
     pixel, depth = old.project([at.x, at.y, at.z])
     inside = (pixel >= 0).all() and (pixel <= [old.width, old.height_px]).all()
@@ -53,5 +53,5 @@ def _moved(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
     before = math.dist((at.x, at.y, at.z), (0.0, 0.0, old.height))
     if not before / FARTHEST < distance < before * FARTHEST:
         return obj
-    there = {"x": float(distance * ray[0]), "y": float(distance * ray[1])}
-    return obj.model_copy(update={"position": at.model_copy(update=there)})
+    new_position = {"x": float(distance * ray[0]), "y": float(distance * ray[1])}
+    return obj.model_copy(update={"position": at.model_copy(update=new_position)})

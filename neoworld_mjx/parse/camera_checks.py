@@ -35,7 +35,7 @@ VERTICAL = 0.5
 """Probability that an edge near the expected direction is vertical."""
 PITCH_RANGE, ROLL_RANGE, GRID = math.radians(16.0), math.radians(8.0), math.radians(0.25)
 """Maximum deviations of pitch and roll from the parsed camera, and step of the grid [rad]."""
-MOST_OF_ONE = 6.0
+MAX_VOTES_PER_OBJECT = 6.0
 """Maximum total vote of the edges of one object, because these tend to be wrong together. It also
 limits the vote of each of STRIPS vertical strips of the background."""
 STRIPS = 8
@@ -89,46 +89,46 @@ class UprightEdges:
 
 
 def camera_issue(
-    rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree, *, asked: bool = False
+    rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree, *, already_asked: bool = False
 ) -> SceneIssue | None:
     """Return an issue if the parsed camera contradicts the vertical edges, otherwise None.
 
     Args:
         rgb: the photograph.
         tree: the parsed scene.
-        asked: if True, the model was already asked about the camera, so the issue is a warning and
-            not an error.
+        already_asked: if True, the model was already asked about the camera, so the issue is a
+            warning and not an error.
     """
-    found = upright_edges(rgb, tree)
-    if found is None or not found.contradicts:
+    edges = upright_edges(rgb, tree)
+    if edges is None or not edges.contradicts:
         return None
-    camera = found.camera
+    camera = edges.camera
     pitch, roll, fovy, new, turned, sd = (
         round(math.degrees(angle))
         for angle in (
             camera.pitch,
             camera.roll,
             camera.fovy,
-            found.pitch,
-            found.roll,
-            found.pitch_sd,
+            edges.pitch,
+            edges.roll,
+            edges.pitch_sd,
         )
     )
-    ratio = math.tan(camera.fovy / 2) * math.tan(found.pitch) / max(math.tan(camera.pitch), 1e-6)
+    ratio = math.tan(camera.fovy / 2) * math.tan(edges.pitch) / max(math.tan(camera.pitch), 1e-6)
     other = ""
     if ratio > 0:
         other = f", or a field of view of {math.degrees(2 * math.atan(ratio)):.0f} with your pitch"
     hint = (
-        f"{found.count:.0f} straight edges that look vertical meet where a pitch of {new} +- "
+        f"{edges.count:.0f} straight edges that look vertical meet where a pitch of {new} +- "
         f"{max(sd, 1)} and a roll of {turned} degrees put them with your field of view of {fovy}"
         f"{other}; you gave pitch {pitch} and roll {roll}. Measure pitch, roll and field of view "
         "again. If the camera changes, objects that you do not list again keep their pixels"
     )
     return SceneIssue(
-        severity="warning" if asked else "error",
+        severity="warning" if already_asked else "error",
         node=CAMERA,
         code="upright_edges_deg",
-        value=math.degrees(found.deviation),
+        value=math.degrees(edges.deviation),
         threshold=math.degrees(LEAST_DEVIATION),
         hint=hint,
     )
@@ -149,15 +149,15 @@ def upright_edges(rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree) -> UprightEd
     """
     camera = tree.camera
     factor = -(-max(rgb.shape[:2]) // LONGER_PX)
-    whole = [side // factor * factor for side in rgb.shape[1::-1]]
-    small = np.asarray(Image.fromarray(rgb).reduce(factor, (0, 0, *whole)))
+    cropped_size = [side // factor * factor for side in rgb.shape[1::-1]]
+    small = np.asarray(Image.fromarray(rgb).reduce(factor, (0, 0, *cropped_size)))
     height, width = small.shape[:2]
     per_pixel = np.array([camera.width / width, camera.height_px / height])
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     pixels = np.stack([columns, rows], axis=-1) * per_pixel
     expected = _towards_ground(camera, pixels, np.array(camera.pitch), np.array(camera.roll))
-    found = line_segments(small, expected / per_pixel, REACH)
-    segments = Segments(*(values[:MOST_SEGMENTS] for values in found))
+    all_segments = line_segments(small, expected / per_pixel, REACH)
+    segments = Segments(*(values[:MOST_SEGMENTS] for values in all_segments))
     middle = segments.middle * per_pixel
     weights = _weights(tree, middle)
     votes = weights > 0
@@ -236,7 +236,7 @@ def _weights(tree: SceneTree, middle: Float[np.ndarray, "n 2"]) -> Float[np.ndar
     group = np.where(background[owner], -1 - strip, owner)
     votes = has_edges[owner].astype(float)
     alike = (group[:, None] == group) @ votes
-    return votes * np.minimum(1.0, MOST_OF_ONE / np.maximum(alike, 1.0))
+    return votes * np.minimum(1.0, MAX_VOTES_PER_OBJECT / np.maximum(alike, 1.0))
 
 
 def _has_upright_edges(node: TreeNode) -> bool:
@@ -246,5 +246,5 @@ def _has_upright_edges(node: TreeNode) -> bool:
     # A box that lies on any of its faces has vertical edges.
     level = axes.max(axis=0) if outline == "box" else axes[2:, 2]
     tilted = float(level.min()) < math.cos(UPRIGHT_TILT) or node.relation == "leaning"
-    turned = any(part.type != "prismatic" and part.opening > 0 for part in node.articulation)
-    return not tilted and not turned and outline in ("box", "round")
+    part_turned = any(part.type != "prismatic" and part.opening > 0 for part in node.articulation)
+    return not tilted and not part_turned and outline in ("box", "round")

@@ -33,7 +33,7 @@ COLOURS = (
 Region = tuple[int, int, int, int]
 
 
-def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
+def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) -> Picture:
     """Draw a parsed scene on the resized picture.
 
     Objects on the same support share a color. Boxes of partly hidden objects are dashed. Boxes of
@@ -42,15 +42,15 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
     Args:
         photo: the photograph.
         tree: the parsed scene, in pixels of the original photo.
-        solid: if True, also draw the projected edges of the 3D boxes. Their pixels depend on the
-            rounding of the machine, so no request contains such a picture.
+        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes. Their pixels depend
+            on the rounding of the machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
     colours = _colours(tree)
     glyph = 1 if max(width, height) < 900 else 2
     line = max(2, round(max(width, height) / 400))
-    if solid:
+    if draw_3d_boxes:
         canvas = _edges(canvas, photo, tree, colours)
     boxes = {node.name: _pixels(node, photo) for node in tree.nodes}
     # Draw environment supports first and then objects; small boxes last, so that they are on top.

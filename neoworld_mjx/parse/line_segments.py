@@ -139,22 +139,22 @@ def _split(points: Points, least: float, pieces: list[Points]) -> None:
         if len(points) >= LEAST_FILLED * length:
             pieces.append(points)
         return
-    cut = along[np.argmax(np.abs(off))] if rough else 0.0
-    cut = np.clip(cut, along.min() + length / 4, along.max() - length / 4)
-    _split(points[along < cut], least, pieces)
-    _split(points[along >= cut], least, pieces)
+    split_at = along[np.argmax(np.abs(off))] if rough else 0.0
+    split_at = np.clip(split_at, along.min() + length / 4, along.max() - length / 4)
+    _split(points[along < split_at], least, pieces)
+    _split(points[along >= split_at], least, pieces)
 
 
 def _joined(pieces: list[Points]) -> list[Points]:
     """Join pieces that belong to one line, starting with the longest piece."""
-    left = sorted(pieces, key=lambda piece: -float(np.ptp(_coordinates(piece)[0])))
+    remaining = sorted(pieces, key=lambda piece: -float(np.ptp(_coordinates(piece)[0])))
     joined = []
-    while left:
-        whole = left.pop(0)
-        for other in list(left):
+    while remaining:
+        whole = remaining.pop(0)
+        for other in list(remaining):
             if _on_one_line(whole, other):
                 whole = np.concatenate([whole, other])
-                left = [piece for piece in left if piece is not other]
+                remaining = [piece for piece in remaining if piece is not other]
         joined.append(whole)
     return joined
 

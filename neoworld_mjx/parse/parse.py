@@ -27,7 +27,7 @@ from .camera_checks import CAMERA, camera_issue
 from .draw import draw_parse
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
-from .room_schema import phrase
+from .room_schema import error_line
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
@@ -146,9 +146,9 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         if attempt.tree is None:
             return attempt
         # Draw only 2D boxes. The fit does not move them, so every machine draws the same picture.
-        drawn = draw_parse(photo, attempt.tree)
+        picture = draw_parse(photo, attempt.tree)
         findings = [issue.phrase() for issue in attempt.checks]
-        request = critic_request(photo, attempt.response, drawn, findings)
+        request = critic_request(photo, attempt.response, picture, findings)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
@@ -161,11 +161,13 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         try:
             response = correction.applied(last.response, photo.size)
         except ValidationError as error:
-            return SceneAttempt(last.response, None, None, phrase(error))
+            return SceneAttempt(last.response, None, None, error_line(error))
         if response == last.response:
             return None
-        asked = any(issue.node == CAMERA for attempt in attempts for issue in attempt.checks)
-        return await _fit_and_check(photo, response, options, asked=asked)
+        already_asked = any(
+            issue.node == CAMERA for attempt in attempts for issue in attempt.checks
+        )
+        return await _fit_and_check(photo, response, options, already_asked=already_asked)
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
@@ -179,12 +181,12 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:
         raise ModelError(f"no response of {len(attempts)} gave a scene: {attempts[best].broken}")
-    drawn = await asyncio.to_thread(draw_parse, photo, tree, solid=True)
+    drawn = await asyncio.to_thread(draw_parse, photo, tree, draw_3d_boxes=True)
     return Parsed(tree, response_tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
 
 
 async def _fit_and_check(
-    photo: Photo, response: ParsedScene, options: ParseOptions, *, asked: bool = False
+    photo: Photo, response: ParsedScene, options: ParseOptions, *, already_asked: bool = False
 ) -> SceneAttempt:
     """Fit a response to its 2D boxes and check it.
 
@@ -192,13 +194,13 @@ async def _fit_and_check(
         photo: the photograph.
         response: the response.
         options: whether to fit.
-        asked: if True, the model was already asked about the camera.
+        already_asked: if True, the model was already asked about the camera.
     """
     try:
         response_tree = tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, None, str(error))
-    issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, asked=asked)
+    issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
     if issue is not None:
         # The picture contradicts the camera, so its numbers do not count as measured.
         estimated = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
@@ -206,8 +208,8 @@ async def _fit_and_check(
     report, checks = None, check_tree(response_tree)
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-        remaining = {(found.node, found.code) for found in check_tree(tree)}
-        checks = tuple(found for found in checks if (found.node, found.code) in remaining)
+        remaining = {(check.node, check.code) for check in check_tree(tree)}
+        checks = tuple(check for check in checks if (check.node, check.code) in remaining)
     if issue is not None and camera_issue(photo.rgb, tree) is not None:
         checks = (issue, *checks)
     return SceneAttempt(response, tree, response_tree, checks=checks, fit=report)

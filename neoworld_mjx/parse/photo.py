@@ -128,16 +128,16 @@ def _decode(path: Path, data: bytes) -> tuple[Image.Image, tuple[int, int]]:
             image.draft("RGB", (width // 2, height // 2))
         image.load()
         upright = _upright(image)
-        turned = (upright.size[0] > upright.size[1]) != (image.size[0] > image.size[1])
-        return _to_rgb(upright), (height, width) if turned else (width, height)
+        transposed = (upright.size[0] > upright.size[1]) != (image.size[0] > image.size[1])
+        return _to_rgb(upright), (height, width) if transposed else (width, height)
 
 
 def _upright(image: Image.Image) -> Image.Image:
     try:
-        turned = ImageOps.exif_transpose(image)
+        transposed = ImageOps.exif_transpose(image)
     except Exception:
         return image  # Ignore unreadable EXIF data.
-    return turned or image
+    return transposed or image
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

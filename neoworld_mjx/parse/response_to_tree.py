@@ -157,6 +157,6 @@ def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[n
 
     A scene tree contains the bottom center, whereas a response contains the footprint's center.
     """
-    turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
-    middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
+    corners = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]

@@ -130,7 +130,7 @@ def support_outline(outline: ParsedOutline | None) -> SupportOutline:
     try:
         return SupportOutline(shape=outline.shape, points=points)
     except ValidationError as error:
-        raise ValueError(phrase(error)) from None
+        raise ValueError(error_line(error)) from None
 
 
 def support_problems(
@@ -165,7 +165,7 @@ def support_problems(
     return []
 
 
-def phrase(error: ValidationError) -> str:
+def error_line(error: ValidationError) -> str:
     """Return all errors of a validation as one line, each with its path."""
     lines = []
     for problem in error.errors():

@@ -16,7 +16,7 @@ from .object_schema import ParsedCamera, ParsedObject
 from .photo import Photo
 from .response_bounds import out_of_bounds, too_long
 from .response_to_tree import build_tree, corners
-from .room_schema import ResponsePart, phrase, support_problems
+from .room_schema import ResponsePart, error_line, support_problems
 
 
 class ParsedScene(ResponsePart):
@@ -39,7 +39,7 @@ class ParsedScene(ResponsePart):
             # These checks do not depend on the size of the picture.
             build_tree(self.camera, self.objects, (1.0, 1.0), (1, 1), clip=False)
         except ValidationError as error:
-            raise ValueError(phrase(error)) from None
+            raise ValueError(error_line(error)) from None
         return self
 
 
@@ -74,14 +74,16 @@ class SceneCorrection(ResponsePart):
         """
         changed = {obj.name: obj for obj in self.objects}
         names = [obj.name for obj in earlier.objects]
-        kept = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
+        remaining = [changed.get(o.name, o) for o in earlier.objects if o.name not in self.removed]
         if self.camera is not None:
-            kept = moved_with_camera(kept, earlier.camera, self.camera, size, placed=changed)
+            remaining = moved_with_camera(
+                remaining, earlier.camera, self.camera, size, placed=changed
+            )
         added = [obj for obj in self.objects if obj.name not in names]
         data = {
             "observations": self.observations or earlier.observations,
             "camera": self.camera or earlier.camera,
-            "objects": [*kept, *added],
+            "objects": [*remaining, *added],
         }
         # Validate objects again, because their parents and occluders must exist.
         return ParsedScene.model_validate({key: _plain(value) for key, value in data.items()})
@@ -122,7 +124,7 @@ def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
     try:
         return build_tree(response.camera, response.objects, per_pixel, original, clip=True)
     except ValidationError as error:
-        raise SpecError(phrase(error)) from None
+        raise SpecError(error_line(error)) from None
 
 
 def _problems(response: ParsedScene) -> list[str]:

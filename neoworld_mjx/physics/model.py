@@ -12,7 +12,7 @@ from neoworld_kernels import sorted_samples
 
 from ..cache import free_memory_maps
 from ..errors import SpecError
-from ..spec import SceneSpec, bounds, read_scene, rearranged
+from ..spec import SceneSpec, bounds, read_scene, with_layout
 from ..spec.object import mass_exponent
 from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
@@ -118,7 +118,7 @@ class SceneModel(SceneArrays):
             return compose_poses(self.static.arrangement, double_layouts, height, np)
 
     def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
-        """Return the scene's description, rearranged as one of the candidates.
+        """Return the scene's description, with_layout as one of the candidates.
 
         Args:
             layouts: the candidates, padded or not.
@@ -137,7 +137,7 @@ class SceneModel(SceneArrays):
             np.asarray(leaf, float)[0]
             for leaf in (candidate.xy, candidate.yaw, candidate.log_scale)
         )
-        return rearranged(self.spec, xy, yaw, log_scale, np.asarray(height, float))
+        return with_layout(self.spec, xy, yaw, log_scale, np.asarray(height, float))
 
 
 def compile_scene(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..annotation.annotated_program import program_of
 from ..annotation.annotated_tree import annotated_tree, annotation_from_tree
-from ..annotation.annotation import KEPT, MODEL, Annotation
+from ..annotation.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model
@@ -48,8 +48,8 @@ def write_annotated(
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
-    If the folder contains a run of this photograph, objects of the kind `KEPT` keep their programs.
-    Everything else is repeated.
+    If the folder contains a run of this photograph, objects of the kind `EXISTING_PROGRAM` keep
+    their programs. Everything else is repeated.
 
     Args:
         photo: the image file.
@@ -70,7 +70,7 @@ def write_annotated(
         kept_files = {
             obj.name: _read_files(out / "objects" / obj.name)
             for obj in annotation.objects
-            if obj.kind == KEPT
+            if obj.kind == EXISTING_PROGRAM
         }
         colours, crop_by_name = support_colours(picture, tree), crops(picture, tree)
         texts: dict[str, Files] = {}
@@ -79,7 +79,7 @@ def write_annotated(
             if node.slab:
                 rgb = colours[node.name].rgb if node.name in colours else None
                 texts[node.name] = _build_files(node, support_program(node, rgb), "support", config)
-            elif obj is not None and obj.kind == KEPT:
+            elif obj is not None and obj.kind == EXISTING_PROGRAM:
                 texts[node.name] = kept_files[node.name]
             elif obj is not None:
                 rgb = colour_in_box(picture, tree, node)
@@ -98,12 +98,12 @@ def write_annotated(
                 )
                 (step / "photo.png").write_bytes(to_png(picture.rgb))
                 (step / "pictures").mkdir()
-                drawn = draw_parse(picture, tree, solid=True).data
-                (step / "pictures" / "parse.png").write_bytes(drawn)
+                image = draw_parse(picture, tree, draw_3d_boxes=True).data
+                (step / "pictures" / "parse.png").write_bytes(image)
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
             inputs = program_inputs(tree, crop_by_name, colours, config.program)
             _write_programs(run, texts, inputs)
-            left_to_model = [name for name, obj in by_name.items() if obj.kind == MODEL]
+            left_to_model = [name for name, obj in by_name.items() if obj.kind == WRITTEN_BY_MODEL]
             if simulate and not left_to_model:
                 run_steps(run, config, None, first="verify")
                 return finish(run, None)

@@ -22,7 +22,7 @@ from .step_context import (
     REFIT,
     RESPONSE_TREE,
     TREE,
-    VERIFIED,
+    VERIFIED_FILE,
     StepContext,
     read_spec,
     read_tree,
@@ -64,11 +64,11 @@ def compose_scene(context: StepContext) -> None:
             if refits:
                 # The fit keeps supports that a person chose.
                 by_person = edited or (run.path / ANNOTATION).is_file()
-                tree = _refitted(context, tree, objects, out, change_supports=not by_person)
+                tree = _refit(context, tree, objects, out, change_supports=not by_person)
             composed = compose(tree, objects, options)
-            scene, moved = composed.scene, ()
+            scene, contact_notes = composed.scene, ()
             if options.align.enabled:
-                composed, scene, moved = _aligned(context, tree, objects, composed, out)
+                composed, scene, contact_notes = _align(context, tree, objects, composed, out)
             scene, stale = apply_layout(scene, patch, options.gap_m)
             if options.looks:
                 from ..align.looks import as_photographed
@@ -76,7 +76,7 @@ def compose_scene(context: StepContext) -> None:
                 scene = as_photographed(scene, _rgb(run))
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             _write_json(out / "compose" / "scales.json", composed.scales)
-            _record_notes(run, composed, moved)
+            _record_notes(run, composed, contact_notes)
             _record_patch(run, patch, stale)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
@@ -85,7 +85,7 @@ def compose_scene(context: StepContext) -> None:
 def _spec_file(run: RunFolder, name: str) -> Path:
     """Return the file that contains an object after Step 3."""
     folder = run.path / "objects" / name
-    repaired = folder / VERIFIED
+    repaired = folder / VERIFIED_FILE
     return repaired if repaired.is_file() else folder / "spec.json"
 
 
@@ -113,7 +113,7 @@ def _inputs(
     return inputs
 
 
-def _refitted(
+def _refit(
     context: StepContext,
     tree: SceneTree,
     objects: Mapping[str, ObjectSpec],
@@ -139,7 +139,7 @@ def _refitted(
     return tree
 
 
-def _aligned(
+def _align(
     context: StepContext,
     tree: SceneTree,
     objects: Mapping[str, ObjectSpec],
@@ -176,8 +176,8 @@ def _aligned(
         composed = compose(tree, {**objects, **freed.specs}, options)
         alignment = freed.alignment
     write_alignment(run, start, alignment, photo, out)
-    scene, moved = in_contact(alignment.scene, options, composed=composed.scene)
-    return composed, scene, moved
+    scene, contact_notes = in_contact(alignment.scene, options, composed=composed.scene)
+    return composed, scene, contact_notes
 
 
 def write_alignment(
@@ -218,8 +218,8 @@ def write_alignment(
         run.note("compose", outcome, reason)
 
 
-def _record_notes(run: RunFolder, composed: "Composed", moved: tuple[str, ...]) -> None:
-    for note in (*composed.notes, *moved):
+def _record_notes(run: RunFolder, composed: "Composed", contact_notes: tuple[str, ...]) -> None:
+    for note in (*composed.notes, *contact_notes):
         name, _, change = note.partition(": ")
         record = run.fallback if note in composed.shortfalls else run.note
         record("compose", name, change)

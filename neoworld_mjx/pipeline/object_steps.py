@@ -116,10 +116,10 @@ def verify_objects(context: StepContext) -> None:
     last_finished = context.run.now()
 
     async def verify_all() -> None:
-        turn = asyncio.Lock()
+        compute_lock = asyncio.Lock()
 
         async def compute(work: Callable[[], T]) -> T:
-            async with turn:
+            async with compute_lock:
                 return await asyncio.to_thread(work)
 
         async def verify_one(node: TreeNode) -> None:

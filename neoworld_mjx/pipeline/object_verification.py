@@ -10,9 +10,9 @@ from ..run_folder.open_folder import Moment
 from ..spec import SceneTree, TreeNode
 from ..verify.critic import Compute
 from ..verify.films import films
-from ..verify.patch import write_overlay
+from ..verify.patch import write_patch
 from ..verify.verification import VerificationResult, verify_object
-from .step_context import REPROGRAMMED, VERIFIED, StepContext, read_allowances, read_spec
+from .step_context import REPROGRAMMED_FILE, VERIFIED_FILE, StepContext, read_allowances, read_spec
 
 
 class ObjectVerification:
@@ -72,15 +72,15 @@ class ObjectVerification:
             (object_folder / "verify.json").write_text(result.to_json(), encoding="utf-8")
             program, rounds = object_folder / "program.py", self._folder / "program.json"
             if result.program is not None and result.program_json is not None:
-                program = object_folder / REPROGRAMMED
+                program = object_folder / REPROGRAMMED_FILE
                 program.write_text(result.program, encoding="utf-8")
                 rounds = program.with_suffix(".json")
                 rounds.write_text(result.program_json, encoding="utf-8")
             if not result.patch.empty:
-                write_overlay(program, result.patch)
+                write_patch(program, result.patch)
             if result.changed:
                 text = result.applied(self._object).to_json()
-                (object_folder / VERIFIED).write_text(text, encoding="utf-8")
+                (object_folder / VERIFIED_FILE).write_text(text, encoding="utf-8")
             verdict = result.verdict
             if options.films == "always" or (
                 options.films == "questionable" and verdict.questionable

@@ -118,7 +118,9 @@ def reconstruct_folder(
                     *(photo, out / photo.stem, options, until),
                     *(overwrite and photo not in outcomes, tuple(t.resolve() for t in tapes)),
                 )
-                for photo, options in _shares(out, files, pending, config, fresh=overwrite).items()
+                for photo, options in _cost_shares(
+                    out, files, pending, config, ignore_earlier=overwrite
+                ).items()
             ]
             for outcome in run_tasks(reconstruct_photo, tasks, place):
                 outcomes[outcome.photo] = outcome
@@ -144,17 +146,19 @@ def photographs(folder: Path) -> list[Path]:
     Raises:
         PhotoError: the folder has no photographs, or two photographs have the same name.
     """
-    known = Image.registered_extensions()
-    found = sorted(
+    extensions = Image.registered_extensions()
+    photos = sorted(
         path.resolve()
         for path in folder.iterdir()
-        if path.suffix.lower() in known and path.is_file() and not path.name.startswith(".")
+        if path.suffix.lower() in extensions and path.is_file() and not path.name.startswith(".")
     )
-    if not found:
+    if not photos:
         raise PhotoError(f"{folder} has no photographs")
-    if twice := repeated(path.stem for path in found):
-        raise PhotoError(f"{folder} has several photographs named {', '.join(twice)}: rename them")
-    return found
+    if duplicates := repeated(path.stem for path in photos):
+        raise PhotoError(
+            f"{folder} has several photographs named {', '.join(duplicates)}: rename them"
+        )
+    return photos
 
 
 def _refuse_earlier(out: Path, *, resume: bool, overwrite: bool) -> None:
@@ -187,22 +191,27 @@ def _ledger(out: Path, files: Sequence[Path], config: Config) -> Ledger:
     return ledger
 
 
-def _shares(
-    out: Path, files: Sequence[Path], pending: Sequence[Path], config: Config, *, fresh: bool
+def _cost_shares(
+    out: Path,
+    files: Sequence[Path],
+    pending: Sequence[Path],
+    config: Config,
+    *,
+    ignore_earlier: bool,
 ) -> dict[Path, Config]:
     """Return the options of each pending photograph, with its share of the cost cap."""
     cap = config.mllm.max_cost_usd
     if cap is None:
         return dict.fromkeys(pending, config)
-    spent = 0.0 if fresh else _ledger(out, files, config).spent_usd
-    runs = {} if fresh else {photo: _earlier(out, photo) for photo in pending}
-    left = [photo for photo in pending if runs.get(photo, {}).get("status") != "finished"]
-    part = max(cap - spent, 0.0) / max(len(left), 1)
+    spent = 0.0 if ignore_earlier else _ledger(out, files, config).spent_usd
+    runs = {} if ignore_earlier else {photo: _earlier(out, photo) for photo in pending}
+    unfinished = [photo for photo in pending if runs.get(photo, {}).get("status") != "finished"]
+    share = max(cap - spent, 0.0) / max(len(unfinished), 1)
     shares = {}
     for photo in pending:
         spent = float((runs.get(photo, {}).get("mllm") or {}).get("known_cost_usd", 0.0))
         mllm = config.mllm.model_copy(
-            update={"max_cost_usd": spent + (part if photo in left else 0)}
+            update={"max_cost_usd": spent + (share if photo in unfinished else 0)}
         )
         shares[photo] = config.model_copy(update={"mllm": mllm})
     return shares
@@ -225,16 +234,16 @@ def _save(
             entry |= {"passed": summary.get("passed"), "seconds": round(seconds, 1)}
             entry |= {"error": outcome.error}
         photos.append(entry)
-    whole = len(outcomes) == len(files)
-    good = all(not o.error and (o.summary or {}).get("passed") is not False
+    complete = len(outcomes) == len(files)
+    all_passed = all(not o.error and (o.summary or {}).get("passed") is not False
                for o in outcomes.values())  # fmt: skip
     costs = _ledger(out, files, config).to_json()
     about = {
         "format": FORMAT,
         "folder": str(out),
         "until": until,
-        "finished": whole,
-        "passed": whole and good,
+        "finished": complete,
+        "passed": complete and all_passed,
         "photos": photos,
         "mllm": {"provider": config.provider, **costs},
     }

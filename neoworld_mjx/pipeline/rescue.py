@@ -22,7 +22,7 @@ from ..compose.on_supports import in_contact
 from ..config import ComposeOptions, Config, RefineOptions
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
-from ..export.file_camera import WHERE, FileCamera, Viewpoint, read_camera, viewpoint
+from ..export.file_camera import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
 from ..export.importing_scene import ImportedScene, import_file
 from ..io import bounded_by
 from ..io.files import write_output
@@ -34,7 +34,7 @@ from ..render import to_png
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, bounds, read_scene
 from ..spec.pose import pose
-from ..spec.scene import moved_whole
+from ..spec.scene import transformed_scene
 from .compose_step import write_alignment
 from .reconstruction import finish
 from .scene_pictures import Pictures
@@ -42,7 +42,7 @@ from .scene_steps import export_files, refine_layout
 from .step_context import COMPOSED, SCENE, StepContext
 
 REPORT = "rescue.json"
-GIVEN = "compose/given.json"
+GIVEN_SCENE = "compose/given.json"
 GIVEN_PICTURE = "pictures/given.png"
 OUTLINE_PICTURE = "pictures/rescued.png"
 PHOTO = "photo.png"
@@ -97,7 +97,7 @@ class Rescued:
 
 
 @dataclass(frozen=True)
-class GivenScene:
+class PreparedScene:
     """A given scene, and the composed scene before the search."""
 
     given: SceneSpec
@@ -130,7 +130,7 @@ def rescue(
     without a change of pose. With a photograph, positions, headings and sizes are aligned with the
     contours of the photograph, if this does not increase the median outline error. Otherwise, only
     the search changes positions and headings, and sizes are corrected by the given heights
-    (`fitted_sizes`), if `compose.mesh_sizes` is set.
+    (`fit_sizes`), if `compose.mesh_sizes` is set.
 
     Args:
         given: objects at their poses without parents, as read by `import_file`.
@@ -143,13 +143,13 @@ def rescue(
     Raises:
         SpecError: no object is free to move, or the scene already states parents.
     """
-    began, o, c = time.perf_counter(), options or RefineOptions(), compose or ComposeOptions()
-    read = given if isinstance(given, ImportedScene) else ImportedScene(given, ())
-    start = _composed(read, photo, o, c)
-    refined = refine(start.composed, o, seed=seed, engine=engine)
-    notes = (*start.notes, *refined.fallbacks)
-    passed, seconds = passes(refined.measure, o), time.perf_counter() - began
-    return _rescued(start, refined.scene, passed, photo, notes, seconds)
+    start_time, o, c = time.perf_counter(), options or RefineOptions(), compose or ComposeOptions()
+    imported = given if isinstance(given, ImportedScene) else ImportedScene(given, ())
+    prepared = _prepare(imported, photo, o, c)
+    refined = refine(prepared.composed, o, seed=seed, engine=engine)
+    notes = (*prepared.notes, *refined.fallbacks)
+    passed, seconds = passes(refined.measure, o), time.perf_counter() - start_time
+    return _result(prepared, refined.scene, passed, photo, notes, seconds)
 
 
 def photographed(
@@ -168,7 +168,7 @@ def photographed(
             photograph.
     """
     if stated is None and camera is None:
-        raise PhotoError(f"{file}: the scene's file states no camera: {WHERE}")
+        raise PhotoError(f"{file}: the scene's file states no camera: {CAMERA_HELP}")
     full = (camera or FileCamera()).completed_by(stated)
     read = load_photo(file, max_side_px)
     width, height = read.original_size
@@ -208,54 +208,54 @@ def rescue_file(
     if camera is not None and photo is None:
         raise PhotoError("--camera is the camera of a photograph: give it by --photo")
     with bounded_by(c.files):
-        read = import_file(file)
-        if not isinstance(read, ImportedScene):
+        imported = import_file(file)
+        if not isinstance(imported, ImportedScene):
             raise RunError(f"{file} contains one object; rescue needs a scene")
         picture = None
         if photo is not None:
             stated = None if camera is None else read_camera(camera)
-            picture = photographed(photo, read.camera, stated, c.parse.max_side_px)
-        began = time.perf_counter()
-        start = _composed(read, picture, c.refine, c.compose)
+            picture = photographed(photo, imported.camera, stated, c.parse.max_side_px)
+        start_time = time.perf_counter()
+        prepared = _prepare(imported, picture, c.refine, c.compose)
         if picture is not None and camera is None:
-            said = f"the camera of the photograph is taken from {file.name}"
-            start = replace(start, notes=(*start.notes, said))
+            note = f"the camera of the photograph is taken from {file.name}"
+            prepared = replace(prepared, notes=(*prepared.notes, note))
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
             with Pictures(run, c.render) as pictures:
                 context = StepContext(run, c, None, None, pictures)
-                _write_composed(context, file, start, picture)
+                _write_composed(context, file, prepared, picture)
                 refine_layout(context)
                 export_files(context)
             scene = read_scene(run.path / SCENE)
             fallbacks = (f"{e['what']}: {e['why']}" for e in run.data["fallbacks"])
-            notes, seconds = (*start.notes, *fallbacks), time.perf_counter() - began
+            notes, seconds = (*prepared.notes, *fallbacks), time.perf_counter() - start_time
             passed = passes(measured(scene, c.refine), c.refine)
-            rescued = _rescued(start, scene, passed, picture, notes, seconds)
+            rescued = _result(prepared, scene, passed, picture, notes, seconds)
             if picture is not None:
-                outlines = outline_picture(picture.rgb, start.given, scene)
+                outlines = outline_picture(picture.rgb, prepared.given, scene)
                 write_output(out / OUTLINE_PICTURE, to_png(outlines), RunError)
             write_output(out / REPORT, json.dumps(rescued.to_json(), indent=1) + "\n", RunError)
             finish(run, None)
     return rescued
 
 
-def _composed(
-    read: ImportedScene, photo: Photographed | None, o: RefineOptions, c: ComposeOptions
-) -> GivenScene:
+def _prepare(
+    imported: ImportedScene, photo: Photographed | None, o: RefineOptions, c: ComposeOptions
+) -> PreparedScene:
     """Put the objects of a scene onto supports, and align them with the photograph."""
-    given, camera = read.spec, None
+    given, camera = imported.spec, None
     if photo is not None:
-        given = moved_whole(given, photo.view.placed)
-    found = find_supports(given)
+        given = transformed_scene(given, photo.view.scene_transform)
+    supports = find_supports(given)
     if photo is not None:
         # The top of the main support is at z = 0, as in scenes of photographs.
-        down = pose((0.0, 0.0, -_main_top(found)))
-        height = photo.view.camera.height + float(down.pos[2])
+        to_ground = pose((0.0, 0.0, -_main_top(supports)))
+        height = photo.view.camera.height + float(to_ground.pos[2])
         camera = photo.view.camera.model_copy(update={"height": height})
-        moved = moved_whole(found.scene, down).model_copy(update={"camera": camera})
-        found = replace(found, scene=moved)
-    before = measured(found.scene, o)
+        shifted = transformed_scene(supports.scene, to_ground).model_copy(update={"camera": camera})
+        supports = replace(supports, scene=shifted)
+    before = measured(supports.scene, o)
     deep = {
         name
         for pair, depth in before.depths_m.items()
@@ -264,29 +264,31 @@ def _composed(
     }
     resting = [
         item.name
-        for item in found.scene.objects
+        for item in supports.scene.objects
         if not item.static
         and item.name not in deep
         and before.drift_m[item.name] <= RESTS_M
         and before.tilt_deg[item.name] <= RESTS_DEG
     ]
-    supported = with_supports(found, resting=resting, sizes=c.mesh_sizes)
-    composed, notes, alignment = supported.scene, (*read.notes, *supported.notes), None
+    supported = with_supports(supports, resting=resting, sizes=c.mesh_sizes)
+    composed, notes, alignment = supported.scene, (*imported.notes, *supported.notes), None
     if photo is not None and c.align.enabled:
-        unsized = with_supports(found, resting=resting)
+        unsized = with_supports(supports, resting=resting)
         # The given camera does not change.
         keeps_camera = c.align.model_copy(update={"camera": False})
         alignment = align(unsized.scene, photo.rgb, keeps_camera)
-        aligned, sideways = in_contact(alignment.scene, c)
-        without, with_alignment = (_median_outline(s, photo) for s in (composed, aligned))
-        if with_alignment > without:
+        aligned, contact_notes = in_contact(alignment.scene, c)
+        unaligned_error, aligned_error = (_median_outline(s, photo) for s in (composed, aligned))
+        if aligned_error > unaligned_error:
             alignment = None
-            refused = f"outlines would be {with_alignment:.1f} px off instead of {without:.1f} px"
+            refused = (
+                f"outlines would be {aligned_error:.1f} px off instead of {unaligned_error:.1f} px"
+            )
             notes = (*notes, f"the alignment is not applied: {refused}")
         else:
             supported, composed = unsized, aligned
-            notes = (*read.notes, *supported.notes, *sideways)
-    return GivenScene(found.scene, before, supported.scene, alignment, composed, notes)
+            notes = (*imported.notes, *supported.notes, *contact_notes)
+    return PreparedScene(supports.scene, before, supported.scene, alignment, composed, notes)
 
 
 def _median_outline(scene: SceneSpec, photo: Photographed) -> float:
@@ -295,18 +297,18 @@ def _median_outline(scene: SceneSpec, photo: Photographed) -> float:
     return float(np.median(errors)) if errors else 0.0
 
 
-def _main_top(found: FoundSupports) -> float:
+def _main_top(supports: FoundSupports) -> float:
     """Return the height of the top of the support that carries most objects [m]."""
-    carried = list(found.parents.values())
+    carried = list(supports.parents.values())
     main = max(
-        (item for item in found.scene.objects if item.static),
+        (item for item in supports.scene.objects if item.static),
         key=lambda item: carried.count(item.name),
     )
     return main.z + float(bounds(main.spec, main.joint_state, main.base_tilt)[1][2])
 
 
 def _write_composed(
-    context: StepContext, file: Path, start: GivenScene, photo: Photographed | None
+    context: StepContext, file: Path, start: PreparedScene, photo: Photographed | None
 ) -> None:
     """Write the given and the composed scene of a rescue as the step `compose`."""
     run = context.run
@@ -317,17 +319,17 @@ def _write_composed(
             (out / PHOTO).write_bytes(to_png(photo.rgb))
             if start.alignment is not None:
                 write_alignment(run, start.supported, start.alignment, photo.rgb, out)
-        (out / GIVEN).write_text(start.given.to_json(), encoding="utf-8")
+        (out / GIVEN_SCENE).write_text(start.given.to_json(), encoding="utf-8")
         (out / COMPOSED).write_text(start.composed.to_json(), encoding="utf-8")
         for note in start.notes:
             run.note("compose", note, f"read from {file.name}")
     if photo is not None:
-        context.pictures.begin("compose/given", run.path / GIVEN, GIVEN_PICTURE)
+        context.pictures.begin("compose/given", run.path / GIVEN_SCENE, GIVEN_PICTURE)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
 
 
-def _rescued(
-    start: GivenScene,
+def _result(
+    start: PreparedScene,
     scene: SceneSpec,
     passed: bool,
     photo: Photographed | None,
@@ -339,8 +341,8 @@ def _rescued(
     moves = object_moves(start.given, scene)
     outlines: dict[str, dict[str, float | None]] = {}
     if photo is not None:
-        given, ended = (outline_errors(s, photo.rgb) for s in (start.given, scene))
-        outlines = {name: {"given": given.get(name), "rescued": ended.get(name)} for name in free}
+        given, rescued = (outline_errors(s, photo.rgb) for s in (start.given, scene))
+        outlines = {name: {"given": given.get(name), "rescued": rescued.get(name)} for name in free}
     return Rescued(
         scene,
         passed,

@@ -1,7 +1,7 @@
 """Programs whose dimensions Step 4 changes: how a run builds and checks them, and their files.
 
-The changed program is written as `RESIZED`, next to the program that it replaces. The object that
-it builds and the patch of Step 3 that is applied to this object are written next to it.
+The changed program is written as `RESIZED_FILE`, next to the program that it replaces. The object
+that it builds and the patch of Step 3 that is applied to this object are written next to it.
 """
 
 from collections.abc import Callable, Mapping, Set
@@ -23,8 +23,8 @@ from ..io import read_object
 from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
 from ..program.sandbox import BuildResult, build, run
 from ..spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
-from ..verify.patch import Patch, apply, read_overlay, write_overlay
-from .step_context import REPROGRAMMED, RESIZED
+from ..verify.patch import Patch, apply, read_patch, write_patch
+from .step_context import REPROGRAMMED_FILE, RESIZED_FILE
 
 
 def with_freed_dimensions(
@@ -64,9 +64,9 @@ def with_freed_dimensions(
         lambda changed: compose({**objects, **changed}),
         unchangeable,
     )
-    known = tree.camera_measured
-    again = lambda scene: align(scene, photo, config.compose.align, measured=known)
-    return free_dimensions(composed, alignment, photo, programs, again)
+    camera_measured = tree.camera_measured
+    align_again = lambda scene: align(scene, photo, config.compose.align, measured=camera_measured)
+    return free_dimensions(composed, alignment, photo, programs, align_again)
 
 
 def program_files(folder: Path, tree: SceneTree) -> dict[str, Path]:
@@ -74,8 +74,8 @@ def program_files(folder: Path, tree: SceneTree) -> dict[str, Path]:
     files = {}
     for node in tree.nodes:
         if not node.environment:
-            own = folder / "objects" / node.name
-            for path in (_program(own), own / "verify.json"):
+            object_folder = folder / "objects" / node.name
+            for path in (_program(object_folder), object_folder / "verify.json"):
                 if path.is_file():
                     files[f"{node.name}/{path.name}"] = path
     return files
@@ -90,19 +90,19 @@ def write_resized(folder: Path, freed: FreedScene, out: Path) -> None:
         out: folder of the step's files.
     """
     for name, text in freed.texts.items():
-        own = out / "objects" / name
-        own.mkdir(parents=True)
-        (own / RESIZED).write_text(text, encoding="utf-8")
-        patch = read_overlay(_program(folder / "objects" / name))
+        object_folder = out / "objects" / name
+        object_folder.mkdir(parents=True)
+        (object_folder / RESIZED_FILE).write_text(text, encoding="utf-8")
+        patch = read_patch(_program(folder / "objects" / name))
         if patch is not None and not patch.empty:
-            write_overlay(own / RESIZED, patch)
-        spec = (own / RESIZED).with_suffix(".json")
+            write_patch(object_folder / RESIZED_FILE, patch)
+        spec = (object_folder / RESIZED_FILE).with_suffix(".json")
         spec.write_text(freed.specs[name].to_json(), encoding="utf-8")
 
 
 def _program(folder: Path) -> Path:
     """Return the program of an object before this step."""
-    replaced = folder / REPROGRAMMED
+    replaced = folder / REPROGRAMMED_FILE
     return replaced if replaced.is_file() else folder / "program.py"
 
 
@@ -118,7 +118,7 @@ class _Source:
     """True if the object is on level ground in its scene."""
     options: ProgramOptions
     tests: VerifyOptions
-    known: Set[str]
+    known_failures: Set[str]
     """Checks that the object failed before."""
 
     def unchangeable(self, spec: ObjectSpec) -> str:
@@ -127,10 +127,10 @@ class _Source:
             return "it belongs to the environment"
         if not self.text:
             return "it has no program"
-        own = self.object_of(self.text)
-        if isinstance(own, str):
-            return f"its program does not build: {own}"
-        return "" if own == spec else "its program does not build the composed object"
+        built = self.object_of(self.text)
+        if isinstance(built, str):
+            return f"its program does not build: {built}"
+        return "" if built == spec else "its program does not build the composed object"
 
     def object_of(self, text: str) -> ObjectSpec | str:
         """Return the patched object that a program builds, or the reason why it builds none."""
@@ -147,7 +147,7 @@ class _Source:
         tests = run_object_tests(
             spec, self.tests, fixed_base=fixed, tilt=tilt, allowed=result.allowances
         )
-        new = _failed(tests.verdict) - self.known
+        new = _failed(tests.verdict) - self.known_failures
         return f"it fails {', '.join(sorted(new))}" if new else ""
 
     def _patched(self, spec: ObjectSpec) -> ObjectSpec:
@@ -155,11 +155,11 @@ class _Source:
 
 
 def _source(folder: Path, node: TreeNode, tree: SceneTree, config: Config) -> _Source:
-    own = folder / "objects" / node.name
-    path, verdict = _program(own), own / "verify.json"
+    object_folder = folder / "objects" / node.name
+    path, verdict = _program(object_folder), object_folder / "verify.json"
     return _Source(
         path.read_text(encoding="utf-8") if path.is_file() else "",
-        (read_overlay(path) if path.is_file() else None) or Patch(),
+        (read_patch(path) if path.is_file() else None) or Patch(),
         node,
         on_level(node, tree),
         # A run folder is untrusted: its options must not disable the sandbox.

@@ -42,8 +42,8 @@ class Pictures:
         """
         inputs = {"scene": scene, "render": self.options}
         if not self.run.finished(part, inputs):
-            drawn = self._pool.submit(_draw, read_scene(scene), self.options)
-            self._pending.append(_Pending(part, inputs, file, drawn))
+            future = self._pool.submit(_draw, read_scene(scene), self.options)
+            self._pending.append(_Pending(part, inputs, file, future))
 
     def store(self, *, wait: bool = False) -> None:
         """Save the finished pictures in the run folder; if `wait` is True, save all pictures.

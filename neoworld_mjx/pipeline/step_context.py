@@ -24,13 +24,13 @@ ALIGNED = "compose/align.json"
 OUTLINES, EVIDENCE = "pictures/outlines.png", "pictures/evidence.png"
 RESULT = "refine/result.json"
 TAPE = "answers.tape.json"
-VERIFIED = "verified.json"
+VERIFIED_FILE = "verified.json"
 """Object after repairs by Step 3; missing if Step 3 did not change the object."""
-REPROGRAMMED = "reprogrammed.py"
+REPROGRAMMED_FILE = "reprogrammed.py"
 """New program that Step 3 requested. It replaces program.py, and its synthesis is recorded in
 reprogrammed.json."""
 
-RESIZED = "resized.py"
+RESIZED_FILE = "resized.py"
 """Program whose dimensions Step 4 changed. It replaces the earlier programs, and resized.json
 contains the object that it builds."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import ConfigError, EngineError, RunError
 from ..run_folder import versions
-from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
+from .place import RETRIES, Place, Result, Task, Work, results_of, run_in_worker
 
 LOCAL = "local"
 ANSWER_S = 5.0
@@ -78,19 +78,19 @@ def _session(ray: Any, place: Place) -> Iterator[None]:
         ray.shutdown()
 
 
-def run_on_ray(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> Iterator[Made]:
+def run_on_ray(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -> Iterator[Result]:
     """Run tasks on a Ray cluster; see `running.run_tasks`."""
     ray = open_ray()
     with _session(ray, place):
         available = ray.cluster_resources()
-        for name, wanted in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
-            if available.get(name, 0) < wanted:
+        for name, required in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
+            if available.get(name, 0) < required:
                 raise ConfigError(
-                    f"--ray {place.ray}: a task needs {wanted} {name}, but the cluster has "
+                    f"--ray {place.ray}: a task needs {required} {name}, but the cluster has "
                     f"{available.get(name, 0):g}"
                 )
         # Ray repeats a task only if its worker is lost, not if the task raises.
-        remote = ray.remote(work_there).options(
+        remote = ray.remote(run_in_worker).options(
             num_cpus=place.task_cores, num_gpus=place.task_gpus, max_retries=RETRIES
         )
         waiting = [remote.remote(work, task, versions()) for task in tasks]

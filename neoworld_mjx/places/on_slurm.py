@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import ConfigError, EngineError, RunError
 from ..io.yaml_files import parse_yaml
 from ..run_folder import versions
-from .place import RETRIES, Made, Place, Task, Work, results_of, work_there
+from .place import RETRIES, Place, Result, Task, Work, results_of, run_in_worker
 
 LOCAL = "local"
 JOBS = Path("slurm_jobs")
@@ -84,29 +84,30 @@ def open_executor(place: Place, cluster: str) -> Any:
     return executor
 
 
-def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) -> Iterator[Made]:
+def run_on_slurm(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -> Iterator[Result]:
     """Run tasks as jobs of a Slurm array; see `running.run_tasks`."""
     submitit = open_submitit()
     local = place.slurm == LOCAL
     executor = open_executor(place, LOCAL if local else "slurm")
     # Slurm queues jobs; without Slurm, all submitted jobs would start at once.
-    room = place.processes if local else len(tasks)
+    max_active = place.processes if local else len(tasks)
     queue = [(task, 0) for task in tasks]
-    flying: dict[Any, tuple[Any, int]] = {}
+    active: dict[Any, tuple[Any, int]] = {}
     try:
-        while queue or flying:
-            started, queue = queue[: room - len(flying)], queue[room - len(flying) :]
+        while queue or active:
+            started, queue = queue[: max_active - len(active)], queue[max_active - len(active) :]
             if started:
                 with executor.batch():
                     jobs = [
-                        executor.submit(work_there, work, task, versions()) for task, _ in started
+                        executor.submit(run_in_worker, work, task, versions())
+                        for task, _ in started
                     ]
-                flying |= dict(zip(jobs, started, strict=True))
-            ended = [job for job in flying if job.done()]
+                active |= dict(zip(jobs, started, strict=True))
+            ended = [job for job in active if job.done()]
             if not ended:
                 time.sleep(POLL_S)
             for job in ended:
-                task, tries = flying.pop(job)
+                task, tries = active.pop(job)
                 try:
                     returned = job.result()
                 except submitit.core.utils.FailedJobError as error:  # The task raised.
@@ -122,5 +123,5 @@ def run_on_slurm(work: Work[Task, Made], tasks: Sequence[Task], place: Place) ->
                     yield from results_of(returned)
     finally:
         with contextlib.suppress(Exception):
-            for job in flying:
+            for job in active:
                 job.cancel()

@@ -9,8 +9,8 @@ from ..cache import keep_compilations
 from ..errors import NeoWorldError, RunError
 
 Task = TypeVar("Task")
-Made = TypeVar("Made")
-Work = Callable[[Task], Iterable[Made]]
+Result = TypeVar("Result")
+Work = Callable[[Task], Iterable[Result]]
 """Module-level function, or `functools.partial` of one, that maps a task to the task's results."""
 RETRIES = 3
 """Number of times that a task is repeated if its worker on a cluster is lost."""
@@ -56,23 +56,23 @@ class Place:
         return max(1, (os.cpu_count() or 1) // self.processes)
 
 
-def work_there(
-    work: Work[Task, Made], task: Task, wanted: dict[str, str]
-) -> list[Made] | NeoWorldError:
+def run_in_worker(
+    work: Work[Task, Result], task: Task, caller_versions: dict[str, str]
+) -> list[Result] | NeoWorldError:
     """Run a task in a worker; return the task's results, or the error that the caller raises.
 
     Args:
         work: function that maps a task to its results.
         task: the argument of `work`.
-        wanted: the caller's versions of the packages that affect results.
+        caller_versions: the caller's versions of the packages that affect results.
     """
     from ..run_folder import versions  # Imported late to keep `--help` fast.
 
     for name, version in versions().items():
-        if wanted.get(name) != version:
+        if caller_versions.get(name) != version:
             return RunError(
                 f"worker {os.uname().nodename} has {name} {version}, this machine has "
-                f"{wanted.get(name, 'none')}: install the same versions"
+                f"{caller_versions.get(name, 'none')}: install the same versions"
             )
     keep_compilations()
     try:
@@ -81,8 +81,8 @@ def work_there(
         return error
 
 
-def results_of(returned: list[Made] | NeoWorldError) -> list[Made]:
-    """Return the results that `work_there` returned, or raise the error that it returned."""
+def results_of(returned: list[Result] | NeoWorldError) -> list[Result]:
+    """Return the results that `run_in_worker` returned, or raise the error that it returned."""
     if isinstance(returned, NeoWorldError):
         raise returned
     return returned

@@ -6,7 +6,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 from ..errors import ConfigError, RunError
-from .place import Made, Place, Task, Work, results_of, work_there
+from .place import Place, Result, Task, Work, results_of, run_in_worker
 
 HERE = Place()
 """Place for tasks that run in this process."""
@@ -33,7 +33,9 @@ def check_place(place: Place) -> None:
         check_slurm(place.slurm)
 
 
-def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE) -> Iterator[Made]:
+def run_tasks(
+    work: Work[Task, Result], tasks: Sequence[Task], place: Place = HERE
+) -> Iterator[Result]:
     """Run a function on tasks, and yield the results as they become available.
 
     In this process, results are yielded one by one, in the order of the tasks. In other processes
@@ -70,12 +72,12 @@ def run_tasks(work: Work[Task, Made], tasks: Sequence[Task], place: Place = HERE
 
 
 def _run_in_processes(
-    work: Work[Task, Made], tasks: Sequence[Task], place: Place
-) -> Iterator[Made]:
+    work: Work[Task, Result], tasks: Sequence[Task], place: Place
+) -> Iterator[Result]:
     from ..run_folder import versions
 
     with ProcessPoolExecutor(place.processes, get_context("spawn")) as pool:
-        futures = [pool.submit(work_there, work, task, versions()) for task in tasks]
+        futures = [pool.submit(run_in_worker, work, task, versions()) for task in tasks]
         try:
             for future in as_completed(futures):
                 yield from results_of(future.result())

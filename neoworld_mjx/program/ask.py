@@ -88,7 +88,7 @@ class StageInput(NamedTuple):
 
     file: str = "program"
     """Name of the stage: "program", or "geometry", "articulation" or "export"."""
-    before: Mapping[str, str] = {}
+    earlier_texts: Mapping[str, str] = {}
     """Text of the accepted program of each earlier stage, by stage name."""
     language: Language = "sdk"
 
@@ -222,6 +222,6 @@ def _ask(subject: Subject, stage: StageInput) -> str:
     if stage.file == "program":
         return ask
     accepted = "".join(
-        _ACCEPTED.format(file=name, text=text.strip()) for name, text in stage.before.items()
+        _ACCEPTED.format(file=name, text=text.strip()) for name, text in stage.earlier_texts.items()
     )
     return _STAGE.format(ask=ask, accepted=accepted, file=stage.file)

@@ -12,13 +12,14 @@ from .sdk_object import Object
 
 
 def assemble(
-    objects: list[Object], *, loose: bool = False
+    objects: list[Object], *, without_joints: bool = False
 ) -> tuple[S.ObjectSpec | None, list[Signal]]:
     """Convert the only object of a program into an ObjectSpec.
 
     Args:
         objects: every `Object` that the program created.
-        loose: if True, the parts have no joints yet, and every part is fixed to the first part.
+        without_joints: if True, the parts have no joints yet, and every part is fixed to the first
+            part.
 
     Returns:
         The ObjectSpec and an empty list, or, if the object is invalid, None and the errors. The
@@ -31,17 +32,17 @@ def assemble(
         code = "many_objects" if objects else "no_object"
         return None, [error_signal(code, message + (f": {names}" if objects else ""), hint=hint)]
     obj = objects[0]
-    if loose and obj._joints:
+    if without_joints and obj._joints:
         return None, [_premature_joints(obj)]
-    signals = [s for s in _structure(obj) if not (loose and s.code == "orphan_part")]
+    signals = [s for s in _structure(obj) if not (without_joints and s.code == "orphan_part")]
     if has_errors(signals):
         return None, signals
     joint_fields: list[dict[str, Any]] = [joint._fields for joint in obj._joints]
-    if loose:
-        root, *others = [part.name for part in obj._parts]
+    if without_joints:
+        root, *children = [part.name for part in obj._parts]
         joint_fields = [
             {"name": f"{name[:40]}_held", "type": "fixed", "parent": root, "child": name}
-            for name in others
+            for name in children
         ]
     used = {geom._spec.material for part in obj._parts for geom in part._geoms}
     try:

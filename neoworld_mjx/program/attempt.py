@@ -11,11 +11,11 @@ from .critique import Critique, mean_score
 from .sandbox import BuildResult
 
 Size = tuple[float, float, float]
-UNJUDGED = 5.0
+DEFAULT_SCORE = 5.0
 """Score of a program that no critic has scored."""
 
 
-def joined(texts: Mapping[str, str]) -> str:
+def join_texts(texts: Mapping[str, str]) -> str:
     """Join the texts of the stages, in order, into one program.
 
     Each text may use names that earlier texts define. A single text is returned unchanged.
@@ -41,7 +41,7 @@ class ProgramAttempt:
     """Critiques by critic: "geometry", "articulation", "export"."""
     size: Size | None = None
     """Edges [m] of the box that the object should fill; if None, it should fill the parsed box."""
-    before: Mapping[str, str] = field(default_factory=dict)
+    earlier_texts: Mapping[str, str] = field(default_factory=dict)
     """Accepted texts of the earlier stages, by stage."""
     file: str = "program"
     """Name of the stage: "program", or "geometry", "articulation" or "export"."""
@@ -49,18 +49,18 @@ class ProgramAttempt:
     @property
     def texts(self) -> dict[str, str]:
         """Texts of all stages up to and including this stage, by stage."""
-        return {**self.before, self.file: self.text}
+        return {**self.earlier_texts, self.file: self.text}
 
     @property
     def score(self) -> float:
         """Score of the program, at least 0; it is 0 if the program builds no object.
 
-        This is the mean score of the critics (`UNJUDGED` without critiques), minus one point for
-        each error, minus the relative error of the edge that deviates most.
+        This is the mean score of the critics (`DEFAULT_SCORE` without critiques), minus one point
+        for each error, minus the relative error of the edge that deviates most.
         """
         if self.built.spec is None:
             return 0.0
-        score = mean_score(self.critiques) if self.critiques else UNJUDGED
+        score = mean_score(self.critiques) if self.critiques else DEFAULT_SCORE
         errors = [signal for signal in self.built.signals if signal.severity == "error"]
         deviation = sum(
             min(1.0, abs(signal.value or 0.0))
@@ -77,7 +77,9 @@ class ProgramAttempt:
 
     def to_json(self) -> dict[str, object]:
         """Return the attempt as a JSON object."""
-        verdicts = {name: each.model_dump(mode="json") for name, each in self.critiques.items()}
+        verdicts = {
+            name: critique.model_dump(mode="json") for name, critique in self.critiques.items()
+        }
         return {
             "file": self.file,
             "stage": self.stage,
@@ -109,7 +111,7 @@ class SynthesisResult:
     @property
     def text(self) -> str:
         """The whole program."""
-        return joined(self.texts)
+        return join_texts(self.texts)
 
     @property
     def reason(self) -> str:

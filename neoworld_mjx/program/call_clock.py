@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _POLL_S = 0.05
-_AGAIN_S = 1.0
+_REPEAT_S = 1.0
 """Processor time [s] after which a call that is still running is interrupted again.
 
 The first interruption can be lost, because Python ignores exceptions that are raised in callbacks
@@ -84,16 +84,16 @@ class CallClock:
             self._read_worker()
             with self._lock:
                 if self._end is not None and time.clock_gettime(clock) > self._end:
-                    self._end = time.clock_gettime(clock) + _AGAIN_S
+                    self._end = time.clock_gettime(clock) + _REPEAT_S
                     self._raise(CallInterrupted)
 
     def _read_worker(self) -> None:
         if self._worker is None:
             return
-        pid, before, limit = self._worker
+        pid, start_s, limit = self._worker
         used = process_time(pid)
         if used is not None:
-            self.worker_s = used - before
+            self.worker_s = used - start_s
             if self.worker_s > limit:
                 self._worker, self.worker_killed = None, True
                 with contextlib.suppress(ProcessLookupError):

@@ -10,9 +10,9 @@ from ..checks.signals import Signal, error_signal
 from ..spec import ObjectSpec, TreeNode
 from ..spec.fit_to_box import fit_to_box
 
-PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
+PROPORTION_WARNING, PROPORTION_ERROR = 0.08, 0.25
 """Limits of an edge's relative deviation from the parsed edge, after the best uniform scaling."""
-SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
+SIZE_WARNING, SIZE_ERROR = 0.15, 1.0
 """Limits of the relative deviation of the uniform scale from 1.
 
 Composition scales the whole object, so a wrong size also makes the wall thickness wrong.
@@ -20,7 +20,7 @@ Composition scales the whole object, so a wrong size also makes the wall thickne
 _OF_SIZE = ("proportions", "wrong_size")
 
 
-def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+def compare_to_node(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield a signal for each difference between an object and its parsed node.
 
     Proportions, size and the numbers of moving parts are compared.
@@ -29,27 +29,27 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     to_box = fit_to_box(spec, node)
     size, parsed_size, factor = to_box.high - to_box.low, np.array(node.box3d.size), to_box.factor
     edges = size * factor / parsed_size - 1
-    worst = int(np.argmax(np.abs(edges)))
-    if abs(edges[worst]) > PROPORTION_WARNS:
-        shown, parsed = (" x ".join(f"{v:.3f}" for v in each) for each in (size, parsed_size))
+    axis = int(np.argmax(np.abs(edges)))
+    if abs(edges[axis]) > PROPORTION_WARNING:
+        shown, parsed = (" x ".join(f"{v:.3f}" for v in edges_m) for edges_m in (size, parsed_size))
         yield Signal(
-            severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
+            severity="error" if abs(edges[axis]) > PROPORTION_ERROR else "warning",
             code="proportions",
-            message=f"the object{_opened(node)} measures {shown} m, "
-            f"the box in the photo {parsed} m; {'xyz'[worst]} is too "
-            f"{'large' if edges[worst] > 0 else 'small'} for the others",
-            value=float(edges[worst]),
-            threshold=PROPORTION_WARNS,
+            message=f"the object{_open_parts(node)} measures {shown} m, "
+            f"the box in the photo {parsed} m; {'xyz'[axis]} is too "
+            f"{'large' if edges[axis] > 0 else 'small'} for the others",
+            value=float(edges[axis]),
+            threshold=PROPORTION_WARNING,
             hint="fill the given box in all three directions; is the front at +x?",
         )
     deviation = max(factor, 1 / factor) - 1
-    if deviation > SIZE_WARNS:
+    if deviation > SIZE_WARNING:
         yield Signal(
-            severity="error" if deviation > SIZE_FAILS else "warning",
+            severity="error" if deviation > SIZE_ERROR else "warning",
             code="wrong_size",
             message=f"the object is {1 / factor:.3g} times as large as the box in the photo",
             value=1 / factor,
-            threshold=1.0 + SIZE_WARNS,
+            threshold=1.0 + SIZE_WARNING,
             hint="write it at the given size, in metres",
         )
     counts = Counter(_motion(joint.type) for joint in spec.joints if joint.type != "fixed")
@@ -66,15 +66,15 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
             )
 
 
-def fit_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+def compare_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield a signal for each difference between parts without joints and the parsed node.
 
     If parts are open in the photo, the box is not compared, because parts cannot open without
     joints.
     """
-    opened = any(part.opening for part in node.articulation)
-    skipped = ("missing_joint", *(_OF_SIZE if opened else ()))
-    yield from (signal for signal in fit(spec, node) if signal.code not in skipped)
+    has_open_parts = any(part.opening for part in node.articulation)
+    skipped = ("missing_joint", *(_OF_SIZE if has_open_parts else ()))
+    yield from (signal for signal in compare_to_node(spec, node) if signal.code not in skipped)
     if len(spec.parts) - 1 < len(node.articulation):
         names = ", ".join(part.part for part in node.articulation)
         yield error_signal(
@@ -91,7 +91,7 @@ def _motion(joint_type: str) -> str:
     return "prismatic" if joint_type == "prismatic" else "turning"
 
 
-def _opened(node: TreeNode) -> str:
+def _open_parts(node: TreeNode) -> str:
     """List the parts that are open in the photo, for a message."""
     parts = [f"{part.part} {part.opening:.0%}" for part in node.articulation if part.opening > 0]
     return f", with {', '.join(parts)} open as in the photo," if parts else ""

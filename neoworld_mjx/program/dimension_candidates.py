@@ -14,26 +14,26 @@ from ..align.shape_evidence import ShapeEvidence
 from ..spec import ObjectSpec, bounds
 from .named_constants import NamedConstant, named_constants, with_value
 
-PROBE = 0.01
+PROBE_STEP = 0.01
 """Relative change of a constant for the finite differences of `sensitivities`."""
-LEAST_SENSITIVITY = 0.05
+MIN_SENSITIVITY = 0.05
 """A constant changes proportions if it changes the ratio of two edges by more than this.
 
 The value is the derivative of the logarithm of the ratio by the logarithm of the constant.
 """
-EQUAL = 0.01
+EQUAL_EDGES = 0.01
 """Largest difference between the logarithms of two edges that count as equal."""
-SIGNIFICANT, LEAST_CHANGE = 1.0, 0.03
+MIN_DEVIATIONS, MIN_CHANGE = 1.0, 0.03
 """A stretch along an axis is significant if it exceeds both limits.
 
 The first limit is in standard deviations, the second is relative. The second limit is also the
 smallest change of a constant that is tried.
 """
-LEAST_STEP = 0.01
+MIN_STEP = 0.01
 """Smallest relative change that is tried of a constant that was changed before."""
-LARGEST = math.log(1.25)
+MAX_LOG_CHANGE = math.log(1.25)
 """Largest total change of the logarithm of a constant."""
-TRIED = (0.5, 1.0, 1.5, 2.0)
+STEP_FACTORS = (0.5, 1.0, 1.5, 2.0)
 """Multiples of the estimated change that are rated by the pixels.
 
 They include larger changes, because the prior and the nuisance parameters shrink the estimate.
@@ -61,7 +61,7 @@ class Contours:
     """An aligned scene, rendered over the photograph."""
 
     fitted: FittedUnknowns
-    drawn: DrawnObjects
+    rendered: DrawnObjects
     bins: Int[np.ndarray, "row column"]
     """Index of the color bin of each pixel of the photograph."""
     outlines: Mapping[str, float | None]
@@ -83,8 +83,8 @@ class Contours:
         foot = unknowns.lowest[k] * place.turn[k][2]
         points = foot + (surface.vertices - foot) * np.exp(stretches)
         mesh = WorldMesh(place.world(k, points), surface.triangles)
-        alone = draw_objects([mesh], place.camera, self.drawn.owner.shape[1])
-        free = (self.drawn.owner == k) | (alone.depth <= self.drawn.depth)
+        alone = draw_objects([mesh], place.camera, self.rendered.owner.shape[1])
+        free = (self.rendered.owner == k) | (alone.depth <= self.rendered.depth)
         return (alone.owner == 0) & free
 
 
@@ -116,33 +116,33 @@ def best_candidate(
     shape = contours.fitted.shapes[k]
     if not changed and not significant(shape):
         return None
-    now, best = contours.drawn.owner == k, None
+    current, best = contours.rendered.owner == k, None
     for constant, direction in sensitivities(text, build):
         if constant.name in refused or changed not in ("", constant.name):
             continue
         change = shape.change(direction)
-        least = LEAST_STEP if changed else LEAST_CHANGE
-        for share in TRIED:
-            value = _bounded(constant, share * change.log_change, original[constant.name])
+        min_step = MIN_STEP if changed else MIN_CHANGE
+        for factor in STEP_FACTORS:
+            value = _bounded(constant, factor * change.log_change, original[constant.name])
             step = math.log(value / constant.value)
-            if abs(step) < least:
+            if abs(step) < min_step:
                 continue
-            favored = gain(contours.stretched(k, step * direction), now, contours.bins)
-            if best is None or favored > best.gain:
-                best = Candidate(constant, value, favored)
+            log_ratio = gain(contours.stretched(k, step * direction), current, contours.bins)
+            if best is None or log_ratio > best.gain:
+                best = Candidate(constant, value, log_ratio)
     return best
 
 
 def _bounded(constant: NamedConstant, log_change: float, original: float) -> float:
     change = math.log(constant.value / original) + log_change
-    return constant.within(original * math.exp(min(max(change, -LARGEST), LARGEST)))
+    return constant.within(original * math.exp(min(max(change, -MAX_LOG_CHANGE), MAX_LOG_CHANGE)))
 
 
 def significant(shape: ShapeEvidence) -> bool:
     """Return True if the contour shows that an object is too long or too short along an axis."""
     changes = (shape.change(np.eye(3)[axis] - 1 / 3) for axis in range(3))
     return any(
-        abs(change.log_change) > max(LEAST_CHANGE, SIGNIFICANT * change.deviation)
+        abs(change.log_change) > max(MIN_CHANGE, MIN_DEVIATIONS * change.deviation)
         for change in changes
     )
 
@@ -158,22 +158,22 @@ def sensitivities(text: str, build: Build) -> list[tuple[NamedConstant, Float[np
         y and z with respect to the logarithm of the constant. The mean of the three is subtracted,
         because composition undoes a uniform scaling.
     """
-    before = build(text)
-    if isinstance(before, str):
+    original = build(text)
+    if isinstance(original, str):
         return []
-    edges, found = _log_edges(before), []
-    equal = np.abs(edges[:, None] - edges) < EQUAL
+    edges, results = _log_edges(original), []
+    equal = np.abs(edges[:, None] - edges) < EQUAL_EDGES
     for constant in named_constants(text):
-        probed = with_value(text, constant, constant.value * (1 + PROBE))
-        after = build(probed)
-        if isinstance(after, str):
+        probed = with_value(text, constant, constant.value * (1 + PROBE_STEP))
+        changed = build(probed)
+        if isinstance(changed, str):
             continue
         value = next(c.value for c in named_constants(probed) if c.name == constant.name)
-        direction = (_log_edges(after) - edges) / math.log(value / constant.value)
-        apart = np.abs(direction[:, None] - direction)
-        if apart.max() > LEAST_SENSITIVITY and apart[equal].max() < LEAST_SENSITIVITY:
-            found.append((constant, direction - direction.mean()))
-    return found
+        direction = (_log_edges(changed) - edges) / math.log(value / constant.value)
+        differences = np.abs(direction[:, None] - direction)
+        if differences.max() > MIN_SENSITIVITY and differences[equal].max() < MIN_SENSITIVITY:
+            results.append((constant, direction - direction.mean()))
+    return results
 
 
 def _log_edges(spec: ObjectSpec) -> Float[np.ndarray, " 3"]:

@@ -34,7 +34,7 @@ def failed_picture(
     """
     pairs, state = deepest_overlap(spec, options, allowances)
     marks = overlap_meshes(spec, pairs, state)
-    return to_png(render_object(_marked(spec, marks, state) if marks else spec, state))
+    return to_png(render_object(_with_marks(spec, marks, state) if marks else spec, state))
 
 
 def deepest_overlap(
@@ -52,12 +52,12 @@ def deepest_overlap(
     at_rest = sweep.too_deep(sweep.at_rest)
     if at_rest:
         return list(at_rest), {}
-    moved: list[tuple[Pair, Overlap]] = [
+    in_motion: list[tuple[Pair, Overlap]] = [
         entry for swept in sweep.ranges for entry in sweep.too_deep(swept.deepest).items()
     ]
-    if not moved:
+    if not in_motion:
         return [], {}
-    pair, overlap = max(moved, key=lambda entry: entry[1].depth)
+    pair, overlap = max(in_motion, key=lambda entry: entry[1].depth)
     return [pair], dict(overlap.state)
 
 
@@ -69,11 +69,15 @@ def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Me
     meshes = []
     for first, second in pairs:
         solids = [_hulls(spec.parts[k], poses[spec.parts[k].name]) for k in (first, second)]
-        for one, other in itertools.product(*solids):
-            apart = (one.min(axis=0) >= other.max(axis=0)) | (other.min(axis=0) >= one.max(axis=0))
-            if apart.any():
+        for first_hull, second_hull in itertools.product(*solids):
+            separated = (first_hull.min(axis=0) >= second_hull.max(axis=0)) | (
+                second_hull.min(axis=0) >= first_hull.max(axis=0)
+            )
+            if separated.any():
                 continue
-            hulls = [manifold3d.Manifold.hull_points(points) for points in (one, other)]
+            hulls = [
+                manifold3d.Manifold.hull_points(points) for points in (first_hull, second_hull)
+            ]
             shared = hulls[0] ^ hulls[1]
             if shared.volume() < _MIN_VOLUME_M3:
                 continue
@@ -98,7 +102,7 @@ def _corners(piece: Piece) -> NDArray:
     return faceted(piece, SECTORS)
 
 
-def _marked(spec: ObjectSpec, marks: list[Mesh], state: State) -> ObjectSpec:
+def _with_marks(spec: ObjectSpec, marks: list[Mesh], state: State) -> ObjectSpec:
     """Return a transparent copy of the object, with the overlap meshes on its first part."""
     transparent = tuple(
         material.model_copy(update={"rgba": (*material.rgba[:3], GHOST_ALPHA), "pattern": None})

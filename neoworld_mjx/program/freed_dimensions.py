@@ -31,7 +31,7 @@ from .named_constants import named_constants, with_value
 
 WIDTH_PX = 640
 """Width of the image in which outlines are compared [px]."""
-LEAST_GAIN = 20.0
+MIN_GAIN = 20.0
 """Smallest log likelihood ratio of the outline after a change to the outline before it [nats].
 
 The first change of a constant is dropped if the ratio is smaller; a further change of the same
@@ -83,16 +83,16 @@ class _Proposal:
     candidate: Candidate
     text: str
     spec: ObjectSpec
-    further: bool
+    repeated: bool
     """True if the constant was changed before."""
 
     @property
     def name(self) -> str:
         return self.candidate.constant.name
 
-    def refused(self, why: str) -> str:
-        before = self.candidate.constant.value
-        return f"{self.name} {before:.4g} -> {self.candidate.value:.4g}: {why}"
+    def rejection(self, reason: str) -> str:
+        value = self.candidate.constant.value
+        return f"{self.name} {value:.4g} -> {self.candidate.value:.4g}: {reason}"
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ class _Object:
     current: bool = True
     """False if the last alignment was made with a shape that was refused."""
 
-    def without(self, name: str, why: str) -> "_Object":
-        return replace(self, refused={**self.refused, name: why}, changed="", reason=why)
+    def without(self, name: str, reason: str) -> "_Object":
+        return replace(self, refused={**self.refused, name: reason}, changed="", reason=reason)
 
 
 def free_dimensions(
@@ -147,11 +147,11 @@ def free_dimensions(
     programs = replace(programs, build=cache(programs.build))
     best = FreedScene(composed, alignment)
     contours = _contours(alignment, photo)
-    objects, others = _states(contours, alignment, programs)
+    objects, excluded = _states(contours, alignment, programs)
     for _ in range(STEPS):
         proposals: dict[str, _Proposal] = {}
-        for name, own in objects.items():
-            objects[name], proposal = _proposed(name, own, contours, programs)
+        for name, state in objects.items():
+            objects[name], proposal = _propose(name, state, contours, programs)
             if proposal is not None:
                 proposals[name] = proposal
         if not proposals:
@@ -162,49 +162,49 @@ def free_dimensions(
         if trial.fitted is None:
             break
         contours = _contours(trial, photo)
-        objects = _judged(objects, proposals, contours, programs)
+        objects = _accept_favored(objects, proposals, contours, programs)
         if all(objects[name].text == p.text for name, p in proposals.items()):
             best = FreedScene(scene, trial, {}, _specs(objects))
     if best.specs != _specs(objects):
         # The last alignment was made with changes that were refused.
         scene = programs.compose(_specs(objects))
         best = FreedScene(scene, align(scene), {}, _specs(objects))
-    return _result(best, objects, others, photo)
+    return _result(best, objects, excluded, photo)
 
 
 def _states(
     contours: Contours, alignment: Alignment, programs: EditablePrograms
 ) -> tuple[dict[str, _Object], dict[str, str]]:
     """Return the objects whose programs may be changed, and for each other object the reason."""
-    objects, others, texts = {}, {}, programs.texts
+    objects, excluded, texts = {}, {}, programs.texts
     for name in alignment.objects:
         k = alignment.scene.index(name)
         if k not in contours.fitted.shapes:
-            others[name] = "the pixels do not determine its pose"
+            excluded[name] = "the pixels do not determine its pose"
         elif name not in texts:
-            others[name] = programs.unchangeable.get(name, "it has no program")
+            excluded[name] = programs.unchangeable.get(name, "it has no program")
         elif not (values := {c.name: c.value for c in named_constants(texts[name])}):
-            others[name] = "its program has no named constants"
+            excluded[name] = "its program has no named constants"
         else:
             px = contours.outlines.get(name)
-            objects[name] = _Object(texts[name], values, contours.drawn.owner == k, px, px)
-    return objects, others
+            objects[name] = _Object(texts[name], values, contours.rendered.owner == k, px, px)
+    return objects, excluded
 
 
 def _contours(alignment: Alignment, photo: UInt8[np.ndarray, "row column 3"]) -> Contours:
     scene = alignment.scene
     assert alignment.fitted is not None and scene.camera is not None
     bins = LabImage.of(photo, WIDTH_PX, height_of(scene.camera, WIDTH_PX)).bins
-    drawn = draw_scene(scene, scene.camera, WIDTH_PX)
-    return Contours(alignment.fitted, drawn, bins, outline_errors(scene, photo, drawn))
+    rendered = draw_scene(scene, scene.camera, WIDTH_PX)
+    return Contours(alignment.fitted, rendered, bins, outline_errors(scene, photo, rendered))
 
 
 def _specs(objects: Mapping[str, _Object]) -> dict[str, ObjectSpec]:
-    return {name: own.spec for name, own in objects.items() if own.spec is not None}
+    return {name: state.spec for name, state in objects.items() if state.spec is not None}
 
 
-def _proposed(
-    name: str, own: _Object, contours: Contours, programs: EditablePrograms
+def _propose(
+    name: str, state: _Object, contours: Contours, programs: EditablePrograms
 ) -> tuple[_Object, _Proposal | None]:
     """Propose a change of an object.
 
@@ -212,96 +212,96 @@ def _proposed(
         The object, with the reason if no change is proposed, and the proposal or None.
     """
     k = contours.fitted.unknowns.scene.index(name)
-    if k not in contours.fitted.shapes or not own.current:
-        return own, None
+    if k not in contours.fitted.shapes or not state.current:
+        return state, None
     build = partial(programs.build, name)
     while True:
-        further = own.changed
+        repeated = state.changed
         candidate = best_candidate(
             contours,
             k,
-            own.text,
+            state.text,
             build,
-            own.original,
-            refused=own.refused,
-            changed=further,
+            state.original,
+            refused=state.refused,
+            changed=repeated,
         )
-        least = 0.0 if further else LEAST_GAIN
-        if candidate is None or candidate.gain <= least:
-            if further:
-                own = replace(own, changed="")
+        min_gain = 0.0 if repeated else MIN_GAIN
+        if candidate is None or candidate.gain <= min_gain:
+            if repeated:
+                state = replace(state, changed="")
                 continue
-            if significant(contours.fitted.shapes[k]) and not own.refused:
-                fits = sensitivities(own.text, build)
-                own = replace(own, reason=UNFAVORED if fits else NO_CONSTANT)
-            return own, None
-        text = with_value(own.text, candidate.constant, candidate.value)
+            if significant(contours.fitted.shapes[k]) and not state.refused:
+                fits = sensitivities(state.text, build)
+                state = replace(state, reason=UNFAVORED if fits else NO_CONSTANT)
+            return state, None
+        text = with_value(state.text, candidate.constant, candidate.value)
         spec = build(text)
         proposal = (
-            None if isinstance(spec, str) else _Proposal(candidate, text, spec, bool(further))
+            None if isinstance(spec, str) else _Proposal(candidate, text, spec, bool(repeated))
         )
         if proposal is not None:
-            return own, proposal
+            return state, proposal
         constant = candidate.constant.name
-        own = own.without(constant, f"{constant} -> {candidate.value:.4g}: {spec}")
+        state = state.without(constant, f"{constant} -> {candidate.value:.4g}: {spec}")
 
 
-def _judged(
+def _accept_favored(
     objects: Mapping[str, _Object],
     proposals: Mapping[str, _Proposal],
     trial: Contours,
     programs: EditablePrograms,
 ) -> dict[str, _Object]:
     """Accept the proposals that the pixels of the new alignment favor, and return all objects."""
-    judged, scene = {}, trial.fitted.unknowns.scene
-    for name, own in objects.items():
-        shown = trial.drawn.owner == scene.index(name)
+    states, scene = {}, trial.fitted.unknowns.scene
+    for name, state in objects.items():
+        shown = trial.rendered.owner == scene.index(name)
         px = trial.outlines.get(name)
-        seen = replace(own, shown=shown, outline_px=px, current=True)
+        updated = replace(state, shown=shown, outline_px=px, current=True)
         proposal = proposals.get(name)
         if proposal is None:
-            judged[name] = seen
+            states[name] = updated
             continue
-        least = 0.0 if proposal.further else LEAST_GAIN
-        farther = None not in (own.outline_px, seen.outline_px) and (
-            float(seen.outline_px or 0) >= float(own.outline_px or 0)
+        min_gain = 0.0 if proposal.repeated else MIN_GAIN
+        worse = None not in (state.outline_px, updated.outline_px) and (
+            float(updated.outline_px or 0) >= float(state.outline_px or 0)
         )
-        if gain(seen.shown, own.shown, trial.bins) <= least or farther:
-            why = "the pixels do not favor it"
+        if gain(updated.shown, state.shown, trial.bins) <= min_gain or worse:
+            reason = "the pixels do not favor it"
         else:
-            why = programs.check(name, proposal.text)
-        if why:
-            refused = own.without(proposal.name, proposal.refused(why))
-            judged[name] = replace(refused, current=False)
+            reason = programs.check(name, proposal.text)
+        if reason:
+            rejected = state.without(proposal.name, proposal.rejection(reason))
+            states[name] = replace(rejected, current=False)
             continue
-        judged[name] = replace(
-            seen,
+        states[name] = replace(
+            updated,
             text=proposal.text,
             spec=proposal.spec,
-            edited=(*own.edited, proposal.name),
-            changed="" if proposal.further else proposal.name,
+            edited=(*state.edited, proposal.name),
+            changed="" if proposal.repeated else proposal.name,
         )
-    return judged
+    return states
 
 
 def _result(
     best: FreedScene,
     objects: Mapping[str, _Object],
-    others: Mapping[str, str],
+    excluded: Mapping[str, str],
     photo: UInt8[np.ndarray, "row column 3"],
 ) -> FreedScene:
     outlines = outline_errors(best.alignment.scene, photo)
-    freed = {name: FreedObject((), reason) for name, reason in others.items()}
-    for name, own in objects.items():
-        values = {c.name: c.value for c in named_constants(own.text)}
+    dimensions = {name: FreedObject((), reason) for name, reason in excluded.items()}
+    for name, state in objects.items():
+        values = {c.name: c.value for c in named_constants(state.text)}
         edits = tuple(
-            DimensionEdit(each, own.original[each], values[each])
-            for each in dict.fromkeys(own.edited)
+            DimensionEdit(constant, state.original[constant], values[constant])
+            for constant in dict.fromkeys(state.edited)
         )
         if edits:
-            freed[name] = FreedObject(edits, "", own.first_px, outlines.get(name))
+            dimensions[name] = FreedObject(edits, "", state.first_px, outlines.get(name))
         else:
-            freed[name] = FreedObject((), own.reason)
-    alignment = replace(best.alignment, dimensions=freed)
-    texts = {name: own.text for name, own in objects.items() if own.spec is not None}
+            dimensions[name] = FreedObject((), state.reason)
+    alignment = replace(best.alignment, dimensions=dimensions)
+    texts = {name: state.text for name, state in objects.items() if state.spec is not None}
     return replace(best, alignment=alignment, texts=texts)

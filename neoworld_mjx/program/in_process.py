@@ -7,7 +7,7 @@ import traceback
 from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
 from .exception_signals import exception_signal, limit_signal
-from .session import LimitExceeded, Session, entered
+from .session import LimitExceeded, Session, use_session
 
 
 def run_in_process(
@@ -22,7 +22,7 @@ def run_in_process(
     output = io.StringIO()
     try:
         code = compile(text, session.filename, "exec", dont_inherit=True)
-        with contextlib.redirect_stdout(output), entered(session):
+        with contextlib.redirect_stdout(output), use_session(session):
             exec(code, {"__name__": "__main__", "__file__": "program.py"})
     except SyntaxError as error:
         signal = error_signal("syntax", str(error.msg), line=error.lineno, column=error.offset)

@@ -81,12 +81,12 @@ _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
     "chocolate": (1300, 0.40, (0.30, 0.18, 0.12)),
 }
 
-_CLEAR = {"glass": 0.3, "acrylic": 0.35, "pet": 0.35, "water": 0.45}
+_ALPHA = {"glass": 0.3, "acrylic": 0.35, "pet": 0.35, "water": 0.45}
 """Opacity of each transparent material, from 0 to 1; all other materials are opaque."""
 
 MATERIALS: dict[str, Material] = {
     name: Material(
-        name=name, density=density, friction=friction, rgba=(*rgb, _CLEAR.get(name, 1.0))
+        name=name, density=density, friction=friction, rgba=(*rgb, _ALPHA.get(name, 1.0))
     )
     for name, (density, friction, rgb) in _TABLE.items()
 }

@@ -42,12 +42,12 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
 
 
 _START_S, _GRACE_S = 10.0, 0.5
-_STARVED = 0.25
+_MIN_CPU_FRACTION = 0.25
 """A worker that timed out is run again if it used less processor time than this.
 
 The value is a fraction of the time limit.
 """
-_PATIENCE = 30.0
+_WALL_TIME_FACTOR = 30.0
 """Limit of the second run's wall time, as a multiple of the time limit.
 
 In the second run, the time limit applies to the processor time.
@@ -98,7 +98,7 @@ def _exposed(value: Any, session: Session) -> Any:
 def _module(session: Session) -> dict[str, monty.ExternalModule]:
     """Return the SDK as a module for the worker; the functions are bound to the session."""
 
-    def bound(function: Any) -> Any:
+    def bind(function: Any) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
             with session.call():
                 return _exposed(function(*args, **kwargs), session)
@@ -111,7 +111,7 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
         value = getattr(sdk, name)
         # Programs may use these classes in annotations, but may call only `Object`.
         class_only = inspect.isclass(value) and value is not Object
-        exposed[name] = monty.ClassType(value) if class_only else bound(value)
+        exposed[name] = monty.ClassType(value) if class_only else bind(value)
     module = monty.ExternalModule(exposed, stubs=stubs())
     *packages, last = MODULE.split(".")
     for inner in (last, *reversed(packages[1:])):
@@ -119,12 +119,12 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     return {packages[0]: module}
 
 
-class Starved(Exception):
+class WorkerStarved(Exception):
     """Raised if a program timed out because the machine was too busy to run it."""
 
 
 def run_sandboxed(
-    text: str, session: Session, options: ProgramOptions, *, patient: bool = False
+    text: str, session: Session, options: ProgramOptions, *, limit_cpu_time: bool = False
 ) -> tuple[str, list[Signal]]:
     """Run a program in a worker, and return its printed text and its errors.
 
@@ -132,16 +132,17 @@ def run_sandboxed(
         text: the program.
         session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
-        patient: if True, the time limit applies to the worker's processor time instead of the wall
-            time.
+        limit_cpu_time: if True, the time limit applies to the worker's processor time instead of
+            the wall time.
 
     Raises:
-        Starved: the worker used little processor time before it reached the limit of wall time.
-            Not raised if `patient` is True.
+        WorkerStarved: the worker used little processor time before it reached the limit of wall
+            time. Not raised if `limit_cpu_time` is True.
     """
     printed = monty.CollectString(max_bytes=options.max_output_bytes)
     limits: monty.ResourceLimits = {
-        "max_feed_duration_secs": options.timeout_s * (_PATIENCE if patient else 1.0),
+        "max_feed_duration_secs": options.timeout_s
+        * (_WALL_TIME_FACTOR if limit_cpu_time else 1.0),
         "max_memory": options.memory_mib << 20,
         "max_recursion_depth": options.max_recursion,
         "max_suspensions": options.max_calls,
@@ -162,7 +163,9 @@ def run_sandboxed(
                 external_modules=_module(session),
             ) as worker,
         ):
-            clock.watch_worker(worker.worker_pid, options.timeout_s if patient else float("inf"))
+            clock.watch_worker(
+                worker.worker_pid, options.timeout_s if limit_cpu_time else float("inf")
+            )
             progress = worker.feed_start(text, print_callback=printed)
             while not isinstance(progress, monty.MontyComplete):
                 if progress.position.filename.startswith("<python-input"):
@@ -174,7 +177,7 @@ def run_sandboxed(
         errors = type_signals(json.loads(error.display()))
         if not errors:
             unchecked = options.model_copy(update={"type_check": False})
-            return run_sandboxed(text, session, unchecked, patient=patient)
+            return run_sandboxed(text, session, unchecked, limit_cpu_time=limit_cpu_time)
     except LimitExceeded:
         pass  # Reported below, even if the program caught the exception.
     except monty.MontyError as error:
@@ -182,9 +185,9 @@ def run_sandboxed(
         if clock.worker_killed:
             signal = signal.model_copy(update={"code": "timeout"})
         used = clock.worker_s
-        starved = used is not None and used < _STARVED * options.timeout_s
-        if signal.code == "timeout" and starved and not patient:
-            raise Starved from None
+        starved = used is not None and used < _MIN_CPU_FRACTION * options.timeout_s
+        if signal.code == "timeout" and starved and not limit_cpu_time:
+            raise WorkerStarved from None
         errors = [signal]
     except TimeoutError:
         hint = "raise program.workers, or run fewer programs at once"

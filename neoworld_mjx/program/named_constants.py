@@ -55,7 +55,7 @@ def named_constants(text: str) -> tuple[NamedConstant, ...]:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
     )
     lines = text.split("\n")
-    found = []
+    constants = []
     for node in tree.body:
         for target, value in _pairs(node):
             if stored[target] != 1 or value.end_col_offset is None:
@@ -64,12 +64,12 @@ def named_constants(text: str) -> tuple[NamedConstant, ...]:
             if not isinstance(number, float) or not 0 < number < math.inf:
                 continue
             line = value.lineno - 1
-            rest = lines[line].encode()[value.end_col_offset :].decode().strip()
-            match = RANGE.match(rest)
+            comment = lines[line].encode()[value.end_col_offset :].decode().strip()
+            match = RANGE.match(comment)
             limits = (0.0, math.inf) if match is None else (float(match[1]), float(match[2]))
             span = value.col_offset, value.end_col_offset
-            found.append(NamedConstant(target, number, line, *span, *limits))
-    return tuple(found)
+            constants.append(NamedConstant(target, number, line, *span, *limits))
+    return tuple(constants)
 
 
 def _pairs(node: ast.stmt) -> list[tuple[str, ast.Constant]]:
@@ -104,16 +104,16 @@ def with_value(text: str, constant: NamedConstant, value: float) -> str:
     if not 0 < value < math.inf:
         raise ValueError(f"{constant.name} must be positive and finite, got {value!r}")
     lines = text.split("\n")
-    held = lines[constant.line].encode() if constant.line < len(lines) else b""
-    literal = held[constant.start : constant.end].decode("utf-8", "replace")
+    line = lines[constant.line].encode() if constant.line < len(lines) else b""
+    literal = line[constant.start : constant.end].decode("utf-8", "replace")
     try:
-        same = float(literal) == constant.value
+        matches = float(literal) == constant.value
     except ValueError:
-        same = False
-    if not same:
+        matches = False
+    if not matches:
         raise ValueError(f"line {constant.line + 1} does not hold {constant.name} any more")
     number = repr(float(f"{value:.4g}"))
     lines[constant.line] = (
-        held[: constant.start] + number.encode() + held[constant.end :]
+        line[: constant.start] + number.encode() + line[constant.end :]
     ).decode()
     return "\n".join(lines)

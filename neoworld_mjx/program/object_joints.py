@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, no_type_check
 
 from .. import spec as S
-from ..checks.signals import in_radians
+from ..checks.signals import radians_hint
 from . import validate
 from .part import Joint, Part, extent_of
 from .placing import anchor_of, direction, hinge_of, is_hinge
 from .sdk_types import Point2, Vec3
-from .session import here
+from .session import current_line
 
 MAX_RANGE = 1e4
 """Largest joint limit that is accepted here [m or rad]; the compile checks allow far less."""
@@ -159,7 +159,7 @@ class ObjectJoints:
         if arguments.get("after") is not None:
             fields["after"] = self._openers(arguments["after"], f"{context}: after")
         validate.build_spec(S.JointSpec, context, **fields)
-        joint = Joint(fields, here())
+        joint = Joint(fields, current_line())
         self._joints.append(joint)
         return joint
 
@@ -231,7 +231,7 @@ def _joint_fields(
     if arguments.get("swing") is not None:
         swing = validate.number(arguments["swing"], f"{context}: swing")
         if not 0 < swing <= math.pi:
-            conversion = f"; {in_radians(swing)}" if swing > math.pi else ""
+            conversion = f"; {radians_hint(swing)}" if swing > math.pi else ""
             raise ValueError(
                 f"{context}: swing must lie above 0 and up to pi, got {swing!r}{conversion}"
             )

@@ -8,7 +8,7 @@ from ..errors import choices
 from . import validate
 from .placing import Bounds, Shape, anchor_of, bounds_at, enclosing, hinge_of, is_hinge, placed
 from .sdk_types import Vec3
-from .session import current, here
+from .session import current, current_line
 
 
 @no_type_check
@@ -37,7 +37,7 @@ class Part:
         self._owner, self._material, self._mass = owner, material, mass
         self._geoms: list[Geom] = []
         self._named: set[str] = set()
-        self._line = here()
+        self._line = current_line()
         self.name = name
 
     def add(
@@ -89,7 +89,7 @@ class Part:
         session = current()
         session.use("geoms", 1, session.max_geoms)
         session.use("convex pieces", len(shape._spec.pieces()), session.max_pieces)
-        geom = Geom(spec, bounds_at(shape._spec, pose), here())
+        geom = Geom(spec, bounds_at(shape._spec, pose), current_line())
         self._geoms.append(geom)
         return geom
 

@@ -24,7 +24,7 @@ from .assemble import assemble
 from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
 from .in_process import run_in_process
-from .monty_sandbox import Starved, run_sandboxed
+from .monty_sandbox import WorkerStarved, run_sandboxed
 from .session import Session
 
 _BPY = re.compile(r"^[ \t]*(import|from)[ \t]+bpy\b", re.MULTILINE)
@@ -73,13 +73,16 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     return replace(result, signals=deduplicated((*result.signals, *signals)), seconds=seconds)
 
 
-def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False) -> BuildResult:
+def run(
+    text: str, options: ProgramOptions | None = None, *, without_joints: bool = False
+) -> BuildResult:
     """Run a program and convert its object into an ObjectSpec, without the compile checks.
 
     Args:
         text: the program.
         options: the sandbox and its limits.
-        loose: if True, the parts have no joints yet, and every part is fixed to the first part.
+        without_joints: if True, the parts have no joints yet, and every part is fixed to the first
+            part.
 
     Raises:
         ProgramError: the program needs Blender, which is not installed or cannot be confined.
@@ -102,7 +105,7 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
             else:
                 session, printed, errors = _run_in_worker(text, session, options)
             if not has_errors(errors):
-                spec, structure = assemble(session.objects, loose=loose)
+                spec, structure = assemble(session.objects, without_joints=without_joints)
                 errors = [*errors, *structure]
         except Exception as error:
             if open_files_exhausted(error):
@@ -128,16 +131,16 @@ def _run_in_worker(
     text: str, session: Session, options: ProgramOptions
 ) -> tuple[Session, str, list[Signal]]:
     """Run a program in the Monty sandbox; if the first run exceeds the time limit, run it again."""
-    patient = False
+    limit_cpu_time = False
     try:
         printed, errors = run_sandboxed(text, session, options)
-    except Starved:
-        printed, errors, patient = "", [], True
+    except WorkerStarved:
+        printed, errors, limit_cpu_time = "", [], True
     timed_out = session.exceeded is not None and session.exceeded.code == "timeout"
     # Virtual machines count pauses as time of a thread, so a single timeout is not conclusive.
-    if patient or timed_out:
+    if limit_cpu_time or timed_out:
         session = _session(options)
-        printed, errors = run_sandboxed(text, session, options, patient=patient)
+        printed, errors = run_sandboxed(text, session, options, limit_cpu_time=limit_cpu_time)
     return session, printed, errors
 
 

@@ -79,8 +79,8 @@ class Session:
         start = time.thread_time()
         token = _current.set(self)
         try:
-            left = self.max_seconds - self.seconds
-            with self.clock.limited(left) if self.clock else nullcontext():
+            remaining_s = self.max_seconds - self.seconds
+            with self.clock.limited(remaining_s) if self.clock else nullcontext():
                 yield
         except CallInterrupted:
             self.seconds = max(self.seconds, self.max_seconds)
@@ -109,7 +109,7 @@ def running() -> Session | None:
 
 
 @contextmanager
-def entered(session: Session) -> Iterator[None]:
+def use_session(session: Session) -> Iterator[None]:
     """Make a session the current session in the block."""
     token = _current.set(session)
     try:
@@ -122,11 +122,12 @@ def warn(code: str, message: str, hint: str) -> None:
     """Add a warning about the current call to the current session, if there is one."""
     session = _current.get()
     if session is not None and len(session.warnings) < MAX_WARNINGS:
-        warning = Signal(severity="warning", code=code, message=message, line=here(), hint=hint)
+        line = current_line()
+        warning = Signal(severity="warning", code=code, message=message, line=line, hint=hint)
         session.warnings.append(warning)
 
 
-def here() -> int | None:
+def current_line() -> int | None:
     """Return the program's current line, counted from 1, or None if it is unknown."""
     session = _current.get()
     if session is None:

@@ -18,7 +18,7 @@ from ..errors import NeoWorldError
 from ..export import export_object, read_urdf
 from ..export.importing import to_object
 from ..spec import ObjectSpec, TreeNode, inertial
-from .attempt import joined
+from .attempt import join_texts
 from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
@@ -40,7 +40,7 @@ class Stage(NamedTuple):
 
 def build_geometry(text: str, options: ProgramOptions) -> BuildResult:
     """Build parts without joints, and check shapes, overlaps, sizes and masses."""
-    built = run(text, options, loose=True)
+    built = run(text, options, without_joints=True)
     if built.spec is None:
         return built
     signals = check_geometry(built.spec, options, built.lines)
@@ -102,35 +102,39 @@ def urdf_round_trip(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
             signals.append(error_signal("export", message, value=masses[name], threshold=mass))
     joints = {joint.name: joint for joint in read.joints}
     for joint in spec.joints:
-        other = joints.get(joint.name)
-        if other is None or other.type != joint.type:
+        read_joint = joints.get(joint.name)
+        if read_joint is None or read_joint.type != joint.type:
             message = f"the URDF read back has no {joint.type} joint {joint.name!r}"
             signals.append(error_signal("export", message))
-        elif abs(other.lower - joint.lower) + abs(other.upper - joint.upper) > 1e-3:
+        elif abs(read_joint.lower - joint.lower) + abs(read_joint.upper - joint.upper) > 1e-3:
             message = f"joint {joint.name!r} has other limits in the URDF"
             signals.append(
-                error_signal("export", message, value=other.upper, threshold=joint.upper)
+                error_signal("export", message, value=read_joint.upper, threshold=joint.upper)
             )
     return read, signals
 
 
-def in_stage_lines(signals: tuple[Signal, ...], before: Mapping[str, str]) -> tuple[Signal, ...]:
+def in_stage_lines(
+    signals: tuple[Signal, ...], earlier_texts: Mapping[str, str]
+) -> tuple[Signal, ...]:
     """Convert the line numbers of signals from the joined text to the text of the current stage.
 
     A signal in an accepted text of an earlier stage loses its line number, and its message mentions
     the earlier stages instead.
     """
-    if not before:
+    if not earlier_texts:
         return signals
     # `joined` adds one line with the name of the text that follows.
-    skipped = joined({**before, "": ""}).count("\n")
-    moved = []
+    skipped = join_texts({**earlier_texts, "": ""}).count("\n")
+    converted = []
     for signal in signals:
         if signal.line is None:
-            moved.append(signal)
+            converted.append(signal)
         elif signal.line > skipped:
-            moved.append(signal.model_copy(update={"line": signal.line - skipped}))
+            converted.append(signal.model_copy(update={"line": signal.line - skipped}))
         else:
-            message = f"{signal.message} (made in the accepted {' or '.join(before)} program)"
-            moved.append(signal.model_copy(update={"line": None, "message": message}))
-    return tuple(moved)
+            message = (
+                f"{signal.message} (made in the accepted {' or '.join(earlier_texts)} program)"
+            )
+            converted.append(signal.model_copy(update={"line": None, "message": message}))
+    return tuple(converted)

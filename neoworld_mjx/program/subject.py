@@ -22,7 +22,7 @@ VIEW = (
     "direction of view: the camera stands {azimuth} from the object's front and {elevation} "
     "degrees {above} it{left}\n"
 )
-OPENED = (
+OPEN_PARTS = (
     ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
 )
 
@@ -50,7 +50,7 @@ def moving_parts(node: TreeNode) -> str:
 def opened_parts(node: TreeNode) -> str:
     """Describe the parts that were open when the box was measured; empty if none was."""
     parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
-    return OPENED.format(parts=", ".join(parts)) if parts else ""
+    return OPEN_PARTS.format(parts=", ".join(parts)) if parts else ""
 
 
 def view_in_words(node: TreeNode, camera: Camera | None) -> str:
@@ -58,16 +58,20 @@ def view_in_words(node: TreeNode, camera: Camera | None) -> str:
     if camera is None:
         return ""
     azimuth, elevation = seen_from(node, camera)
-    turn, up = (STEP_DEG * round(angle / STEP_DEG) for angle in (azimuth, elevation))
-    side = "to its own left" if turn > 0 else "to its own right"
+    azimuth_deg, elevation_deg = (
+        STEP_DEG * round(angle / STEP_DEG) for angle in (azimuth, elevation)
+    )
+    side = "to its own left" if azimuth_deg > 0 else "to its own right"
     left = ""
     if not _tilt_deg(node):
         # Beyond 45 degrees to a side the picture's left is another axis of the object.
         names = {0: "-y, its own right", 1: "+x, its front", 2: "+y, its own left"}
-        left = f"; the picture's left is its {names.get(round(turn / 90) % 4, '-x, its back')}"
-    around = "0 degrees" if turn == 0 else f"{abs(turn)} degrees {side}"
-    above = "below" if up < 0 else "above"
-    return VIEW.format(azimuth=around, elevation=abs(up), above=above, left=left)
+        left = (
+            f"; the picture's left is its {names.get(round(azimuth_deg / 90) % 4, '-x, its back')}"
+        )
+    around = "0 degrees" if azimuth_deg == 0 else f"{abs(azimuth_deg)} degrees {side}"
+    above = "below" if elevation_deg < 0 else "above"
+    return VIEW.format(azimuth=around, elevation=abs(elevation_deg), above=above, left=left)
 
 
 def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:
@@ -83,9 +87,9 @@ def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:
 
 def to_camera(node: TreeNode, camera: Camera) -> NDArray:
     """Return the vector from an object's center to the camera, in the object's frame [m]."""
-    turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
+    rotation = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
     center = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
-    return rotate(turn, camera.position() - center)
+    return rotate(rotation, camera.position() - center)
 
 
 def _tilt_deg(node: TreeNode) -> float:

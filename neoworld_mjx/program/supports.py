@@ -75,7 +75,7 @@ def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = Non
     surface, or else that of the material.
     """
     x, y, z = (round(v, 6) for v in node.box3d.size)
-    like, look = _look(node, rgb)
+    like, look = _appearance(node, rgb)
     label = node.label.lower()
     legged = z >= MIN_LEGGED_HEIGHT_M and any(word in label for word in LEGGED)
     legged &= min(x, y) > 4 * LEG_M
@@ -106,16 +106,16 @@ def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[flo
     if outline.shape == "round":
         signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
         candidates = signs * (np.array([x, y]) / 2 - LEG_M) / np.sqrt(2)
-    under = -loops_distance(candidates, [corners]) > 0.999 * LEG_M / 2
+    is_below_top = -loops_distance(candidates, [corners]) > 0.999 * LEG_M / 2
     positions: list[tuple[float, float]] = []
-    for candidate in candidates[under]:
+    for candidate in candidates[is_below_top]:
         if all(np.hypot(*(candidate - other)) > 2 * LEG_M for other in positions):
             px, py = (round(v, 4) for v in candidate.tolist())
             positions.append((px, py))
     return positions
 
 
-def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
+def _appearance(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
     """Return the named material of a support, and the source of its color and pattern arguments.
 
     If the photo's color replaces the parsed color, the color of joints and veins is scaled so that
@@ -123,15 +123,17 @@ def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
     """
     if node.surface is None:
         description = f"{node.label} {node.description}".lower()
-        like = next((name for word, name in _MATERIALS.items() if word in description), "wood")
+        like = next(
+            (name for keyword, name in _MATERIALS.items() if keyword in description), "wood"
+        )
         look = "" if rgb is None else f", rgb={_triple(rgb)}"
         return like, look + (', pattern="veins"' if "vein" in description else "")
     surface, pattern = node.surface, node.surface.pattern
     look, color = "", rgb or surface.rgb
     if color is not None:
         look = f", rgb={_triple(color)}"
-        clear = MATERIALS[surface.material].rgba[3]
-        look += f", alpha={clear!r}" if clear < 1 else ""
+        alpha = MATERIALS[surface.material].rgba[3]
+        look += f", alpha={alpha!r}" if alpha < 1 else ""
     look += f', pattern="{pattern.kind}"'
     second: Sequence[float] | None = pattern.rgb
     if second is not None and rgb is not None and surface.rgb is not None:

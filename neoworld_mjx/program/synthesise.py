@@ -30,8 +30,8 @@ from .ask import (
     reprogram_request,
     revise_request,
 )
-from .attempt import ProgramAttempt, Size, SynthesisResult, joined
-from .conformance import fit, fit_geometry, lost_asserts, lost_parts
+from .attempt import ProgramAttempt, Size, SynthesisResult, join_texts
+from .conformance import compare_geometry, compare_to_node, lost_asserts, lost_parts
 from .critique import Critique, accepts, corrected_box, critic_request
 from .sandbox import BuildResult, run
 from .stages import NOTHING_MOVES, STAGES, Stage, in_stage_lines, needs_model, urdf_round_trip
@@ -102,7 +102,7 @@ async def synthesise(
     best: ProgramAttempt | None = None
     for stage in STAGES[options.stages]:
         last = best
-        best = await work.stage_result(stage, last)
+        best = await work.run_stage(stage, last)
         if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
             reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
             work.fallbacks.append((f"{node.name}: no export program", reasons))
@@ -142,14 +142,16 @@ async def reprogram(
         BudgetError: the cost cap is reached.
     """
     work = _Synthesis(_subject(node, crop, camera), models, options)
-    before = ProgramAttempt("program", text, await asyncio.to_thread(run, text, options))
+    previous = ProgramAttempt("program", text, await asyncio.to_thread(run, text, options))
     stage = StageInput(language=options.language)
     response = await work.ask(
         "reprogram", reprogram_request(work.subject, stage, text.strip(), findings)
     )
     if response is None:
         return work.result(ProgramAttempt("reprogram", text, BuildResult(None)))
-    best = await work.debugged("reprogram", response.model_copy(update={"box": None}), before)
+    best = await work.build_and_debug(
+        "reprogram", response.model_copy(update={"box": None}), previous
+    )
     lost = any(signal.code == "lost" for signal in best.built.signals)
     return work.result(replace(best, built=replace(best.built, spec=None)) if lost else best)
 
@@ -178,7 +180,7 @@ def median_colour(picture: Picture) -> tuple[float, float, float]:
     return r, g, b
 
 
-def unfenced(program: str) -> str:
+def without_fence(program: str) -> str:
     """Remove the code fence that some models put around a program."""
     lines = program.strip().splitlines()
     if len(lines) >= 2 and lines[0].startswith("```") and lines[-1].strip() == "```":
@@ -201,32 +203,34 @@ class _Synthesis:
     accepted: ProgramAttempt | None = None
     """Best attempt of the previous stage; None in the first stage."""
 
-    async def stage_result(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
+    async def run_stage(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
         """Request a stage's program, debug and criticize it, and return the best attempt."""
         self.stage, self.accepted = stage, accepted
         if accepted is not None:
             assert accepted.built.spec is not None
             if not needs_model(stage, accepted.built.spec, self.subject.node):
-                before = accepted.texts
-                return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
+                earlier_texts = accepted.texts
+                return replace(
+                    accepted, text=NOTHING_MOVES, earlier_texts=earlier_texts, file=stage.file
+                )
         request = program_request(self.subject, self._stage_input)
         response = (await self.models.ask(request)).value
         await revise(
-            await self.debugged("program", response, None),
+            await self.build_and_debug("program", response, None),
             rounds=self.options.critic_rounds,
             accept=lambda attempt: all(map(accepts, self._stage_critiques(attempt))),
-            next_attempt=self.revised,
-            criticise=self.criticised,
+            next_attempt=self.revise_last,
+            criticise=self.request_critiques,
         )
         candidates = [attempt for attempt in self.attempts if attempt.file == stage.file]
         return max(candidates, key=lambda attempt: attempt.rank)
 
-    async def debugged(
-        self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
+    async def build_and_debug(
+        self, stage: str, response: ProgramResponse, previous: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program, repair it in up to `debug_rounds` rounds, and return the best one."""
 
-        async def repaired(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
+        async def repair_last(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
             signals = attempts[-1].built.signals
             earlier = attempts[-2].built.signals if len(attempts) > 1 else None
             request = repair_request(
@@ -234,17 +238,17 @@ class _Synthesis:
             )
             repair = await self.ask("debug", request)
             best = max(attempts, key=lambda attempt: attempt.rank)
-            return None if repair is None else await self._checked("debug", repair, best)
+            return None if repair is None else await self._build_and_check("debug", repair, best)
 
         attempts = await revise(
-            await self._checked(stage, response, before),
+            await self._build_and_check(stage, response, previous),
             rounds=self.options.debug_rounds,
             accept=lambda attempt: not has_errors(attempt.built.signals),
-            next_attempt=repaired,
+            next_attempt=repair_last,
         )
         return max(attempts, key=lambda attempt: attempt.rank)
 
-    async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
+    async def revise_last(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
         """Request a revision that corrects the faults that critics found, and debug it."""
         last = attempts[-1]
         critiques = self._stage_critiques(last)
@@ -252,12 +256,12 @@ class _Synthesis:
             self._resize(box, "the critic")
         rejecting = [critique for critique in critiques if not accepts(critique)]
         request = revise_request(
-            self.subject, self._stage_input, last.text, rejecting, self._made(last)
+            self.subject, self._stage_input, last.text, rejecting, self._render(last)
         )
         response = await self.ask("revise", request)
-        return None if response is None else await self.debugged("revise", response, last)
+        return None if response is None else await self.build_and_debug("revise", response, last)
 
-    async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
+    async def request_critiques(self, attempt: ProgramAttempt) -> ProgramAttempt:
         """Request the critiques of the enabled critics, and return the attempt with them."""
         requests = self._critic_requests(attempt)
         responses = await asyncio.gather(
@@ -295,14 +299,14 @@ class _Synthesis:
     @property
     def _stage_input(self) -> StageInput:
         """The current stage, with the accepted texts of the earlier stages."""
-        before = {} if self.accepted is None else self.accepted.texts
-        return StageInput(self.stage.file, before, self.options.language)
+        earlier_texts = {} if self.accepted is None else self.accepted.texts
+        return StageInput(self.stage.file, earlier_texts, self.options.language)
 
     def _stage_critiques(self, attempt: ProgramAttempt) -> list[Critique]:
         """Return the critiques by the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
-    def _made(self, attempt: ProgramAttempt) -> Picture | None:
+    def _render(self, attempt: ProgramAttempt) -> Picture | None:
         """Return a picture of an attempt's object, in the photo's view if the view is known."""
         spec, (node, _, _, camera, window) = attempt.built.spec, self.subject
         if spec is None:
@@ -320,10 +324,10 @@ class _Synthesis:
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
-        picture = self._made(attempt)
+        picture = self._render(attempt)
         assert picture is not None
         moves = any(joint.type != "fixed" for joint in spec.joints)
-        opened = [draw(spec, node, camera, opened=True)] if moves else []
+        open_pictures = [draw(spec, node, camera, opened=True)] if moves else []
         requests: dict[str, Request[Critique]] = {}
         for name in self.stage.critics:
             if not getattr(self.options, f"{name}_critic"):
@@ -332,7 +336,7 @@ class _Synthesis:
             if name == "articulation":
                 if not moves:
                     continue
-                pictures += opened
+                pictures += open_pictures
             if name == "export":
                 read, _ = urdf_round_trip(spec)
                 if read is None:
@@ -341,11 +345,11 @@ class _Synthesis:
             requests[name] = critic_request(name, node, spec, pictures)
         return requests
 
-    async def _checked(
-        self, stage: str, response: ProgramResponse, before: ProgramAttempt | None
+    async def _build_and_check(
+        self, stage: str, response: ProgramResponse, previous: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program, and compare its object with the parsed object and the last attempt."""
-        program = unfenced(response.program)
+        program = without_fence(response.program)
         if response.box is not None:
             self._resize(response.box, "the programmer")
         attempt = ProgramAttempt(
@@ -354,17 +358,17 @@ class _Synthesis:
             BuildResult(None),
             response.notes,
             critiques={} if self.accepted is None else self.accepted.critiques,
-            before=self._stage_input.before,
+            earlier_texts=self._stage_input.earlier_texts,
             file=self.stage.file,
         )
-        built = await asyncio.to_thread(self.stage.build, joined(attempt.texts), self.options)
-        built = replace(built, signals=in_stage_lines(built.signals, attempt.before))
+        built = await asyncio.to_thread(self.stage.build, join_texts(attempt.texts), self.options)
+        built = replace(built, signals=in_stage_lines(built.signals, attempt.earlier_texts))
         if built.spec is not None:
-            compare = fit_geometry if self.stage.file == "geometry" else fit
+            compare = compare_geometry if self.stage.file == "geometry" else compare_to_node
             signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
-            if before is not None and before.built.spec is not None:
-                signals += lost_parts(before.built.spec, built.spec, response.removed)
-                signals += lost_asserts(before.text, program, response.removed)
+            if previous is not None and previous.built.spec is not None:
+                signals += lost_parts(previous.built.spec, built.spec, response.removed)
+                signals += lost_asserts(previous.text, program, response.removed)
             built = replace(built, signals=deduplicated(signals))
         attempt = replace(attempt, built=built, size=self.size)
         self.attempts.append(attempt)
@@ -375,9 +379,11 @@ class _Synthesis:
         node = self.subject.node
         x, y, z = edges
         ratio = np.array(edges) / np.array(node.box3d.size)
-        shown = " x ".join(f"{v:.3f}" for v in edges)
+        edges_text = " x ".join(f"{v:.3f}" for v in edges)
         if np.max(np.maximum(ratio, 1 / ratio)) > MAX_RESIZE:
-            reason = f"{role} requested {shown} m, which differs by a factor of over {MAX_RESIZE:g}"
+            reason = (
+                f"{role} requested {edges_text} m, which differs by a factor of over {MAX_RESIZE:g}"
+            )
             self.fallbacks.append((f"{node.name}: the measured box", reason))
             return
         self.size = (x, y, z)
@@ -386,5 +392,5 @@ class _Synthesis:
         self.subject = self.subject._replace(node=node)
 
     async def ask(self, stage: str, request: Request[T]) -> T | None:
-        skipped = f"{self.subject.node.name}: no {stage} round"
-        return await ask_or_record(self.models, request, skipped, self.fallbacks)
+        failure = f"{self.subject.node.name}: no {stage} round"
+        return await ask_or_record(self.models, request, failure, self.fallbacks)

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from ..checks.signals import in_radians
+from ..checks.signals import radians_hint
 from ..io.names import is_name
 from ..io.validation_message import validation_message
 from .session import warn
@@ -102,7 +102,7 @@ def rotation(value: Any, argument: str) -> tuple[float, float, float]:
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
     if abs(largest) > MAX_ROTATION_RAD and largest == round(largest):
-        raise ValueError(f"{argument}: {in_radians(largest)}")
+        raise ValueError(f"{argument}: {radians_hint(largest)}")
     warn_of_degrees(largest, argument)
     return angles
 
@@ -110,9 +110,9 @@ def rotation(value: Any, argument: str) -> tuple[float, float, float]:
 def warn_of_degrees(angle: float, argument: str) -> None:
     """Warn if an angle is a whole number above pi, which is probably in degrees."""
     if abs(angle) > math.pi and angle == round(angle):
-        turned = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
+        message = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
         hint = f"if {angle:g} degrees are meant, write math.radians({angle:g})"
-        warn("degrees", turned, hint)
+        warn("degrees", message, hint)
 
 
 def points(

@@ -23,7 +23,7 @@ from ..spec.pose import from_yaw, quat_mul, rotate
 from .subject import to_camera
 
 WIDTH, HEIGHT = 448, 384
-OPENED = 0.8
+OPEN_FRACTION = 0.8
 """Position of joints in the picture "opened", as a fraction of the open limit."""
 FRAME = (255, 255, 255)
 MIN_VISIBLE = 0.1
@@ -76,7 +76,7 @@ def draw(
         camera: the photo's camera; if None, the view shows the front from the right and above.
         opened: if True, open the joints.
     """
-    state = opened_state(spec) if opened else {}
+    state = open_state(spec) if opened else {}
     return _picture(
         "opened" if opened else "made", spec, state, view_from(spec, state, node, camera)
     )
@@ -95,7 +95,7 @@ def draw_exported(
         node: the parsed object, which states the pose in the scene.
         camera: the photo's camera.
     """
-    states = {"exported": {}, "opened": opened_state(spec)}
+    states = {"exported": {}, "opened": open_state(spec)}
     return [
         _picture(label, spec, state, view_from(spec, state, node, camera), read)
         for label, state in states.items()
@@ -134,15 +134,15 @@ def draw_in_place(
         camera: the photo's camera.
         window: area of the photo that the crop shows (x0, y0, x1, y1) [px].
     """
-    obj, points = _placed(spec, node)
+    obj, points = _place(spec, node)
     pixels, depth = camera.project(points)
     extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
     frame = np.array(window)
     low, high = np.maximum(extent[:2], frame[:2]), np.minimum(extent[2:], frame[2:])
-    share = float(
+    visible_fraction = float(
         np.prod(np.maximum(high - low, 0)) / max(float(np.prod(extent[2:] - extent[:2])), 1)
     )
-    if depth.min() < NEAR_M or share < MIN_VISIBLE:
+    if depth.min() < NEAR_M or visible_fraction < MIN_VISIBLE:
         return draw(spec, node, camera)
     x0, y0, x1, y1 = (
         np.concatenate([np.minimum(extent[:2], frame[:2]), np.maximum(extent[2:], frame[2:])])
@@ -167,7 +167,7 @@ def draw_in_place(
     return DescribedPicture("made", render_png, shows)
 
 
-def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
+def _place(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
     """Return an object that is scaled to its parsed box and placed in its parsed pose.
 
     Returns:
@@ -179,8 +179,10 @@ def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
     offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
     vertices = visible_vertices(scaled, state)
     lowest = rotate(node.base_tilt, vertices + offset)[:, 2].min()
-    turned = rotate(node.base_tilt, offset) - [0, 0, lowest]
-    x, y, z = (rotate(from_yaw(node.box3d.yaw), turned) + np.array(node.box3d.position)).tolist()
+    local_offset = rotate(node.base_tilt, offset) - [0, 0, lowest]
+    x, y, z = (
+        rotate(from_yaw(node.box3d.yaw), local_offset) + np.array(node.box3d.position)
+    ).tolist()
     obj = SceneObject(
         name=node.name,
         spec=scaled,
@@ -190,8 +192,8 @@ def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
         base_tilt=node.base_tilt,
         joint_state=state,
     )
-    turn = quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt))
-    return obj, rotate(turn, vertices) + [x, y, z]
+    rotation = quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt))
+    return obj, rotate(rotation, vertices) + [x, y, z]
 
 
 def _outline(canvas: NDArray, box: NDArray) -> None:
@@ -231,7 +233,7 @@ def view_from(
     )
 
 
-def opened_state(spec: ObjectSpec) -> dict[str, float]:
+def open_state(spec: ObjectSpec) -> dict[str, float]:
     """Return open positions [rad or m] of all joints that move and do not follow another joint."""
     state = {}
     for joint in spec.joints:
@@ -239,10 +241,10 @@ def opened_state(spec: ObjectSpec) -> dict[str, float]:
             continue
         if joint.type == "ball":
             # Tilt the child towards the front.
-            state[f"{joint.name}.y"] = OPENED * min(joint.upper or 1.0, 1.0)
+            state[f"{joint.name}.y"] = OPEN_FRACTION * min(joint.upper or 1.0, 1.0)
             continue
         turns = joint.type == "continuous"
-        far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
-        state[joint.name] = 0.8 if turns else OPENED * far
+        limit = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
+        state[joint.name] = 0.8 if turns else OPEN_FRACTION * limit
     # Joints that others require to be open are opened fully.
     return with_prerequisites(spec, state, opening=True)

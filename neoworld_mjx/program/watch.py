@@ -15,7 +15,7 @@ from ..render import render_object, to_png
 from ..spec import ObjectSpec
 from .failed_picture import FAILED, failed_picture
 from .sandbox import BuildResult
-from .views import opened_state
+from .views import open_state
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
     files = object_files(spec)
     files["spec.json"] = spec.to_json().encode()
     files["render.png"] = to_png(render_object(spec))
-    state = opened_state(spec)
+    state = open_state(spec)
     if state:
         files["opened.png"] = to_png(render_object(spec, state))
     return files
@@ -173,21 +173,21 @@ def _rebuild(
         return written
     built = result.built
     if built.spec is None or not built.ok:
-        outcome, fresh = "has errors; the other files are unchanged", written
+        outcome, new_files = "has errors; the other files are unchanged", written
         try:
-            drawn = write_failed(result, out, options or ProgramOptions())
-            outcome += f"; {FAILED} shows it" if drawn else ""
+            picture = write_failed(result, out, options or ProgramOptions())
+            outcome += f"; {FAILED} shows it" if picture else ""
         except ExportError as error:
             outcome = str(error)
     else:
         try:
-            fresh = write_built(result, out)
+            new_files = write_built(result, out)
             outcome = f"{len(built.spec.parts)} parts, {len(built.spec.joints)} joints"
-            for path in {*written, FAILED} - fresh:
+            for path in {*written, FAILED} - new_files:
                 (out / path).unlink(missing_ok=True)
         except ExportError as error:
-            outcome, fresh = str(error), written
+            outcome, new_files = str(error), written
     log.info(f"build {count} in {time.monotonic() - start:.2f} s: {outcome}")
     for line in (*listings(built.printed, built.signals, program, result.text), *result.notes):
         log.info(line)
-    return fresh
+    return new_files

@@ -13,7 +13,7 @@ from ..physics.model import SceneModel
 from ..spec import SceneSpec
 from .choosing import Winner
 from .objective import Objective
-from .rounds import PADDING_STATUS, Round, stack_padded
+from .rounds import NOT_SAMPLED, Round, stack_padded
 from .search_run import SearchResult, TimeToValid
 
 
@@ -80,7 +80,7 @@ class Refined:
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
-        return int(np.sum(self.history["status"] != PADDING_STATUS))
+        return int(np.sum(self.history["status"] != NOT_SAMPLED))
 
 
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     """
     absolute = np.asarray(values["absolute"], float)
     finite = np.isfinite(absolute)
-    population = int(np.sum(np.asarray(values["status"]) != PADDING_STATUS))
+    population = int(np.sum(np.asarray(values["status"]) != NOT_SAMPLED))
     valid = np.asarray(values["valid"])
     summary: dict[str, Any] = {
         "rollouts": population,
@@ -199,7 +199,7 @@ def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> di
         "reward": -np.inf,
         "absolute": -np.inf,
         "merit": -np.inf,
-        "status": PADDING_STATUS,
+        "status": NOT_SAMPLED,
         "valid": False,
     }
     history = {

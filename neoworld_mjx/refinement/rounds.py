@@ -7,7 +7,7 @@ import numpy as np
 from ..physics.layout import Layout, Poses
 from .objective import Scores
 
-PADDING_STATUS = -1
+NOT_SAMPLED = -1
 """Status in the history of entries beyond the population of an iteration, which pad it."""
 
 

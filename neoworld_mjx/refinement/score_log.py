@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..errors import ModelError
-from ..io import read_outside_text
+from ..io import read_untrusted_text
 from ..io.validation_message import validation_message
 from ..physics.layout import Layout
 from ..spec import SceneSpec
@@ -159,7 +159,7 @@ def read_scores(path: Path) -> list[Score]:
     Raises:
         ModelError: the file cannot be read, or a line is not a valid score.
     """
-    lines = read_outside_text(path, ModelError, "scores").splitlines()
+    lines = read_untrusted_text(path, ModelError, "scores").splitlines()
     scores = []
     for number, line in enumerate(lines, start=1):
         try:

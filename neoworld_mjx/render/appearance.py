@@ -119,7 +119,7 @@ def albedo(
         if g in appearance.prints:
             photo = appearance.prints[g]
             local = point[rows] @ turn.T + appearance.offset[g]
-            position, visible = photo.seen(local, normal[rows] @ turn.T)
+            position, visible = photo.project(local, normal[rows] @ turn.T)
             colour[rows[visible]] = linear(photo.colour(position[visible]))
             continue
         pattern = appearance.patterns[g]

@@ -37,21 +37,21 @@ def flat_faces(image: RenderedImage, view: View) -> Bool[np.ndarray, "row column
     flat = np.zeros(depth.size, bool)
     least = LEAST_SHARE * depth.size
     for k in range(len(image.names)):
-        left = np.flatnonzero(image.segmentation.ravel() == k)
-        least_here = max(least, LEAST_OF_OBJECT * len(left))
+        remaining = np.flatnonzero(image.segmentation.ravel() == k)
+        least_here = max(least, LEAST_OF_OBJECT * len(remaining))
         for _ in range(MOST_FACES):
-            if len(left) < least_here:
+            if len(remaining) < least_here:
                 break
-            same = normals[left] @ _most_common(normals[left]) > SAME_NORMAL
+            same = normals[remaining] @ _most_common(normals[remaining]) > SAME_NORMAL
             if same.sum() < least_here:
                 break
-            side = left[same]
+            side = remaining[same]
             normal = normals[side].mean(axis=0)
             offsets = (points[side] - points[side[0]]) @ normal
-            near = np.abs(offsets - np.median(offsets)) < SAME_PLANE * depth[side]
-            if near.sum() >= least_here:
-                flat[side[near]] = True
-            left = left[~same]
+            on_plane = np.abs(offsets - np.median(offsets)) < SAME_PLANE * depth[side]
+            if on_plane.sum() >= least_here:
+                flat[side[on_plane]] = True
+            remaining = remaining[~same]
     # Remove isolated pixels, which belong to details that lie in the plane of a face.
     return cast(Bool[np.ndarray, "row column"], ndimage.binary_opening(flat.reshape(rows.shape)))
 

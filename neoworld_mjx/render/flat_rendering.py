@@ -38,7 +38,7 @@ def render_plain(
         view = View.of(camera, width)
     else:
         tall = round((width or camera.width) * camera.height / camera.width)
-        view = camera._replace(width=width or camera.width, height=max(1, tall))
+        view = camera.resized(width or camera.width, max(1, tall))
     model, data = compile_posed(scene)
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2)
@@ -71,7 +71,7 @@ def render_plain(
     border = np.zeros(len(rays), bool)
     nearest = layers.nearest()
     front = hits.geom.copy()
-    front[layers.row[nearest]] = layers.hits.geom[nearest]
+    front[layers.ray[nearest]] = layers.hits.geom[nearest]
     for first in (hits.geom, front):
         border |= _borders(root[first].reshape(view.height, view.width)).ravel()
     picture[border] *= _OUTLINE

@@ -43,7 +43,7 @@ class ReadPrint:
         shift = self.shift + self.turn @ origin
         return ReadPrint(self.colours, self.depths, self.turn, shift)
 
-    def seen(self, points: NDArray, normals: NDArray) -> tuple[NDArray, NDArray]:
+    def project(self, points: NDArray, normals: NDArray) -> tuple[NDArray, NDArray]:
         """Project points into the window of the print, and test which points the print shows.
 
         Args:

@@ -78,7 +78,7 @@ def render(
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)
     else:
-        view = camera._replace(width=width or camera.width, height=height or camera.height)
+        view = camera.resized(width or camera.width, height or camera.height)
     spec = scene if isinstance(scene, SceneSpec) else None
     model, data = compile_posed(scene) if isinstance(scene, SceneSpec) else scene
     caster = RayCaster(model, data)
@@ -100,7 +100,7 @@ def render(
     color = display(light)
     if supersample > 1:
         edge = _edges(surface, point, normal, depth)
-        if len(cast.layers.row):
+        if len(cast.layers.ray):
             edge |= _edges(*stage.front(cast, shape))
         _smooth_edges(color, edge, stage, surface, point, normal, key, sky, supersample)
     surface, point, normal, depth = stage.front(cast, shape)
@@ -209,7 +209,7 @@ class _Stage:
         surface, point = cast.surface.copy(), cast.hits.point.copy()
         normal = cast.hits.normal.copy()
         nearest = cast.layers.nearest()
-        rows, hits = cast.layers.row[nearest], cast.layers.hits
+        rows, hits = cast.layers.ray[nearest], cast.layers.hits
         surface[rows], point[rows] = hits.geom[nearest], hits.point[nearest]
         normal[rows] = hits.normal[nearest]
         depth = np.where(surface == -1, np.inf, (point - self.view.eye) @ self.view.axes[:, 2])
@@ -262,7 +262,7 @@ class _Stage:
         key = self.caster.visible(self.lights.key[0], lifted)
 
         def paint(k: NDArray, behind: NDArray) -> NDArray:
-            rays, sky = cast.rays[layers.row[k]], np.full(len(k), OPEN_SKY)
+            rays, sky = cast.rays[layers.ray[k]], np.full(len(k), OPEN_SKY)
             opacity = self.caster.alpha[hits.geom[k]]
             return self._shade_hits(hits, k, rays, key[k], sky, opacity, behind)
 
@@ -342,9 +342,11 @@ def _smooth_edges(
     for i in (0, -1, 1):
         for j in (0, -1, 1):
             r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)
-            apart = np.linalg.norm(point[r, c] - cast.hits.point, axis=1)
-            turned = 1.0 - np.sum(normal[r, c] * cast.hits.normal, axis=1)
-            cost = np.where(surface[r, c] == cast.surface, apart * (1.0 + 20.0 * turned), np.inf)
+            distance = np.linalg.norm(point[r, c] - cast.hits.point, axis=1)
+            normal_change = 1.0 - np.sum(normal[r, c] * cast.hits.normal, axis=1)
+            cost = np.where(
+                surface[r, c] == cast.surface, distance * (1.0 + 20.0 * normal_change), np.inf
+            )
             better = cost < best
             best[better] = cost[better]
             lit[better], open_[better] = key[r, c][better], sky[r, c][better]

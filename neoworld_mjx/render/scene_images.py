@@ -93,7 +93,7 @@ def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None =
 def visible_surface(
     spec: ObjectSpec,
     joint_state: Mapping[str, float] | None = None,
-    some: Collection[str] | None = None,
+    parts: Collection[str] | None = None,
 ) -> tuple[NDArray, NDArray]:
     """Return the visible surface of an object, or of some of its parts.
 
@@ -102,7 +102,7 @@ def visible_surface(
     Args:
         spec: the object.
         joint_state: joint values [rad or m]; joints that are not listed are at 0.
-        some: names of the parts; if None, all parts. If these parts have no visible geoms, return
+        parts: names of the parts; if None, all parts. If these parts have no visible geoms, return
             no vertices.
 
     Returns:
@@ -110,18 +110,18 @@ def visible_surface(
     """
     from trimesh.util import append_faces
 
-    moved = link_poses(spec, dict(joint_state or {}))
+    part_poses = link_poses(spec, dict(joint_state or {}))
     points: list[NDArray] = []
     triangles: list[NDArray] = []
     for part in spec.parts:
         for geom in part.geoms:
-            if geom.role != "collision" and (some is None or part.name in some):
+            if geom.role != "collision" and (parts is None or part.name in parts):
                 vertices, faces = geom.shape.surface()
-                points.append(moved[part.name].then(geom.pose()).apply(vertices))
+                points.append(part_poses[part.name].then(geom.pose()).apply(vertices))
                 triangles.append(faces)
     if points:
         return append_faces(points, triangles)
-    if some is not None:
+    if parts is not None:
         return np.zeros((0, 3)), np.zeros((0, 3), int)
     low, high = bounds(spec, dict(joint_state or {}))
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T

@@ -121,6 +121,21 @@ class View(NamedTuple):
         centre = ((camera.width / 2 - x0) * scale, (camera.height_px / 2 - y0) * scale)
         return cls(camera.position(), camera.axes(), fovy, width, height, centre)
 
+    def resized(self, width: int, height: int) -> "View":
+        """Return the view with another size [px], the same field of view and the same gain.
+
+        The principal point moves with the center of the image. Its offset from this center scales
+        with the focal length.
+        """
+        centre = self.centre
+        if centre is not None:
+            scale = height / self.height
+            centre = (
+                width / 2 + (centre[0] - self.width / 2) * scale,
+                height / 2 + (centre[1] - self.height / 2) * scale,
+            )
+        return self._replace(width=width, height=height, centre=centre)
+
     @property
     def focal(self) -> float:
         """Focal length in pixels."""

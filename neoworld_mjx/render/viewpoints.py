@@ -77,7 +77,7 @@ def turntable(scene: SceneSpec, views: list[View], *, supersample: int = 2) -> I
         yield render(posed, view, supersample=supersample).color
 
 
-def opened(scene: SceneSpec, share: float) -> SceneSpec:
+def with_open_joints(scene: SceneSpec, share: float) -> SceneSpec:
     """Return the scene with each limited joint at a fraction of its range, from 0 to the far limit.
 
     The far limit is the limit with the larger absolute value. Mimic joints follow their leaders.
@@ -87,7 +87,7 @@ def opened(scene: SceneSpec, share: float) -> SceneSpec:
         state = dict(obj.joint_state)
         for joint in obj.spec.joints:
             if joint.type in ("revolute", "prismatic") and joint.mimic is None:
-                far = max(joint.lower, joint.upper, key=abs)
-                state[joint.name] = share * far
+                far_limit = max(joint.lower, joint.upper, key=abs)
+                state[joint.name] = share * far_limit
         objects.append(obj.model_copy(update={"joint_state": state}))
     return scene.model_copy(update={"objects": tuple(objects)})

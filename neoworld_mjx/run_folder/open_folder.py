@@ -94,7 +94,7 @@ class RunFolder:
         self._accepted = _accepted_steps(mode, step)
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a run folder or a folder that does not exist")
-        with disk_errors(self.path, anywhere=True):
+        with disk_errors(self.path, include_outside=True):
             check_claimable(self.path)
             if mode == "redo" and not (self.path / "run.json").exists():
                 raise RunError(f"{path} contains no run to redo from {step}; omit --from")
@@ -134,7 +134,7 @@ class RunFolder:
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
         """Return True if `step` would reuse the stored result of this step; run nothing."""
         self._visited.add(name)
-        return self._keeps(name, self._hashes(name, inputs))
+        return self._is_reusable(name, self._hashes(name, inputs))
 
     @contextlib.contextmanager
     def step(
@@ -160,7 +160,7 @@ class RunFolder:
             raise RunError(f"no such step: {choices(name, STEPS)}")
         hashes = self._hashes(name, inputs)
         self._visited.add(name)
-        if self._keeps(name, hashes):
+        if self._is_reusable(name, hashes):
             yield None
             return
         started = started or self.now()
@@ -273,7 +273,7 @@ class RunFolder:
         self.data = initial_record(config, self.data)
         self.save()
 
-    def _keeps(self, name: str, hashes: dict[str, str]) -> bool:
+    def _is_reusable(self, name: str, hashes: dict[str, str]) -> bool:
         """Return True if a step is finished and unchanged, or accepted with its edits."""
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
@@ -348,6 +348,6 @@ def _step_of(name: str) -> str:
     return name.split("/", maxsplit=1)[0]
 
 
-def _status(name: str, shown: str) -> dict[str, str]:
+def _status(name: str, step: str) -> dict[str, str]:
     """Return the step for the status line; empty for pictures, which a thread renders."""
-    return {} if name.endswith("/picture") else {"step": shown}
+    return {} if name.endswith("/picture") else {"step": step}

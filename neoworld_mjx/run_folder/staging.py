@@ -12,7 +12,7 @@ from typing import TextIO
 
 from ..errors import ExportError, RunError
 from ..io.files import (
-    PART,
+    TEMPORARY_NAME,
     content_hash,
     disk_full,
     irregular_entry,
@@ -49,7 +49,7 @@ def check_claimable(folder: Path) -> None:
 
 
 def _is_part_of_run_json(name: str) -> bool:
-    part = PART.match(name)
+    part = TEMPORARY_NAME.match(name)
     return part is not None and part["name"] == "run.json"
 
 
@@ -108,7 +108,7 @@ def clear_unfinished(folder: Path) -> None:
     """Delete unfinished files and the staging folders of a killed process."""
     shutil.rmtree(folder / STAGING, ignore_errors=True)
     for entry in folder.iterdir():
-        if PART.match(entry.name):
+        if TEMPORARY_NAME.match(entry.name):
             entry.unlink(missing_ok=True)
 
 
@@ -166,12 +166,12 @@ def delete_files(folder: Path, names: Iterable[str]) -> None:
 
 
 @contextlib.contextmanager
-def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
+def disk_errors(folder: Path, *, include_outside: bool = False) -> Iterator[None]:
     """Turn a full or read-only disk into a RunError.
 
     Args:
         folder: the run folder.
-        anywhere: if True, also convert errors of files outside the folder.
+        include_outside: if True, also convert errors of files outside the folder.
     """
     try:
         yield
@@ -183,7 +183,7 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
                 f"no space left on the disk of {folder}: free some, then continue with --resume"
             ) from error
         path = str(getattr(error, "filename", None) or folder)
-        if isinstance(error, OSError) and (anywhere or path.startswith(str(folder))):
+        if isinstance(error, OSError) and (include_outside or path.startswith(str(folder))):
             raise RunError(
                 f"cannot write {path}: {error.strerror}; name a folder that you may write to"
             ) from error

@@ -23,9 +23,9 @@ from .scene import (
     SceneObject,
     SceneSpec,
     read_scene,
-    rearranged,
     single_object_scene,
     support_frame,
+    with_layout,
     world_poses,
 )
 from .shapes import (
@@ -106,12 +106,12 @@ __all__ = [
     "part_bounds",
     "pieces",
     "read_scene",
-    "rearranged",
     "recentred",
     "scale",
     "scaled_state",
     "single_object_scene",
     "support_frame",
     "translated",
+    "with_layout",
     "world_poses",
 ]

@@ -61,7 +61,7 @@ class BaseShape(ScalableSpec):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return the distances [m] of points [m] to the surface, negative inside, shape [n]."""
-        return distance_to_triangles(rows(points), *self.surface())
+        return distance_to_triangles(as_points(points), *self.surface())
 
 
 class Primitive(BaseShape):
@@ -93,6 +93,6 @@ def _shared_surface(shape: BaseShape) -> tuple[NDArray, NDArray]:
     return vertices, faces
 
 
-def rows(points: ArrayLike) -> NDArray:
+def as_points(points: ArrayLike) -> NDArray:
     """Return points as an array [n, 3]."""
     return np.atleast_2d(np.asarray(points, float))

@@ -47,10 +47,10 @@ def poly(piece: Piece, pose: Pose) -> tuple[Poly, NDArray]:
     span = float(np.ptp(corners, axis=0).max())
     on = np.abs(corners @ half[:, :3].T - half[:, 3]) < 1e-9 * span
     faces = tuple(_around(corners, np.flatnonzero(on[:, k]), half[k, :3]) for k in range(len(half)))
-    placed = pose.apply(corners)
-    turned = pose.apply(half[:, :3]) - pose.pos
-    offset = (placed @ turned.T).max(axis=0)
-    return Poly(placed, tuple(f for f in faces if len(f) > 2)), np.column_stack([turned, offset])
+    vertices = pose.apply(corners)
+    normals = pose.apply(half[:, :3]) - pose.pos
+    offset = (vertices @ normals.T).max(axis=0)
+    return Poly(vertices, tuple(f for f in faces if len(f) > 2)), np.column_stack([normals, offset])
 
 
 def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly | None]:

@@ -65,13 +65,15 @@ class _Cutter:
         """Return the parts of convex solids that lie outside a convex tool."""
         body, half = tool
         result: list[_Convex] = []
-        for one in solids:
-            if self._apart(one, body):
-                result.append(one)
+        for piece in solids:
+            if self._disjoint(piece, body):
+                result.append(piece)
                 continue
-            rest, outside = self._cut(one.solid, half)
+            remainder, outside = self._cut(piece.solid, half)
             # A solid that barely overlaps the tool stays whole.
-            parts = [one.solid] if rest is None or self._is_negligible(rest) else outside
+            parts = (
+                [piece.solid] if remainder is None or self._is_negligible(remainder) else outside
+            )
             result += [_convex(part) for part in parts if not self._is_negligible(part)]
             _check_count(result)
         return result
@@ -79,34 +81,32 @@ class _Cutter:
     def common(self, solids: list[_Convex], tools: list[_Tool]) -> list[_Convex]:
         """Return the intersections of convex solids with convex tools that do not overlap."""
         result: list[_Convex] = []
-        for one in solids:
+        for piece in solids:
             for body, half in tools:
-                if self._apart(one, body):
+                if self._disjoint(piece, body):
                     continue
-                rest, _ = self._cut(one.solid, half)
-                if rest is not None and not self._is_negligible(rest):
-                    result.append(_convex(rest))
+                remainder, _ = self._cut(piece.solid, half)
+                if remainder is not None and not self._is_negligible(remainder):
+                    result.append(_convex(remainder))
             _check_count(result)
         return result
 
     def _cut(self, solid: Poly, half: NDArray) -> tuple[Poly | None, list[Poly]]:
         """Return the part of a solid inside all half-spaces, and the parts outside."""
-        rest: Poly | None = solid
+        inside: Poly | None = solid
         outside: list[Poly] = []
         for plane in half:
-            if rest is None:
+            if inside is None:
                 break
-            self._spend(1 + len(rest.faces) / 32)
-            rest, beyond = split(rest, plane, self.slack)
+            self._spend(1 + len(inside.faces) / 32)
+            inside, beyond = split(inside, plane, self.slack)
             if beyond is not None:
                 outside.append(beyond)
-        return rest, outside
+        return inside, outside
 
-    def _apart(self, one: _Convex, other: _Convex) -> bool:
+    def _disjoint(self, a: _Convex, b: _Convex) -> bool:
         self._spend(BOX_TEST_COST)
-        return bool(
-            np.any(one.low > other.high - self.slack) or np.any(other.low > one.high - self.slack)
-        )
+        return bool(np.any(a.low > b.high - self.slack) or np.any(b.low > a.high - self.slack))
 
     def _spend(self, cost: float) -> None:
         self.cuts_left -= cost

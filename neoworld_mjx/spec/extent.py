@@ -23,12 +23,12 @@ def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Pie
 
 @lru_cache(maxsize=512)
 def _placed_pieces(part: PartSpec, role: Role) -> tuple[tuple[GeomSpec, Piece, Pose], ...]:
-    placed = []
+    posed_pieces = []
     for geom in part.geoms:
         if geom.role in (role, "both"):
             for piece in geom.shape.pieces():
-                placed.append((geom, piece, geom.pose().then(pose(piece.pos, piece.quat))))
-    return tuple(placed)
+                posed_pieces.append((geom, piece, geom.pose().then(pose(piece.pos, piece.quat))))
+    return tuple(posed_pieces)
 
 
 def bounds(
@@ -45,12 +45,12 @@ def bounds(
         tilt: rotation of the whole object about its origin.
         role: role of the geoms that count, "collision" or "visual".
     """
-    moved = link_poses(spec, joint_state or {})
+    part_poses = link_poses(spec, joint_state or {})
     base = pose((0, 0, 0), tilt)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for part in spec.parts:
         for _, piece, piece_pose in pieces(part, role):
-            lower, upper = box_around(piece, base.then(moved[part.name]).then(piece_pose))
+            lower, upper = box_around(piece, base.then(part_poses[part.name]).then(piece_pose))
             low, high = np.minimum(low, lower), np.maximum(high, upper)
     return low, high
 

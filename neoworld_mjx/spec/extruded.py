@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
-from .base_shape import BaseShape, Point2, rows
+from .base_shape import BaseShape, Point2, as_points
 from .convex import Piece, hull, polytope, prism
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 from .pose import ArrayLike
@@ -87,7 +87,7 @@ class Extrusion(BaseShape):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        p = rows(points)
+        p = as_points(points)
         loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
         return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
 
@@ -122,7 +122,7 @@ class RoundedBox(BaseShape):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        return box_distance(rows(points), np.array(self.size) / 2 - self.radius) - self.radius
+        return box_distance(as_points(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)
@@ -221,12 +221,12 @@ def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
         - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
     )
     p, q, r, s = a[:, None], b[:, None], a[None], b[None]
-    apart = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
+    separated = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
     # Edges on one line are apart if their spans are apart.
     spans = (np.maximum(p, q) < np.minimum(r, s)) | (np.maximum(r, s) < np.minimum(p, q))
-    apart |= spans.any(axis=-1)
-    near = np.zeros((n, n), bool)
-    near[np.arange(n), following] = near[following, np.arange(n)] = True
-    near |= np.eye(n, dtype=bool)
-    meeting = np.argwhere(~apart & ~near)
+    separated |= spans.any(axis=-1)
+    adjacent = np.zeros((n, n), bool)
+    adjacent[np.arange(n), following] = adjacent[following, np.arange(n)] = True
+    adjacent |= np.eye(n, dtype=bool)
+    meeting = np.argwhere(~separated & ~adjacent)
     return (int(meeting[0][0]), int(meeting[0][1])) if len(meeting) else None

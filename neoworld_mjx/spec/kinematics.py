@@ -23,15 +23,15 @@ def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, 
             follows its leader.
     """
     values = {joint.name: joint_position(spec, joint, joint_state) for joint in spec.joints}
-    moved: dict[str, Pose] = {}
+    poses: dict[str, Pose] = {}
     for part, joint in spec.ordered:
         if joint is None:
-            moved[part.name] = pose()
+            poses[part.name] = pose()
             continue
         motion = joint_motion(joint, values[joint.name])
-        above = moved[joint.parent]
-        moved[part.name] = above if motion is _AT_REST else above.then(motion)
-    return moved
+        above = poses[joint.parent]
+        poses[part.name] = above if motion is _AT_REST else above.then(motion)
+    return poses
 
 
 def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]) -> float:
@@ -110,11 +110,11 @@ def followers(spec: ObjectSpec, joint: JointSpec) -> set[str]:
 def moving_parts(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     """Return the names of the parts that move with a joint and its followers."""
     moving_joints = {joint.name} | followers(spec, joint)
-    moved: set[str] = set()
+    moving: set[str] = set()
     for part, own_joint in spec.ordered:
-        if own_joint and (own_joint.name in moving_joints or own_joint.parent in moved):
-            moved.add(part.name)
-    return moved
+        if own_joint and (own_joint.name in moving_joints or own_joint.parent in moving):
+            moving.add(part.name)
+    return moving
 
 
 def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:

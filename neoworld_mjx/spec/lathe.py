@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
-from .base_shape import BaseShape, Point2, Sectors, rows
+from .base_shape import BaseShape, Point2, Sectors, as_points
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
 from .outlines import edges_distance, hull_excess, inside_edges, loops_distance
@@ -193,7 +193,7 @@ class Lathe(BaseShape):
         """Return signed distances; they are exact unless the shape is oval."""
         if self.oval != 1.0:
             return super().signed_distance(points)
-        p, chain = rows(points), self.section()
+        p, chain = as_points(points), self.section()
         flat = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
         if self.is_ring():
             return loops_distance(flat, [chain])

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .triangles import DISTANCE_CHUNK
+from .triangles import MAX_PAIRS
 
-LID_POINTS = 17
+HULL_EDGE_SAMPLES = 17
 """Number of points along each edge of a hull at which the distance to the polygons is measured."""
 
 
@@ -40,8 +40,8 @@ def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     edge = b - a
     length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
     best = np.full(len(p), np.inf)
-    for i in range(0, len(p), max(1, DISTANCE_CHUNK // len(a))):
-        chunk = slice(i, i + max(1, DISTANCE_CHUNK // len(a)))
+    for i in range(0, len(p), max(1, MAX_PAIRS // len(a))):
+        chunk = slice(i, i + max(1, MAX_PAIRS // len(a)))
         from_a = p[chunk, None] - a
         t = np.clip(np.sum(from_a * edge, axis=2) / length, 0.0, 1.0)
         gap = from_a - t[..., None] * edge
@@ -69,7 +69,7 @@ def hull_excess(polygons: list[NDArray]) -> float:
     low, span = corners.min(axis=0), np.ptp(corners, axis=0).max()
     around = corners[ConvexHull((corners - low) / span).vertices]
     # The largest distance is at edges of the hull that span a gap.
-    along = np.linspace(0.0, 1.0, LID_POINTS)[:, None, None]
+    along = np.linspace(0.0, 1.0, HULL_EDGE_SAMPLES)[:, None, None]
     lids = around + along * (np.roll(around, -1, axis=0) - around)
     a, b = corners, np.vstack([np.roll(polygon, -1, axis=0) for polygon in polygons])
     return float(edges_distance(lids.reshape(-1, 2), a, b).max())

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
-from .base_shape import BaseShape, Face, Point2, Primitive, rows
+from .base_shape import BaseShape, Face, Point2, Primitive, as_points
 from .convex import Piece, prism
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 from .pose import ArrayLike
@@ -34,7 +34,7 @@ class Box(Primitive):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        return box_distance(rows(points), np.array(self.size) / 2)
+        return box_distance(as_points(points), np.array(self.size) / 2)
 
 
 class Sphere(Primitive):
@@ -53,7 +53,7 @@ class Sphere(Primitive):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        return np.linalg.norm(rows(points), axis=1) - self.radius
+        return np.linalg.norm(as_points(points), axis=1) - self.radius
 
 
 class Capsule(Primitive):
@@ -73,7 +73,7 @@ class Capsule(Primitive):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        p = rows(points)
+        p = as_points(points)
         along = np.maximum(np.abs(p[:, 2]) - self.length / 2, 0.0)
         return np.hypot(np.hypot(p[:, 0], p[:, 1]), along) - self.radius
 
@@ -96,7 +96,7 @@ class Cylinder(Primitive):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        p = rows(points)
+        p = as_points(points)
         flat = np.hypot(p[:, 0], p[:, 1]) - self.radius
         return extruded_distance(flat, p[:, 2], self.height / 2)
 
@@ -118,7 +118,7 @@ class Ellipsoid(Primitive):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        return _ellipsoid_distance(rows(points), np.array(self.radii))
+        return _ellipsoid_distance(as_points(points), np.array(self.radii))
 
 
 class Prism(BaseShape):
@@ -156,7 +156,7 @@ class Prism(BaseShape):
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact signed distances."""
-        p = rows(points)
+        p = as_points(points)
         flat = loops_distance(p[:, :2], [np.array(self.outline, float)])
         return extruded_distance(flat, p[:, 2], self.height / 2)
 

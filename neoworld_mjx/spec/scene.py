@@ -175,8 +175,8 @@ def single_object_scene(item: SceneObject | ObjectSpec) -> SceneSpec:
 
     An `ObjectSpec` is placed at the origin; a `SceneObject` keeps its pose.
     """
-    placed = SceneObject(name=item.name, spec=item) if isinstance(item, ObjectSpec) else item
-    return SceneSpec(name=item.name, objects=(placed,))
+    scene_object = SceneObject(name=item.name, spec=item) if isinstance(item, ObjectSpec) else item
+    return SceneSpec(name=item.name, objects=(scene_object,))
 
 
 def read_scene(path: Path) -> SceneSpec:
@@ -210,8 +210,8 @@ def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> P
     frame = pose(parent_pose.pos, from_yaw(yaw_of(parent_pose.quat)))
     if link is None:
         return frame
-    moved = parent_pose.then(link_poses(parent.spec, parent.joint_state)[link])
-    return pose(moved.pos, from_yaw(yaw_of(moved.quat)))
+    part_pose = parent_pose.then(link_poses(parent.spec, parent.joint_state)[link])
+    return pose(part_pose.pos, from_yaw(yaw_of(part_pose.quat)))
 
 
 def world_poses(scene: SceneSpec) -> dict[str, Pose]:
@@ -227,29 +227,31 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
     return poses
 
 
-def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
+def transformed_scene(scene: SceneSpec, transform: Pose) -> SceneSpec:
     """Move all objects of a scene by a rigid transform of the world frame; keep the camera.
 
     Args:
         scene: the scene.
-        by: the transform [m]. A transform that rotates about another axis than the vertical tilts
-            the objects, and is possible only if no object has a parent.
+        transform: the transform [m]. A transform that rotates about another axis than the vertical
+            tilts the objects, and is possible only if no object has a parent.
 
     Raises:
         SpecError: the transform tilts a scene with parents.
     """
-    turn = yaw_of(by.quat)
+    turn = yaw_of(transform.quat)
     level = from_yaw(turn)
-    tilts = abs(float(level @ by.quat)) < 1 - 1e-12
+    tilts = abs(float(level @ transform.quat)) < 1 - 1e-12
     if tilts and any(item.parent is not None for item in scene.objects):
         raise SpecError(f"scene {scene.name} has objects with parents, which cannot be tilted")
     objects = []
     for item in scene.objects:
         if item.parent is None:
-            x, y, z = by.apply(np.array([*item.xy, item.z])).tolist()
+            x, y, z = transform.apply(np.array([*item.xy, item.z])).tolist()
             update: dict[str, object] = {"xy": (x, y), "z": z, "yaw": item.yaw + turn}
             if tilts:
-                quat = quat_mul(by.quat, quat_mul(from_yaw(item.yaw), np.array(item.base_tilt)))
+                quat = quat_mul(
+                    transform.quat, quat_mul(from_yaw(item.yaw), np.array(item.base_tilt))
+                )
                 yaw = yaw_of(quat)
                 tilt = quat_mul(conjugate(from_yaw(yaw)), quat)
                 update |= {"yaw": yaw, "base_tilt": tuple((tilt / np.linalg.norm(tilt)).tolist())}
@@ -258,7 +260,7 @@ def moved_whole(scene: SceneSpec, by: Pose) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def rearranged(
+def with_layout(
     scene: SceneSpec,
     xy: Annotated[np.ndarray, "[object, 2]"],
     yaw: Annotated[np.ndarray, "[object]"],

@@ -154,6 +154,6 @@ def _transported(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
     size = np.linalg.norm(k)
     if size < 1e-12:
         return side
-    turned = rotate(from_axis_angle(k, float(np.arctan2(size, before @ after))), side)
-    turned = turned - (turned @ after) * after
-    return turned / np.linalg.norm(turned)
+    rotated = rotate(from_axis_angle(k, float(np.arctan2(size, before @ after))), side)
+    rotated = rotated - (rotated @ after) * after
+    return rotated / np.linalg.norm(rotated)

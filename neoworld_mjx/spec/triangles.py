@@ -11,7 +11,7 @@ BALL_SECTORS, RINGS = 32, 16
 """Numbers of facets around a sphere and from pole to pole; low, since only exports show facets."""
 CREASE = math.radians(40.0)
 """Largest angle between faces across which shading is smooth [rad]."""
-DISTANCE_CHUNK = 400_000
+MAX_PAIRS = 400_000
 """Number of pairs of a point and a triangle (or an edge) that are processed at once."""
 
 
@@ -121,7 +121,7 @@ def revolved(chain: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDA
 def distance_to_triangles(p: NDArray, vertices: NDArray, faces: NDArray) -> NDArray:
     """Return the distances [m] of points [n, 3] to a closed mesh, negative inside, shape [n]."""
     corners = vertices[faces]
-    step = max(1, DISTANCE_CHUNK // len(faces))
+    step = max(1, MAX_PAIRS // len(faces))
     distances = np.empty(len(p))
     for i in range(0, len(p), step):
         chunk = p[i : i + step, None]

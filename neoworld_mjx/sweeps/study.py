@@ -288,10 +288,9 @@ def _suggest_values(plan: Plan, trial: Any) -> dict[str, Any]:
 
 
 def _value(rows: Sequence[Row], plan: Plan) -> float:
-    """Return the mean of the goal over runs. A run without a value counts as the worst run."""
+    """Return the mean of the goal over runs. A run without a finite value counts as the worst."""
     assert plan.study is not None
     goal, sign = plan.study.goal, 1.0 if plan.study.direction == "maximize" else -1.0
-    values = [row.get(goal) for row in rows]
-    known = [float(v) for v in values if v is not None and math.isfinite(v)]
-    worst = sign * min((sign * v for v in known), default=-1e6)
-    return sum(float(v) if v is not None else worst for v in values) / max(len(values), 1)
+    values = [math.nan if row.get(goal) is None else float(row[goal]) for row in rows]
+    worst = sign * min((sign * v for v in values if math.isfinite(v)), default=-1e6)
+    return sum(v if math.isfinite(v) else worst for v in values) / max(len(values), 1)

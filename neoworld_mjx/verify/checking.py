@@ -14,7 +14,7 @@ from ..export.importing import Imported
 from ..export.importing_scene import ImportedScene, import_file
 from ..io import read_model
 from ..spec import ObjectSpec
-from .patch import Patch, overlay_path, read_overlay, write_overlay
+from .patch import Patch, patch_path, read_patch, write_patch
 from .patched import build_patched
 from .verification import VerificationResult, verify_and_repair
 
@@ -97,7 +97,7 @@ def check_object(
             return {**output, "passed": False, "checks": []}
         spec, allowed = built.spec, built.allowances
         if patched.patch is not None:
-            output["overlay"] = {"file": str(overlay_path(path)), "stale": list(patched.stale)}
+            output["overlay"] = {"file": str(patch_path(path)), "stale": list(patched.stale)}
     else:
         imported = imported or import_object(path)
         spec, output["notes"] = imported.spec, list(imported.notes)
@@ -115,8 +115,8 @@ def check_object(
         output["passed"] = False
     if repair and not result.patch.empty:
         if is_program:
-            patch = (read_overlay(path) or Patch()).joined(result.patch)
-            output["patch"] = str(write_overlay(path, patch))
+            patch = (read_patch(path) or Patch()).merged_with(result.patch)
+            output["patch"] = str(write_patch(path, patch))
         if out is not None:
             export_object(result.applied(spec), out)
             output["folder"] = str(out)

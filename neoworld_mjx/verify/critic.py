@@ -104,7 +104,7 @@ def key_frames_request(
         _listed("Tried before", tried) if tried else "",
     ]
     prompt = "\n\n".join(filter(None, paragraphs))
-    name, frames = f"simulation:{tests.spec.name}", strips(tests, always=always)
+    name, frames = f"simulation:{tests.spec.name}", strips(tests, include_standard=always)
     return Request("critic", name, _instructions("critic"), prompt, MotionCritique, frames)
 
 
@@ -275,7 +275,7 @@ async def revise_with_models(
         return not changes or not rounds or attempt.tests.verdict.passed
 
     async def changed(attempts: Sequence[_Round]) -> _Round | None:
-        critique, before = attempts[-1].critique, len(repaired.tried)
+        critique, tried_before = attempts[-1].critique, len(repaired.tried)
         assert critique is not None
         if critique.verdict == "reprogram":
             if not await rewritten(critique):
@@ -286,14 +286,14 @@ async def revise_with_models(
             if proposed is None or proposed.patch.empty:
                 return None
             await compute(lambda: repaired.try_patches([proposed.patch]))
-        tried.extend(repaired.tried[before:])
+        tried.extend(repaired.tried[tried_before:])
         return None if repaired.after.passed else _Round(repaired.tests)
 
     async def rewritten(critique: MotionCritique) -> bool:
         """Request a new program and test it; return False if no program can be requested."""
         lines = findings(critique)
         if reprogram is None:
-            repaired.unmet.append("; ".join(lines) or "the critic states no finding")
+            repaired.unfulfilled.append("; ".join(lines) or "the critic states no finding")
             return False
         try:
             result = await reprogram([*lines, *_failed(repaired.tests)])

@@ -27,6 +27,6 @@ def _film(tests: ObjectTests, run: Trajectory) -> bytes:
     steps = np.linspace(0, len(run.time) - 1, FRAMES).astype(int)
     poses = [posed_at(tests, run, int(k)) for k in steps]
     view = view_of_all(poses, WIDTH, HEIGHT)
-    frames = [render_plain(single_object_scene(each), view) for each in poses]
+    frames = [render_plain(single_object_scene(posed), view) for posed in poses]
     pause_ms = max(20, round(1000 * float(run.time[-1] - run.time[0]) / (FRAMES - 1)))
     return encode_animation(frames, pause_ms)

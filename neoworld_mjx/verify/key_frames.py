@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
 from ..checks.object_tests import ObjectTests
-from ..checks.scenarios import SINGLE
+from ..checks.scenarios import SINGLE_DOF_TYPES
 from ..checks.simulation import Trajectory
 from ..checks.verdict import Check, Verdict
 from ..program.views import DescribedPicture
@@ -18,7 +18,7 @@ from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY
 
 WIDTH, HEIGHT, BAND = 220, 200, 16
-FRAMES, MOST = 4, 3
+FRAMES, MAX_STRIPS = 4, 3
 
 
 def questionable(verdict: Verdict) -> list[Check]:
@@ -45,12 +45,12 @@ def standard_runs(tests: ObjectTests) -> dict[str, Trajectory]:
     return {run.scenario.kind: run for run in runs or drives[:1]}
 
 
-def strips(tests: ObjectTests, *, always: bool = False) -> list[DescribedPicture]:
+def strips(tests: ObjectTests, *, include_standard: bool = False) -> list[DescribedPicture]:
     """Return strips of the runs and poses of failed and borderline checks, the worst first.
 
     Args:
         tests: results of the object tests.
-        always: if True, add the standard scenarios, up to the largest number of strips.
+        include_standard: if True, add the standard scenarios, up to the largest number of strips.
 
     Returns:
         At most three strips of four frames. Each frame is labeled with the time or the joint value.
@@ -63,20 +63,20 @@ def strips(tests: ObjectTests, *, always: bool = False) -> list[DescribedPicture
         label = f"{check.scenario} {check.name}"
         trajectory = by_name.get(check.evidence.removeprefix("run "))
         key = trajectory.scenario.name if trajectory else f"{check.joint}:{check.at}"
-        if key in pictures or len(pictures) == MOST:
+        if key in pictures or len(pictures) == MAX_STRIPS:
             continue
         if trajectory is not None:
-            pictures[key] = _of_run(tests, trajectory, label)
+            pictures[key] = _run_strip(tests, trajectory, label)
         elif check.joint not in {None, *balls}:
-            pictures[key] = _of_joint(tests, check, label)
-    if always:
+            pictures[key] = _joint_strip(tests, check, label)
+    if include_standard:
         for kind, run in standard_runs(tests).items():
-            if run.scenario.name not in pictures and len(pictures) < MOST:
-                pictures[run.scenario.name] = _of_run(tests, run, kind.replace("_", " "))
+            if run.scenario.name not in pictures and len(pictures) < MAX_STRIPS:
+                pictures[run.scenario.name] = _run_strip(tests, run, kind.replace("_", " "))
     return list(pictures.values())
 
 
-def _of_run(tests: ObjectTests, trajectory: Trajectory, label: str) -> DescribedPicture:
+def _run_strip(tests: ObjectTests, trajectory: Trajectory, label: str) -> DescribedPicture:
     """Return a strip of four frames of a run."""
     steps = np.linspace(0, len(trajectory.time) - 1, FRAMES).astype(int)
     poses = [posed_at(tests, trajectory, int(k)) for k in steps]
@@ -92,20 +92,22 @@ def posed_at(tests: ObjectTests, trajectory: Trajectory, k: int) -> SceneObject:
     state = {
         joint.name: float(q[simulation.address(joint.name)[0]])
         for joint in tests.spec.joints
-        if joint.type in SINGLE
+        if joint.type in SINGLE_DOF_TYPES
     }
     return _posed(tests, state, q[:3], q[3:7])
 
 
-def _of_joint(tests: ObjectTests, check: Check, label: str) -> DescribedPicture:
+def _joint_strip(tests: ObjectTests, check: Check, label: str) -> DescribedPicture:
     """Return a strip of a joint from 0 to its worst position, while its prerequisites are open."""
     joint = next(j for j in tests.spec.joints if j.name == check.joint)
-    worst = check.at if check.at is not None else 0.0
+    end = check.at if check.at is not None else 0.0
     if check.at is None and joint.type in ("revolute", "prismatic"):
-        worst = joint.upper
-    values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
-    opened = prerequisite_state(tests.spec, joint)
-    states = [{**opened, joint.name: v} if joint.type in SINGLE else {} for v in values]
+        end = joint.upper
+    values = [end * k / (FRAMES - 1) for k in range(FRAMES)]
+    prerequisites = prerequisite_state(tests.spec, joint)
+    states = [
+        {**prerequisites, joint.name: v} if joint.type in SINGLE_DOF_TYPES else {} for v in values
+    ]
     poses = [_posed(tests, state, np.zeros(3), np.array(IDENTITY)) for state in states]
     return _strip(label, poses, [f"{joint.name[:20]} = {v:.3g}" for v in values])
 
@@ -133,20 +135,20 @@ def _strip(label: str, poses: list[SceneObject], titles: list[str]) -> Described
         for posed in poses
     ]
     shows = f"{label}{poses[0].spec.to_json()}{states}{titles}"
-    return DescribedPicture(label, lambda: _drawn(poses, titles), shows)
+    return DescribedPicture(label, lambda: _render_png(poses, titles), shows)
 
 
 def view_of_all(poses: list[SceneObject], width: int, height: int) -> View:
     """Return a view in which the whole object is visible in all of the poses."""
     points = []
     for posed in poses:
-        turn = Rotation.from_quat(np.roll(posed.base_tilt, -1))
-        vertices = turn.apply(visible_vertices(posed.spec, posed.joint_state))
+        rotation = Rotation.from_quat(np.roll(posed.base_tilt, -1))
+        vertices = rotation.apply(visible_vertices(posed.spec, posed.joint_state))
         points.append(vertices + [*posed.xy, posed.z])
     return View.framing(np.vstack(points), width=width, height=height)
 
 
-def _drawn(poses: list[SceneObject], titles: list[str]) -> bytes:
+def _render_png(poses: list[SceneObject], titles: list[str]) -> bytes:
     """Render the frames of a strip, and return a PNG image."""
     view = view_of_all(poses, WIDTH, HEIGHT)
     sheet = Image.new("RGB", (WIDTH * len(poses), HEIGHT + BAND), "white")

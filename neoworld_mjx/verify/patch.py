@@ -32,7 +32,7 @@ from ..spec import (
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, le=1e6)]
-Placed = TypeVar("Placed", AuthoredInertia, GeomSpec, Site)
+Movable = TypeVar("Movable", AuthoredInertia, GeomSpec, Site)
 SUFFIX = ".patch.json"
 
 
@@ -88,7 +88,7 @@ class GeomEdit(Edit):
     """Whether the visible shape collides, instead of other colliders of the part."""
 
     @model_validator(mode="after")
-    def _one(self) -> "GeomEdit":
+    def _exclusive(self) -> "GeomEdit":
         if self.as_seen and self.shrink is not None:
             raise ValueError("a collider is as seen or shrunk, not both")
         return self
@@ -107,7 +107,7 @@ class Patch(Edit):
         """True if the patch changes nothing."""
         return not (self.parts or self.joints or self.geoms or self.materials)
 
-    def joined(self, other: "Patch") -> "Patch":
+    def merged_with(self, other: "Patch") -> "Patch":
         """Return the merger of this patch with another patch.
 
         Shifts add up. In all other fields, values of the other patch replace those of this patch.
@@ -162,9 +162,9 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
     # The shift of a part also moves all parts that it carries.
     shifts: dict[str, NDArray] = {}
     for part, joint in spec.ordered:
-        above = np.zeros(3) if joint is None else shifts[joint.parent]
+        parent_shift = np.zeros(3) if joint is None else shifts[joint.parent]
         edit = patch.parts.get(part.name, PartEdit())
-        shifts[part.name] = above + np.array(edit.shift or (0.0, 0.0, 0.0))
+        shifts[part.name] = parent_shift + np.array(edit.shift or (0.0, 0.0, 0.0))
     joints = [_joint(joint, patch, shifts[joint.parent]) for joint in spec.joints]
     try:
         patched = ObjectSpec(
@@ -182,7 +182,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
     return patched, tuple(stale)
 
 
-def _translated(item: Placed, shift: NDArray) -> Placed:
+def _translated(item: Movable, shift: NDArray) -> Movable:
     """Return a geom, site or inertia, translated by `shift` [m]."""
     if not np.any(shift):
         return item
@@ -236,28 +236,28 @@ def _material(material: Material, patch: Patch) -> Material:
     return material.model_copy(update=edit.model_dump(exclude_none=True))
 
 
-def overlay_path(program: Path) -> Path:
+def patch_path(program: Path) -> Path:
     """Return the path of the patch of a program."""
     return program.with_name(program.stem + SUFFIX)
 
 
-def read_overlay(program: Path) -> Patch | None:
+def read_patch(program: Path) -> Patch | None:
     """Read the patch of a program; return None if the program has no patch.
 
     Raises:
         SpecError: the file cannot be read or is not a patch.
     """
-    path = overlay_path(program)
+    path = patch_path(program)
     return read_model(path, Patch, SpecError, "a patch") if path.exists() else None
 
 
-def write_overlay(program: Path, patch: Patch) -> Path:
+def write_patch(program: Path, patch: Patch) -> Path:
     """Write the patch of a program, and return its path.
 
     Raises:
         SpecError: the file cannot be written.
     """
-    path = overlay_path(program)
+    path = patch_path(program)
     write_output(path, patch.to_json(), SpecError)
     return path
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from ..config import ProgramOptions
 from ..errors import SpecError
-from ..io import read_outside_text
+from ..io import read_untrusted_text
 from ..program import build
 from ..program.watch import BuiltProgram
-from .patch import SUFFIX, Patch, apply, read_overlay
+from .patch import SUFFIX, Patch, apply, read_patch
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
     """
     text = read_program(program)
     built = build(text, options)
-    patch = read_overlay(program)
+    patch = read_patch(program)
     if patch is None or built.spec is None:
         return PatchedProgram(text, built, patch=patch)
     spec, stale = apply(patch, built.spec)
@@ -41,8 +41,8 @@ def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
         *(f"patch: {change}" for change in patch.changes()),
         *(f"patch: the object no longer has {edit}" for edit in stale),
     )
-    beside = {"program" + SUFFIX: patch.to_json()}
-    return PatchedProgram(text, replace(built, spec=spec), beside, notes, patch, stale)
+    patch_files = {"program" + SUFFIX: patch.to_json()}
+    return PatchedProgram(text, replace(built, spec=spec), patch_files, notes, patch, stale)
 
 
 def read_program(program: Path) -> str:
@@ -51,4 +51,4 @@ def read_program(program: Path) -> str:
     Raises:
         SpecError: the file cannot be read or is not text.
     """
-    return read_outside_text(program, SpecError)
+    return read_untrusted_text(program, SpecError)

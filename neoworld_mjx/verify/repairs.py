@@ -18,7 +18,7 @@ from ..checks.allowance import Allowance
 from ..checks.joint_checks import on_edge, pivot_edges
 from ..checks.object_tests import ObjectTests
 from ..checks.part_distances import Probe
-from ..checks.verdict import Check, Fault, Verdict, waived
+from ..checks.verdict import Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
 from ..program.attempt import SynthesisResult
 from ..program.joint_losses import SETTLING_S, default_losses
@@ -65,7 +65,7 @@ class Repair:
     """Pairs of a request that a model failed to answer, and the reason."""
     program: SynthesisResult | None = None
     """The new program that built `original`; None if the first program built it."""
-    unmet: list[str] = field(default_factory=list)
+    unfulfilled: list[str] = field(default_factory=list)
     """Findings for which the critic asked for a new program that could not be requested."""
 
     @property
@@ -80,21 +80,21 @@ class Repair:
             True if a patch was accepted.
         """
         best: tuple[float, Patch, ObjectTests] | None = None
-        before, known_faults = self.after.score, set(self.after.faults)
+        previous_score, known_faults = self.after.score, set(self.after.faults)
         for patch in patches:
-            joined = self.patch.joined(patch)
+            merged = self.patch.merged_with(patch)
             description = "; ".join(patch.changes())
             try:
-                changed, _ = apply(joined, self.original)
+                changed, _ = apply(merged, self.original)
             except SpecError as error:
                 self.tried.append(f"{description}: {error}")
                 continue
             tests = self.run(changed)
             score = tests.verdict.score
-            self.tried.append(f"{description}: fault score {before:.2f} to {score:.2f}")
-            helps = score < before - GAIN and known_faults.issuperset(tests.verdict.faults)
+            self.tried.append(f"{description}: fault score {previous_score:.2f} to {score:.2f}")
+            helps = score < previous_score - GAIN and known_faults.issuperset(tests.verdict.faults)
             if helps and (best is None or score < best[0]):
-                best = (score, joined, tests)
+                best = (score, merged, tests)
             if tests.verdict.passed:
                 break
         if best is not None:
@@ -111,23 +111,25 @@ class Repair:
         Returns:
             True if the object was replaced.
         """
-        before = self.after.score
+        previous_score = self.after.score
         if result.spec is None:
             self.tried.append(f"new program: {result.reason}")
             return False
         run = partial(self.run, allowed=result.allowances)
-        fresh = repair(result.spec, run, rounds=rounds)
-        self.tried.append(f"new program: fault score {before:.2f} to {fresh.after.score:.2f}")
-        if fresh.after.score >= before - GAIN:
+        candidate = repair(result.spec, run, rounds=rounds)
+        self.tried.append(
+            f"new program: fault score {previous_score:.2f} to {candidate.after.score:.2f}"
+        )
+        if candidate.after.score >= previous_score - GAIN:
             return False
-        self.tried += fresh.tried
-        self.original, self.run, self.program = fresh.original, run, result
-        self.patch, self.tests = fresh.patch, fresh.tests
+        self.tried += candidate.tried
+        self.original, self.run, self.program = candidate.original, run, result
+        self.patch, self.tests = candidate.patch, candidate.tests
         return True
 
     def waive(self) -> None:
         """Waive checks that fail only because the object is tested without its scene."""
-        self.tests = replace(self.tests, verdict=waived(self.after))
+        self.tests = replace(self.tests, verdict=with_waived_falls(self.after))
 
 
 def repair(
@@ -239,11 +241,11 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     # Hinges lie near the parent.
     near_parent = np.clip(middle, *part_bounds(tests.spec, tests.spec.part(joint.parent)))
 
-    def across(offset: NDArray) -> float:
+    def radial_distance(offset: NDArray) -> float:
         return float(np.linalg.norm(offset - (offset @ axis) * axis))
 
     def distance(edge: NDArray) -> float:
-        return across(edge - pivot) + 0.5 * across(edge - near_parent)
+        return radial_distance(edge - pivot) + 0.5 * radial_distance(edge - near_parent)
 
     positions = sorted(pivot_edges(joint, low, high), key=distance)
     if joint.type == "continuous" or not positions:
@@ -251,8 +253,8 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     elif not on_edge(joint, low, high):
         positions.append(middle)
     for position in positions[:4]:
-        along = ((pivot - position) @ axis) * axis
-        yield _edited(joint, JointEdit(origin=_vec3(position + along)))
+        axial_offset = ((pivot - position) @ axis) * axis
+        yield _edited(joint, JointEdit(origin=_vec3(position + axial_offset)))
 
 
 def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:

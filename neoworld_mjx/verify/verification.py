@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from ..cache import cache_folder
 from ..checks.allowance import Allowance
 from ..checks.object_tests import VERSION, run_object_tests
-from ..checks.verdict import WAIVED, Check, Verdict
+from ..checks.verdict import WAIVER_HINT, Check, Verdict
 from ..config import VerifyOptions
 from ..errors import RunError
 from ..io import read_model
@@ -64,7 +64,7 @@ class VerificationResult(BaseModel):
     @property
     def waived(self) -> tuple[Check, ...]:
         """Failed checks that the critic waived."""
-        return tuple(check for check in self.verdict.checks if check.hint == WAIVED)
+        return tuple(check for check in self.verdict.checks if check.hint == WAIVER_HINT)
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
         """Return the object with the patch; a new program's object replaces `spec` first."""
@@ -147,7 +147,7 @@ async def verify_object(
         tried=tuple(repaired.tried),
         lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
-        unmet=tuple(repaired.unmet),
+        unmet=tuple(repaired.unfulfilled),
         program=None if program is None else program.text,
         program_json=None if program is None else program.to_json(),
         reprogrammed=None if program is None else program.spec,

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from neoworld_bench.measures import joint_measure, pooled, read_truth
-from neoworld_bench.measures.joint_measure import agree, alike, line_angle_deg, line_distance
+from neoworld_bench.measures.joint_measure import (
+    box_agreement,
+    line_angle_deg,
+    line_distance,
+    motion_similarity,
+)
 from neoworld_bench.measures.object_truth import (
     ObjectTruth,
     TrueJoint,
@@ -198,13 +203,15 @@ def test_motion_decides_between_joints_that_move_the_same_parts():
 
 
 def test_motion_similarity():
-    assert alike(DOOR, DOOR) == pytest.approx(1)
-    assert alike(changed(DOOR, axis=(0, 0, -3)), DOOR) == pytest.approx(1), "a sign says nothing"
-    assert alike(changed(DOOR, axis=(0, 1, 0)), DOOR) < 0.5
+    assert motion_similarity(DOOR, DOOR) == pytest.approx(1)
+    assert motion_similarity(changed(DOOR, axis=(0, 0, -3)), DOOR) == pytest.approx(1), (
+        "a sign says nothing"
+    )
+    assert motion_similarity(changed(DOOR, axis=(0, 1, 0)), DOOR) < 0.5
     up = changed(DRAWER, axis=(0, 0, 1))
-    assert alike(up, DRAWER) == 0
+    assert motion_similarity(up, DRAWER) == 0
     ball = changed(DOOR, type="ball")
-    assert (alike(ball, ball), alike(ball, DOOR)) == (1, 0)
+    assert (motion_similarity(ball, ball), motion_similarity(ball, DOOR)) == (1, 0)
 
 
 def test_ball_joints_have_no_axis():
@@ -269,7 +276,7 @@ def test_moving_box_covers_all_descendant_parts():
     np.testing.assert_allclose(truth.joints[0].moving_box, [(-0.05, -0.05, 0.1), (0.05, 0.05, 0.5)])
     assert truth.joints[0].limits is None
     assert joint_measure(spec, truth).correct == 1
-    assert agree(truth.joints[0], truth.joints[0]) == pytest.approx(1)
+    assert box_agreement(truth.joints[0], truth.joints[0]) == pytest.approx(1)
 
 
 def test_read_truth_validates_the_file(tmp_path):

@@ -46,7 +46,7 @@ from neoworld_bench.noise.program_noise import (
     without_part,
     wrong_program,
 )
-from neoworld_bench.noise.share_noise import with_other_shares
+from neoworld_bench.noise.share_noise import with_other_proportions
 from neoworld_bench.noise.split_noise import with_halves
 
 from neoworld_mjx.fit.tree_checks import check_tree
@@ -185,7 +185,7 @@ def test_wrong_parents_and_relations_keep_positions(answer):
 
 @pytest.mark.slow
 def test_injected_parse_errors_pass_the_checks(desk, answer, monkeypatch):
-    monkeypatch.setattr(parse_noise, "UNSEEN", 0.25)
+    monkeypatch.setattr(parse_noise, "TREE_ERROR_RATE", 0.25)
     monkeypatch.setattr(parse_noise, "SPLIT", 0.25)
     log = NoiseLog()
     shapes = {item.name: item.spec for item in desk.objects}
@@ -203,7 +203,7 @@ def test_injected_parse_errors_pass_the_checks(desk, answer, monkeypatch):
 
 def test_opening_noise_closes_drawers_or_changes_their_opening(answer, monkeypatch):
     monkeypatch.setattr(parse_noise, "MISJUDGED", 0.0)
-    monkeypatch.setattr(parse_noise, "UNSEEN", 0.0)
+    monkeypatch.setattr(parse_noise, "TREE_ERROR_RATE", 0.0)
     monkeypatch.setattr(parse_noise, "SPLIT", 0.0)
     true = answer.node("chest").articulation[0].opening
     shares = [
@@ -303,7 +303,7 @@ def test_shape_wall_and_part_noise_changes_mass_consistently():
 
 def test_share_noise_keeps_bounds_and_contacts():
     cabinet = program("drawer_cabinet", drawers=3)
-    other = with_other_shares(cabinet, rng())
+    other = with_other_proportions(cabinet, rng())
     # Knobs are moved, not stretched, so the box changes by millimetres.
     assert np.allclose(bounds(other), bounds(cabinet), atol=0.005)
     fronts = lambda spec: [part_bounds(spec, spec.part(f"drawer_{k}")) for k in (1, 2, 3)]

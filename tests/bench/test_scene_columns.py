@@ -3,7 +3,7 @@
 import pytest
 from neoworld_bench.methods.part_depths import P_PEN_M, articulated, part_depth
 from neoworld_bench.methods.scene_methods import ABLATIONS, SEARCHES
-from neoworld_bench.methods.scene_objects import FAR, ObjectRow, object_rows
+from neoworld_bench.methods.scene_objects import MOTION_CAP, ObjectRow, object_rows
 from neoworld_bench.tables.scene_curves import CURVES, curve_records, curves_csv, curves_svg
 from neoworld_bench.tables.scene_summary import ratio_interval
 
@@ -93,7 +93,7 @@ def test_object_rows_have_drift_tilt_and_depths():
     assert chest.part_depth_m == pytest.approx(0.003, abs=1e-6)
     assert (other.drift_m, other.depth_m, other.part_depth_m) == (None, 5e-4, 0.0)
     lost = measure.model_copy(update={"drift_m": {"chest": float("nan")}})
-    assert object_rows(scene, lost, key)[0].drift_m == FAR
+    assert object_rows(scene, lost, key)[0].drift_m == MOTION_CAP
 
 
 def test_curves_count_at_every_threshold():

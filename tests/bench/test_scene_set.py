@@ -15,7 +15,7 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_bench.methods.method_runs import RunSettings
-from neoworld_bench.methods.scene_methods import METHODS, USUAL, OneForAll
+from neoworld_bench.methods.scene_methods import DEFAULT_METHODS, METHODS, SingleCandidateEngine
 from neoworld_bench.methods.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
 from neoworld_bench.noise.initial_scenes import noise_number
 from neoworld_bench.tables.scene_summary import BOUNDS, interval, summarise
@@ -126,6 +126,14 @@ def test_each_error_affects_its_own_figure():
         _with(scene, table.model_copy(update={"xy": (table.xy[0] + 0.05, 0.0)})), scene
     )
     assert alike["xy_error_m"] < 1e-9
+
+
+def test_scenes_without_a_common_movable_object_have_no_errors_of_the_layout():
+    truth = truth_scene(declarations()["dominoes"])
+    fixed = truth.model_copy(update={"objects": tuple(i for i in truth.objects if i.static)})
+    for scene, other in ((fixed, truth), (truth, fixed)):
+        with pytest.raises(SpecError, match="no movable object of the ground truth"):
+            layout_errors(scene, other)
 
 
 def test_toppled_and_fallen_objects_are_displaced():
@@ -261,7 +269,7 @@ def test_summary_counts_results_and_rates_difficulty():
     assert not answer["difficulty"]["open_loop"]["hard_enough"]
     assert answer["difficulty"]["gravity"]["hard_enough"]
     assert answer["difficulty"]["gravity_xy_error_m"]["hard_enough"]
-    assert set(BOUNDS) <= set(USUAL) <= set(METHODS)
+    assert set(BOUNDS) <= set(DEFAULT_METHODS) <= set(METHODS)
 
 
 def test_tables_mark_the_papers_figures():
@@ -313,7 +321,9 @@ def test_warm_up_engine_simulates_one_candidate_for_all():
             asked.append(len(poses.scale))
             return super().rollout(scene, poses, **options)
 
-    rollout = OneForAll(Counting(1)).rollout(scene, mixed, duration=0.02, record_every=0.02)
+    rollout = SingleCandidateEngine(Counting(1)).rollout(
+        scene, mixed, duration=0.02, record_every=0.02
+    )
     assert asked == [1]
     for leaf in (rollout.pos, rollout.quat, rollout.status, rollout.steps):
         assert len(leaf) == 5 and np.array_equal(leaf, np.repeat(leaf[:1], 5, axis=0))

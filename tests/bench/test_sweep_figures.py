@@ -78,7 +78,7 @@ def test_each_value_is_compared_with_the_base_over_all_others(tmp_path):
     assert other["minus base: xy error, mm"].startswith(f"**+{mean:.1f} [+")
     # Two starts of a scene are one scene: 8 of 8, two-sided 2 / 256, of two comparisons.
     assert (other["scenes above:below the base"], other["p"]) == ("8:0", f"{4 / 256:.3f}")
-    assert "2 values are compared" in figure.notes and "1 are below .05" in figure.notes
+    assert "2 values are compared" in figure.notes and "p values below .05: 1." in figure.notes
     assert figure.command.endswith("plan.yaml --out DIR --workers 31")
     assert (figure.commit, figure.n) == (
         "abcdef0",

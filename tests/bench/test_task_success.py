@@ -19,7 +19,7 @@ from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import scale
 from neoworld_mjx.spec.pose import from_yaw, pose, rotate
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 ONE_OF_EACH = (
     *("cup_on_plate", "tight_peg", "third_cube", "push_block", "ball_through_gate", "tip_book"),
@@ -40,7 +40,7 @@ def _moved(task, names, by):
 def _check_that_the_plan_moves_along(task):
     """Planned in the scene, moved as a whole, it is the reference plan, moved as a whole."""
     by = pose((0.4, -0.3, 0.0), from_yaw(0.9))
-    plan, moved = task.plan, task.plan_in(moved_whole(task.scene, by))
+    plan, moved = task.plan, task.plan_in(transformed_scene(task.scene, by))
     near = {"atol": 3e-6}
     np.testing.assert_allclose(moved.position, by.apply(plan.position), **near)
     # Closed fingers that poke from above may close along any line.

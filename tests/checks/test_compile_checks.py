@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.part_distances import line_box_distance
+from neoworld_mjx.checks.plausibility import LARGEST_M, SMALLEST_M
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 
@@ -66,6 +67,17 @@ def test_a_valid_door_has_no_signals():
 )
 def test_each_fault_has_its_signal(text: str, code: str):
     assert code in codes(text)
+
+
+@pytest.mark.parametrize(
+    ("size", "longest", "limit"),
+    [("(0.006, 0.005, 0.004)", 0.006, SMALLEST_M), ("(30, 1, 1)", 30.0, LARGEST_M)],
+)
+def test_an_implausible_size_reports_the_longest_edge(size: str, longest: float, limit: float):
+    result = build(HEAD + f"body.add(box({size}))").signals
+    (signal,) = (signal for signal in result if signal.code == "size")
+    assert signal.value == pytest.approx(longest) and signal.threshold == limit
+    assert (longest < limit) == (limit == SMALLEST_M)
 
 
 def test_depth_and_line_of_an_overlap():

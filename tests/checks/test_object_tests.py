@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
-from neoworld_mjx.checks.verdict import Fault, Limit, judged, quantity
+from neoworld_mjx.checks.verdict import Fault, Limit, format_quantity, make_check
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
     AuthoredInertia,
@@ -259,8 +259,8 @@ def test_a_check_states_value_bound_direction_and_unit():
         verify(scenes.single("pin", (Box(size=(0.01, 0.01, 0.2)), (0, 0, 0.1)))), "drift"
     )
     assert topples.phrase() == "drift 0 mm, at most 10.0 mm"
-    assert quantity(8.215548565693807, "deg") == "8.2 degrees"
-    least = judged(
+    assert format_quantity(8.215548565693807, "deg") == "8.2 degrees"
+    least = make_check(
         "static", "covered", 0.5, Limit(0.9, "of its range", Fault.JOINT_STUCK, least=True)
     )
     assert least.phrase() == "covered 50 % of its range, at least 90 % of its range"

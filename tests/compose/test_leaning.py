@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.leaning import bring_walls, lean
+from neoworld_mjx.compose.leaning import lean, move_walls_into_contact
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -100,7 +100,7 @@ def test_only_leaning_objects_move_and_only_toward_their_tops():
 
 def test_a_wall_moves_up_to_what_leans_on_it():
     before = leaning_scene(0.05)
-    after, brought = bring_walls(before)
+    after, brought = move_walls_into_contact(before)
     assert brought == {"wall": pytest.approx(0.05, abs=1e-3)}
     assert after.object("board") == before.object("board")
     assert not lean(after)[1]
@@ -110,7 +110,7 @@ def test_a_wall_moves_up_to_what_leans_on_it():
 def test_a_wall_does_not_move_into_what_touches_it(relation):
     scene = leaning_scene(0.05)
     before = with_object(scene, "block", xy=(0.5 - 0.0251, 0.5), relation=relation)
-    after, brought = bring_walls(before)
+    after, brought = move_walls_into_contact(before)
     assert not brought
     assert after == before
 
@@ -118,7 +118,7 @@ def test_a_wall_does_not_move_into_what_touches_it(relation):
 def test_a_wall_that_supports_something_does_not_move():
     scene = leaning_scene(0.05)
     before = with_object(scene, "block", parent="wall", xy=(0.0, 0.5), z=1.0)
-    assert bring_walls(before) == (before, {})
+    assert move_walls_into_contact(before) == (before, {})
 
 
 def with_object(scene, name, **update):

@@ -100,7 +100,7 @@ def test_a_gripper_opens_the_drawer_by_its_handle(scene):
     env = nw.gym_env(scene, gripper="chest-drawer_handle")
     obs, _ = env.reset(seed=0)
     assert obs["gripper"][:3] == pytest.approx(start.pos, abs=1e-6)
-    action = env.controlled.hold.copy()
+    action = env.controlled.hold_action.copy()
     plan = [(-0.1, 0.12)] * 40 + [(-0.1, 0.0)] * 20
     plan += [(x, 0.0) for x in np.linspace(-0.1, 0.05, 60)]
     for along, opening in plan:

@@ -10,7 +10,12 @@ import trimesh
 from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 
 from neoworld_mjx.cli import main
-from neoworld_mjx.export.formats import collider_error, format_files, lost, write_formats
+from neoworld_mjx.export.formats import (
+    collider_error,
+    format_files,
+    unsupported_data,
+    write_formats,
+)
 from neoworld_mjx.format_names import FORMATS
 from neoworld_mjx.spec import Cylinder
 from tests.support import mechanisms
@@ -72,10 +77,12 @@ def test_the_same_scene_gives_the_same_bytes_in_every_format(scene):
 
 
 def test_lost_lists_the_data_that_a_format_cannot_store(cabinet, scene):
-    assert any("armature" in line and "cabinet.hinge" in line for line in lost(cabinet, "urdf"))
-    assert not any("stiffness" in line for line in lost(cabinet, "mjcf"))
-    assert any("velocity" in line for line in lost(cabinet, "mjcf"))
-    assert any("joints are at zero: box" in line for line in lost(scene, "sdf"))
+    assert any(
+        "armature" in line and "cabinet.hinge" in line for line in unsupported_data(cabinet, "urdf")
+    )
+    assert not any("stiffness" in line for line in unsupported_data(cabinet, "mjcf"))
+    assert any("velocity" in line for line in unsupported_data(cabinet, "mjcf"))
+    assert any("joints are at zero: box" in line for line in unsupported_data(scene, "sdf"))
 
 
 def test_colliders_for_mjx_are_within_collider_error():

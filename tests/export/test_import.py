@@ -12,6 +12,7 @@ from neoworld_mjx.export import (
     import_usd,
     mechanism,
 )
+from neoworld_mjx.export.importing_scene import import_file
 from neoworld_mjx.io.file_options import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds
@@ -93,6 +94,49 @@ def test_notes_list_omissions_and_assumptions(tmp_path):
         "tip has no geometry",
     ):
         assert message in reported
+
+
+def test_notes_of_a_scene_name_the_object_unless_they_concern_the_whole_file(tmp_path):
+    box = "<geom size='0.1 0.1 0.1' type='box'/>"
+    file = tmp_path / "two.xml"
+    file.write_text(
+        f"<mujoco><worldbody><body name='crate'><joint name='spin'/>{box}</body>"
+        f"<body name='joint_block' pos='1 0 0'><freejoint/>{box}</body></worldbody>"
+        "<equality><weld body1='crate' body2='joint_block'/></equality>"
+        "<sensor><jointpos joint='spin'/></sensor></mujoco>"
+    )
+    assert set(import_file(file).notes) == {
+        "sensor is not imported",
+        "an equality other than between two joints is not imported",
+        "crate: joint spin moves the whole object and is not imported",
+    }
+
+
+def test_notes_of_a_usd_file_name_the_object_unless_they_concern_the_whole_file(tmp_path):
+    body = """
+        def Xform "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+            double3 xformOp:translate = ({}, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+            def Cube "a" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{ }}
+            {}
+        }}"""
+    flat = """def Capsule "b" {
+                double3 xformOp:scale = (1, 2, 1)
+                uniform token[] xformOpOrder = ["xformOp:scale"]
+            }"""
+    bodies = body.format("crate", 0, flat) + body.format(
+        "block", 5, 'def PointInstancer "joint" { }'
+    )
+    head = '#usda 1.0\n(\n    defaultPrim = "w"\n    upAxis = "Z"\n)\n'
+    file = tmp_path / "two.usda"
+    file.write_text(f'{head}def Xform "w" {{{bodies}\n}}\n')
+    mass = "states no mass: a density of 400 kg/m^3 is assumed"
+    assert set(import_file(file).notes) == {
+        "/w/block/joint is a PointInstancer, which is not imported",
+        "crate: /w/crate/b is a capsule that is not round: skipped",
+        f"crate: link crate {mass}",
+        f"block: link block {mass}",
+    }
 
 
 def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatch):

@@ -181,4 +181,4 @@ def test_commands_accept_usd(folder, scene, tmp_path, capfd):
         p.name for p in (tmp_path / "b").iterdir()
     }
     code, text = run("build", str(folder / "scene.usdc"), "--out", str(tmp_path / "c"))
-    assert code == 2 and "scene of several objects" in text
+    assert code == 2 and "several objects instead of one" in text

@@ -15,7 +15,7 @@ from neoworld_mjx.export.write_files import object_files
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import object_matrices, write_glb, write_poses
 
@@ -78,11 +78,11 @@ def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path, scale):
     given = desk()
     camera = given.camera.model_copy(update={"roll": 0.05})
     by = pose((0.3, -0.2, 0.1), from_yaw(0.7))
-    turned = moved_whole(given, by)
+    turned = transformed_scene(given, by)
     file = write_glb(tmp_path / "desk.glb", turned, camera=(camera, by), camera_scale=scale)
     read = import_file(file)
     shown = viewpoint(read.camera, 160, 120)
-    back = moved_whole(read.spec, shown.placed)
+    back = transformed_scene(read.spec, shown.scene_transform)
     assert shown.camera.model_dump() == pytest.approx(
         camera.model_copy(update={"height": camera.height + 0.1}).model_dump(), abs=1e-6
     )

@@ -12,7 +12,7 @@ from pxr import Usd, UsdShade
 
 from neoworld_mjx import cli
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.formats import lost, write_formats
+from neoworld_mjx.export.formats import unsupported_data, write_formats
 from neoworld_mjx.export.photo_prints import printed
 from neoworld_mjx.export.textures import visible_surface
 from neoworld_mjx.render import render
@@ -120,7 +120,7 @@ def test_formats_contain_prints_and_mark_them(result, tmp_path):
         assert picture.size[0] > 20
     glb = trimesh.load(tmp_path / "scene.glb")
     assert any(g.visual.material.name.endswith("_photo") for g in glb.geometry.values())
-    assert "cupboard.wood_case_photo" in " ".join(lost(result, "urdf"))
+    assert "cupboard.wood_case_photo" in " ".join(unsupported_data(result, "urdf"))
     # The scene as this package reads it says so as well, and gives the same surfaces.
     (tmp_path / "scene.json").write_text(result.to_json())
     assert read_scene(tmp_path).objects[0].spec == result.objects[0].spec

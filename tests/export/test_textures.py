@@ -12,7 +12,7 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from neoworld_mjx.export import import_mjcf, import_usd
-from neoworld_mjx.export.formats import lost, write_formats
+from neoworld_mjx.export.formats import unsupported_data, write_formats
 from neoworld_mjx.export.textures import visible_surface
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
@@ -170,8 +170,10 @@ def test_plain_colors_and_gloss_of_textured_materials_are_read_back(folder, spec
 
 def test_formats_without_textures_report_them_as_lost(spec):
     for kind in ("urdf", "sdf"):
-        assert any("textures" in line and "thing.wall" in line for line in lost(spec, kind))
-    assert not any("textures" in line for line in lost(spec, "usd"))
+        assert any(
+            "textures" in line and "thing.wall" in line for line in unsupported_data(spec, kind)
+        )
+    assert not any("textures" in line for line in unsupported_data(spec, "usd"))
 
 
 def test_textures_of_other_files_are_read_as_their_mean_color(tmp_path):

@@ -22,7 +22,7 @@ from neoworld_mjx.io import (
     read_arrays,
     read_json,
     read_model,
-    read_outside_text,
+    read_untrusted_text,
 )
 from neoworld_mjx.parse.photo import load_photo
 
@@ -54,7 +54,7 @@ def test_only_regular_files_are_read(tmp_path, kind):
     for read in (
         lambda: read_json(path, SpecError),
         lambda: read_model(path, _Pair, SpecError, "a pair"),
-        lambda: read_outside_text(path, SpecError),
+        lambda: read_untrusted_text(path, SpecError),
         lambda: read_arrays(path, SpecError),
     ):
         with pytest.raises(SpecError, match=f"cannot read {path}"):

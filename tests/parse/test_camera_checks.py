@@ -96,7 +96,7 @@ def test_a_wrong_camera_is_an_issue_even_if_it_was_measured():
     assert (issue.severity, issue.node) == ("error", CAMERA)
     assert "a pitch of 35 +- 1 and a roll of -2 degrees" in issue.hint
     assert "you gave pitch 31 and roll -4" in issue.hint
-    asked = camera_issue(photo.rgb, tree_of(data, photo, **STATED), asked=True)
+    asked = camera_issue(photo.rgb, tree_of(data, photo, **STATED), already_asked=True)
     assert asked is not None
     assert asked.severity == "warning"
 

@@ -41,7 +41,7 @@ def test_the_drawing_depends_on_3d_boxes_only_on_request():
     tree = answers.exact()
     moved = answers.moved(tree, "can", position=(0.1, 0, 0))
     assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
-    solid = [draw_parse(answers.photo(), t, solid=True).data for t in (tree, moved)]
+    solid = [draw_parse(answers.photo(), t, draw_3d_boxes=True).data for t in (tree, moved)]
     assert solid[0] != solid[1]
 
 

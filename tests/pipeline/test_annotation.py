@@ -8,10 +8,10 @@ from pydantic import ValidationError
 from neoworld_mjx.annotation.annotated_program import program_of
 from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree, placed_box
 from neoworld_mjx.annotation.annotation import (
+    EXISTING_PROGRAM,
     GROUND,
-    KEPT,
-    MODEL,
     SHAPES,
+    WRITTEN_BY_MODEL,
     AnnotatedObject,
     Annotation,
 )
@@ -125,7 +125,9 @@ def test_an_annotation_is_written_as_a_run_that_resumes(tmp_path, photo, quick_c
     again = read_annotation(out)
     assert again == coffee()
     kept = again.model_copy(
-        update={"objects": tuple(o.model_copy(update={"kind": KEPT}) for o in again.objects)}
+        update={
+            "objects": tuple(o.model_copy(update={"kind": EXISTING_PROGRAM}) for o in again.objects)
+        }
     )
     before = (out / "objects" / "cup" / "program.py").read_text()
     write_annotated(photo, out, kept, quick_config, simulate=False)
@@ -133,7 +135,7 @@ def test_an_annotation_is_written_as_a_run_that_resumes(tmp_path, photo, quick_c
 
 
 def test_an_object_can_be_left_to_a_model(tmp_path, photo, quick_config):
-    annotation = coffee(cup_kind=MODEL)
+    annotation = coffee(cup_kind=WRITTEN_BY_MODEL)
     out = tmp_path / "out"
     result = write_annotated(photo, out, annotation, quick_config)
     assert result.until == "parse"
@@ -147,9 +149,9 @@ def test_a_parsed_tree_opens_as_an_annotation(tmp_path, photo, quick_config):
     annotation = read_annotation(parsed)
     assert not (parsed / ANNOTATION).exists()
     assert {obj.name for obj in annotation.objects} == {"saucer", "cup", "spoon"}
-    assert all(obj.kind == KEPT for obj in annotation.objects)
+    assert all(obj.kind == EXISTING_PROGRAM for obj in annotation.objects)
     tree = annotated_tree(annotation)
     assert annotation_from_tree(tree).objects == annotation.objects
-    with pytest.raises(RunError, match="choose a kind"):
+    with pytest.raises(RunError, match="choose another kind"):
         write_annotated(photo, tmp_path / "new", annotation, quick_config)
     assert load_photo(photo).original_size == (tree.camera.width, tree.camera.height_px)

@@ -125,7 +125,7 @@ def test_ray_loses_a_worker_and_its_driver_and_the_scenes_are_those_of_one_proce
 
     await_one("*/tree.json")
     workers = [p for p in psutil.Process(driver.pid).children(recursive=True)
-               if any("work_there" in word for word in p.cmdline())]  # fmt: skip
+               if any("run_in_worker" in word for word in p.cmdline())]  # fmt: skip
     assert workers
     workers[0].kill()
     await_one("*/compose/scene.json")

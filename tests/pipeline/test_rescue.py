@@ -269,7 +269,7 @@ def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(
     views = [photographed(photo, *pair).view for pair in ((stated, None), (None, own))]
     for view in views:
         assert view.camera.model_dump() == pytest.approx(CAMERA.model_dump(), abs=1e-6)
-        assert np.allclose(view.placed.pos, 0, atol=1e-6)
+        assert np.allclose(view.scene_transform.pos, 0, atol=1e-6)
     wide = photographed(photo, stated, FileCamera(fovy=1.2)).view.camera
     assert wide.fovy == pytest.approx(1.2) and wide.pitch == pytest.approx(CAMERA.pitch)
 

@@ -14,7 +14,7 @@ from neoworld_mjx.program.sandbox import build
 from neoworld_mjx.render import to_png
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import ObjectSpec, bounds, read_scene
-from neoworld_mjx.verify.patch import MaterialEdit, Patch, apply, read_overlay, write_overlay
+from neoworld_mjx.verify.patch import MaterialEdit, Patch, apply, read_patch, write_patch
 from neoworld_mjx.view.pages.view_target import open_target
 from neoworld_mjx.view.report.photograph_section import photograph_section
 from tests.align import desk
@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
         (home / "program.py").write_text(WRONG)
         (home / "spec.json").write_text(build(WRONG).spec.to_json())
         (home / "verified.json").write_text(patched(WRONG).to_json())
-        write_overlay(home / "program.py", PATCH)
+        write_patch(home / "program.py", PATCH)
         # A program that builds something else than the composed object.
         (path / "objects" / "tower" / "program.py").write_text(BRICK)
         with Pictures(run, CONFIG.render) as pictures:
@@ -58,7 +58,7 @@ def test_the_changed_program_builds_the_composed_object(folder):
     assert (home / "program.py").read_text() == WRONG
     spec = ObjectSpec.model_validate_json((home / "resized.json").read_text())
     assert spec == patched(text) and spec.material("green").friction == 0.33
-    assert read_overlay(home / "resized.py") == PATCH
+    assert read_patch(home / "resized.py") == PATCH
     edges, composed = (
         high - low
         for low, high in (

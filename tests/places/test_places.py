@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
 from neoworld_mjx.places import Place, check_place, on_slurm, run_tasks
-from neoworld_mjx.places.place import work_there
+from neoworld_mjx.places.place import run_in_worker
 from neoworld_mjx.run_folder import versions
 
 
@@ -51,9 +51,9 @@ def test_threads_share_the_cores(monkeypatch):
 
 
 def test_a_worker_with_other_versions_is_refused():
-    returned = work_there(squares, 2, versions() | {"jax": "0.0.1"})
+    returned = run_in_worker(squares, 2, versions() | {"jax": "0.0.1"})
     assert isinstance(returned, RunError) and "this machine has 0.0.1" in str(returned)
-    assert work_there(squares, 2, versions()) == [2, 4]
+    assert run_in_worker(squares, 2, versions()) == [2, 4]
 
 
 @pytest.mark.parametrize(

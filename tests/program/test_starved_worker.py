@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.call_clock import CallClock, process_time
-from neoworld_mjx.program.monty_sandbox import Starved, run_sandboxed
+from neoworld_mjx.program.monty_sandbox import WorkerStarved, run_sandboxed
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.sdk_object import Object
 from neoworld_mjx.program.session import Session, current
@@ -63,7 +63,7 @@ def test_a_program_that_ran_is_not_starved(stopped):
 
 
 def test_a_stopped_worker_is_distinguished_from_a_slow_program(stopped):
-    with pytest.raises(Starved):
+    with pytest.raises(WorkerStarved):
         run_sandboxed(ENDLESS, Session(), ProgramOptions(timeout_s=0.3))
 
 

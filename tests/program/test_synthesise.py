@@ -21,8 +21,8 @@ from neoworld_mjx.program.critique import (
     critic_request,
 )
 from neoworld_mjx.program.subject import Subject
-from neoworld_mjx.program.synthesise import unfenced
-from neoworld_mjx.program.views import draw, opened_state, view_from
+from neoworld_mjx.program.synthesise import without_fence
+from neoworld_mjx.program.views import draw, open_state, view_from
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode, bounds
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support.scripted_model import ScriptedModel
@@ -150,8 +150,8 @@ def test_signals_return_to_the_programmer_with_their_lines():
 
 
 def test_a_code_fence_is_removed():
-    assert unfenced("```python\nx = 1\n```") == "x = 1\n"
-    assert unfenced("x = 1") == "x = 1\n"
+    assert without_fence("```python\nx = 1\n```") == "x = 1\n"
+    assert without_fence("x = 1") == "x = 1\n"
 
 
 def test_deleting_the_joint_is_no_repair():
@@ -486,7 +486,7 @@ def test_the_object_is_rendered_from_the_photo_s_direction():
     first, second = (draw(spec, obj, camera, opened=True) for _ in range(2))
     assert first.pixels == second.pixels and first.data == second.data
     assert draw(spec, obj, camera).pixels != first.pixels
-    assert isinstance(first, Picture) and opened_state(spec) == {"hinge": pytest.approx(1.28)}
+    assert isinstance(first, Picture) and open_state(spec) == {"hinge": pytest.approx(1.28)}
 
 
 def test_a_picture_is_rendered_only_when_its_data_is_read(monkeypatch):
@@ -504,7 +504,7 @@ def test_a_picture_is_rendered_only_when_its_data_is_read(monkeypatch):
     request = critic_request("geometry", obj, spec, [draw(spec, obj, None)])
     assert request.key and not drawn
     for _ in range(2):
-        request.draw_pictures()
+        request.encode_pictures()
     assert len(drawn) == 1 and request.pictures[0].size == (4, 4)
 
 

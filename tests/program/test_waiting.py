@@ -7,10 +7,10 @@ from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.program.views import open_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
-from neoworld_mjx.verify.key_frames import _of_joint
+from neoworld_mjx.verify.key_frames import _joint_strip
 
 OVEN = """
 from neoworld_mjx.program.sdk import Object, box, hollow_box
@@ -100,7 +100,7 @@ def test_combinations_hold_only_reachable_states():
     assert with_prerequisites(spec, state, opening=False) == {**state, "slide": 0.0}
     closed = {**state, "slide": 0.0}
     assert with_prerequisites(spec, closed, opening=True) == closed
-    assert opened_state(spec)["flap_hinge"] == 1.5
+    assert open_state(spec)["flap_hinge"] == 1.5
 
 
 def test_prerequisites_may_form_a_chain():
@@ -227,5 +227,5 @@ def test_doors_and_drawers_declare_their_opening_direction():
 def test_key_frames_show_open_prerequisites():
     tests = run_object_tests(spec_of(oven()))
     check = next(c for c in tests.verdict.checks if c.name == "depth:slide")
-    shown = _of_joint(tests, check.model_copy(update={"at": 0.25}), "depth").shows
+    shown = _joint_strip(tests, check.model_copy(update={"at": 0.25}), "depth").shows
     assert "'flap_hinge': 1.5" in shown and "'slide': 0.25" in shown

@@ -12,7 +12,7 @@ import pytest
 from neoworld_mjx import cli
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.watch import watch
-from neoworld_mjx.verify.patch import Patch, overlay_path, write_overlay
+from neoworld_mjx.verify.patch import Patch, patch_path, write_patch
 from neoworld_mjx.verify.patched import build_patched
 
 CUP = """
@@ -52,7 +52,7 @@ def watching(saved, tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.INFO, "neoworld_mjx")
     reported = lambda count: any(r.message.startswith(f"build {count} in") for r in caplog.records)
     builds: list[int] = []
-    beside = (overlay_path(program),)
+    beside = (patch_path(program),)
     thread = threading.Thread(target=lambda: builds.append(watch(program, out, plain, beside)))
 
     @contextlib.contextmanager
@@ -91,21 +91,21 @@ def test_the_patch_of_a_program_applies_to_every_build(saved, watching, caplog):
     program, _ = saved
     heavy = lambda mass: Patch.model_validate({"parts": {"body": {"mass": mass}}})
     weighs = lambda out: json.loads((out / "spec.json").read_text())["parts"][0]["mass"]
-    write_overlay(program, heavy(3.0))
+    write_patch(program, heavy(3.0))
     running, builds = watching
     with running() as (out, reported):
         wait_for(lambda: reported(1))
         assert weighs(out) == 3.0
         wait_for(lambda: any("patch: part body: mass = 3" in r.message for r in caplog.records))
         # The patch is a reason to build, and goes with the program.
-        write_overlay(program, heavy(4.0))
+        write_patch(program, heavy(4.0))
         wait_for(lambda: reported(2))
         assert weighs(out) == 4.0
         assert (out / "program.patch.json").read_text() == heavy(4.0).to_json()
-        overlay_path(program).write_text("{")
+        patch_path(program).write_text("{")
         wait_for(lambda: any("waiting" in r.message for r in caplog.records))
         assert weighs(out) == 4.0
-        overlay_path(program).unlink()
+        patch_path(program).unlink()
         wait_for(lambda: reported(4))
         assert weighs(out) is None
         assert not (out / "program.patch.json").exists()
@@ -114,7 +114,7 @@ def test_the_patch_of_a_program_applies_to_every_build(saved, watching, caplog):
 
 def test_plain_and_watched_builds_write_the_same_files(saved, watching, tmp_path):
     program, _ = saved
-    write_overlay(program, Patch.model_validate({"parts": {"body": {"mass": 3.0}}}))
+    write_patch(program, Patch.model_validate({"parts": {"body": {"mass": 3.0}}}))
     with pytest.raises(SystemExit):
         cli.main(["build", str(program), "--out", str(tmp_path / "plain"), "--json"])
     running, _ = watching

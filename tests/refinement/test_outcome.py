@@ -13,7 +13,7 @@ from neoworld_mjx.refinement.choosing import Winner
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import search
 from neoworld_mjx.refinement.outcome import iteration_summary, outcome
-from neoworld_mjx.refinement.rounds import PADDING_STATUS
+from neoworld_mjx.refinement.rounds import NOT_SAMPLED
 from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
 from tests.support import scenes
 
@@ -39,9 +39,7 @@ def values(absolute, valid, status=None):
 
 
 def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
-    given = values(
-        [1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, PADDING_STATUS]
-    )
+    given = values([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_SAMPLED])
     assert iteration_summary(given, ["d_pen"]) == {
         "best": 4.0, "mean": 2.5, "rollouts": 3, "valid": pytest.approx(2 / 3), "merit": 1.0,
         "d_pen": 10.0,
@@ -55,7 +53,7 @@ def test_the_merit_of_an_iteration_is_that_of_its_best_valid_candidate():
 
 
 def test_an_iteration_without_a_finite_reward_has_no_best():
-    found = iteration_summary(values([-np.inf], [False], [PADDING_STATUS]), ["d_pen"])
+    found = iteration_summary(values([-np.inf], [False], [NOT_SAMPLED]), ["d_pen"])
     assert found == {
         "best": None, "mean": None, "rollouts": 0, "valid": 0.0, "merit": None, "d_pen": None
     }  # fmt: skip

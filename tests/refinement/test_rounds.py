@@ -7,7 +7,7 @@ from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import (
-    PADDING_STATUS,
+    NOT_SAMPLED,
     Round,
     best_first,
     rank_candidates,
@@ -53,4 +53,4 @@ def test_shorter_iterations_are_filled_up(fill):
 
 
 def test_an_entry_that_was_not_drawn_has_no_status_of_a_rollout():
-    assert PADDING_STATUS == -1 and PADDING_STATUS not in {int(status) for status in RolloutStatus}
+    assert NOT_SAMPLED == -1 and NOT_SAMPLED not in {int(status) for status in RolloutStatus}

@@ -5,7 +5,9 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.render.viewpoints import around, opened, subject_points
+from neoworld_mjx.render import render, render_plain
+from neoworld_mjx.render.view import View
+from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
@@ -28,6 +30,23 @@ def scene_file(tmp_path_factory):
     return path
 
 
+def test_a_window_is_rendered_at_another_size_around_the_same_point():
+    scene = scenes.blocks()
+    camera = scene.camera
+    width, height = camera.width, camera.height_px
+    small = View.through(camera, (width / 2, height / 4, width, 3 * height / 4), 120)
+    large = View.through(camera, (width / 2, height / 4, width, 3 * height / 4), 240)
+    resized = small.resized(large.width, large.height)
+    np.testing.assert_allclose(resized.centre, large.centre)
+    assert small.resized(small.width, small.height) == small
+    image = render(scene, small, width=large.width, height=large.height, supersample=1)
+    expected = render(scene, large, supersample=1)
+    assert (image.segmentation >= 0).any()
+    np.testing.assert_array_equal(image.segmentation, expected.segmentation)
+    plain = render_plain(scene, small, width=large.width)
+    np.testing.assert_array_equal(plain, render_plain(scene, large))
+
+
 def test_turntable_views_show_all_points_from_one_distance():
     points = subject_points(scenes.blocks())
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -48,7 +67,7 @@ def test_joints_open_by_a_fraction_of_their_range(tmp_path):
     from neoworld_mjx.view.pages.view_target import open_target
 
     (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
-    (cabinet,) = opened(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
+    (cabinet,) = with_open_joints(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
     ranges = {joint.name: joint.upper for joint in cabinet.spec.joints}
     assert cabinet.joint_state == {name: 0.5 * upper for name, upper in ranges.items()}
 

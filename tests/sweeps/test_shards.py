@@ -90,7 +90,7 @@ def test_ray_loses_a_worker_and_its_driver_and_the_table_is_that_of_one_process(
 
     wait_for(2)
     workers = [p for p in psutil.Process(driver.pid).children(recursive=True)
-               if any("work_there" in word for word in p.cmdline())]  # fmt: skip
+               if any("run_in_worker" in word for word in p.cmdline())]  # fmt: skip
     assert workers
     workers[0].kill()
     wait_for(rows() + 8)

@@ -1,6 +1,7 @@
 """Adaptive sweeps by Optuna, and what happens without it."""
 
 import json
+import math
 import sys
 
 import pytest
@@ -9,7 +10,9 @@ from neoworld_mjx.errors import ConfigError, EngineError, RunError
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import Place
 from neoworld_mjx.sweeps import Case, sweep
+from neoworld_mjx.sweeps.plan import Plan
 from neoworld_mjx.sweeps.run_rows import read_runs
+from neoworld_mjx.sweeps.study import _value
 from tests.support.scenes import stored_scene
 
 pytestmark = pytest.mark.usefixtures("without_figures", "compiled_once")
@@ -145,6 +148,13 @@ def _summaries(rows):
     for point in {row["point"] for row in rows}:
         own = [row["candidate_reward"] for row in rows if row["point"] == point]
         yield {"point": point, "candidate_reward": {"mean": sum(own) / len(own)}}
+
+
+@pytest.mark.parametrize("missing", [None, math.nan, math.inf])
+def test_a_run_without_a_finite_value_counts_as_the_worst_run(missing):
+    wanted = Plan.model_validate(plan(goal="max_drift_m", direction="minimize"))
+    rows = [{"max_drift_m": value} for value in (0.01, 0.03, missing)]
+    assert _value(rows, wanted) == pytest.approx((0.01 + 0.03 + 0.03) / 3)
 
 
 def test_trials_that_begin_badly_end_after_the_first_scene():

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
-from neoworld_mjx.checks.verdict import Fault, Limit, judged
+from neoworld_mjx.checks.verdict import Fault, Limit, make_check
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
@@ -123,7 +123,7 @@ def test_a_value_just_within_its_threshold_is_borderline_and_shown():
     ],
 )
 def test_a_value_is_borderline_near_its_threshold(value, limit, doubt):
-    result = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
+    result = make_check("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
     assert result.borderline is doubt
 
 

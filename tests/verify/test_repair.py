@@ -86,7 +86,7 @@ def test_contradictory_edits_are_rejected():
 def test_patches_join_and_survive_json():
     first = Patch.model_validate({"parts": {"door": {"shift": (0.1, 0, 0)}}})
     second = Patch.model_validate({"parts": {"door": {"shift": (0.2, 0, 0), "mass": "derived"}}})
-    both = first.joined(second)
+    both = first.merged_with(second)
     assert both.parts["door"].shift == pytest.approx((0.3, 0, 0))
     assert Patch.model_validate_json(both.to_json()) == both
     assert "joints" not in json.loads(both.to_json())

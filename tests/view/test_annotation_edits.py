@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree
-from neoworld_mjx.annotation.annotation import GROUND, KEPT
+from neoworld_mjx.annotation.annotation import EXISTING_PROGRAM, GROUND
 from neoworld_mjx.annotation.edits import find_object, with_box, with_change, without
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box2D
@@ -90,7 +90,7 @@ def test_opening_an_annotation_and_choosing_its_objects_changes_nothing(opened_p
         page._choose(name)
         assert page.annotation == annotation
     shown = {field: control.value for field, control in page._fields.items()}
-    assert (shown["name"], shown["parent"], shown["kind"]) == ("cup", "saucer", KEPT)
+    assert (shown["name"], shown["parent"], shown["kind"]) == ("cup", "saucer", EXISTING_PROGRAM)
 
 
 def test_simultaneous_edits_are_all_kept(opened_page):

@@ -511,14 +511,14 @@ def test_every_reward_term_is_shown_by_name(tmp_path):
 
 
 def test_failed_candidates_are_counted(tmp_path):
-    assert convergence.NOT_DRAWN == rounds.PADDING_STATUS
+    assert convergence.NOT_DRAWN == rounds.NOT_SAMPLED
     path = tmp_path / "history.npz"
     _history(path, iterations=2, population=8)
     with np.load(path) as data:
         history = {key: data[key] for key in data.files}
     history["absolute"][:] = 0.1
     history["status"] = np.zeros((2, 8), int)
-    history["status"][0, 3:] = rounds.PADDING_STATUS
+    history["status"][0, 3:] = rounds.NOT_SAMPLED
     history["absolute"][0, 3:] = history["absolute"][1, 0] = -np.inf
     np.savez(path, **history)
     page = str(convergence.convergence(path))

@@ -100,10 +100,10 @@ def agreement(
         make, noise = AGREEMENT[name]
         # With a clearance: rounding would decide whether objects at zero distance touch.
         scene = compile_scene(snap_exactly(make()))
-        drawn = noisy_layouts(scene, layouts, seed=seed, noise=noise)
-        poses = scene.place_exactly(drawn)
-        reference = naive_loop(scene, drawn, poses).motion
-        yield _models(name, scene, drawn, poses, float(np.mean(reference < 1)))
+        sampled = noisy_layouts(scene, layouts, seed=seed, noise=noise)
+        poses = scene.place_exactly(sampled)
+        reference = naive_loop(scene, sampled, poses).motion
+        yield _models(name, scene, sampled, poses, float(np.mean(reference < 1)))
         for engine in engines:
             for rule in (None, EarlyStop()):
                 yield _verdicts(name, scene, poses, reference, engine, rule)
@@ -128,12 +128,12 @@ def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:
     verdicts = [row for row in rows if isinstance(row, VerdictRow) and row.passed is not None]
     mean = lambda values: float(np.mean(values)) if values else None
     first = mean([row.first_step_share for row in models])
-    each = {}
+    by_engine = {}
     for row in verdicts:
         label = f"{row.engine}, early stop" if row.early_stop else row.engine
-        each.setdefault(label, []).append(row)
-    shares = {label: _share(rows_of) for label, rows_of in each.items()}
-    enough = all(shares[label] >= rows_of[0].wanted for label, rows_of in each.items())
+        by_engine.setdefault(label, []).append(row)
+    shares = {label: _share(rows_of) for label, rows_of in by_engine.items()}
+    enough = all(shares[label] >= rows_of[0].wanted for label, rows_of in by_engine.items())
     return {
         "passed": enough
         and all(row.passed for row in models)
@@ -161,21 +161,21 @@ def _verdicts(
     wanted = ENGINES[engine].agreement
     about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
     try:
-        moved = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
+        engine_motion = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
     except EngineError as error:
-        moved, note = None, str(error)
+        engine_motion, note = None, str(error)
     else:
         note = ""
-    verdicts = compare(reference, reference if moved is None else moved)
-    share = None if moved is None else verdicts.share(near=False)
+    verdicts = compare(reference, reference if engine_motion is None else engine_motion)
+    share = None if engine_motion is None else verdicts.share(near=False)
     return VerdictRow(
         **about,
         layouts=len(reference),
         stable_share=float(verdicts.stable.mean()),
         near_bound=int(verdicts.near.sum()),
         agreement=share,
-        agreement_near_bound=None if moved is None else verdicts.share(near=True),
-        passed=None if moved is None else share is not None and share >= wanted,
+        agreement_near_bound=None if engine_motion is None else verdicts.share(near=True),
+        passed=None if engine_motion is None else share is not None and share >= wanted,
         note=note,
     )
 
@@ -193,25 +193,25 @@ def _models(name: str, scene: SceneModel, layouts: Layout, poses: Poses, stable:
     start = batch.bind("qpos").copy()
     models = [batch.get_model(k) for k in range(batch.nsim)]
     batch.step(nstep=BIT_STEPS)
-    each = []
+    differences = []
     for k, model in enumerate(models):
         spec = to_mjspec(scene.apply(layouts, k, poses), timestep=model.opt.timestep)
-        again, data = started(spec)
-        each.append(_differences(model, start[k], batch.bind("qpos")[k], again, data))
-    errors = {n: max(d.fields[n] for d in each) for n in each[0].fields}
-    bits = float(np.mean([d.bits for d in each]))
+        recompiled, data = started(spec)
+        differences.append(_differences(model, start[k], batch.bind("qpos")[k], recompiled, data))
+    errors = {n: max(d.fields[n] for d in differences) for n in differences[0].fields}
+    bits = float(np.mean([d.bits for d in differences]))
     within = lambda gaps: float(np.mean([gap <= FIRST_STEP for gap in gaps]))
-    fall, loose = max(d.fall for d in each), sorted(loose_fields(errors))
+    fall, loose = max(d.fall for d in differences), sorted(loose_fields(errors))
     return ModelRow(
         scene=name,
-        layouts=len(each),
+        layouts=len(differences),
         stable_share=stable,
         field_error=max(e for n, e in errors.items() if n not in SINGLE),
         field_error_single=max(e for n, e in errors.items() if n in SINGLE),
         loose_fields=loose,
         bit_equal_share=bits,
-        first_step_share=within([d.first for d in each]),
-        first_step_control=within([d.control for d in each]),
+        first_step_share=within([d.first for d in differences]),
+        first_step_control=within([d.control for d in differences]),
         fall_error_m=fall,
         passed=not loose and bits == 1 and fall <= FIRST_STEP,
     )
@@ -221,7 +221,7 @@ def _differences(
     model: mujoco.MjModel,
     start: np.ndarray,
     end: np.ndarray,
-    again: mujoco.MjModel,
+    recompiled: mujoco.MjModel,
     fresh: mujoco.MjData,
 ) -> _Differences:
     """Compare a candidate's model with the recompiled one, and its native final state with
@@ -230,22 +230,22 @@ def _differences(
     data.qpos[:] = start
     mujoco.mj_step(model, data)
     composed = fresh.qpos.copy()
-    mujoco.mj_step(again, fresh)
-    nudged = mujoco.MjData(again)
+    mujoco.mj_step(recompiled, fresh)
+    nudged = mujoco.MjData(recompiled)
     nudged.qpos[:] = composed + NUDGE
-    mujoco.mj_step(again, nudged)
+    mujoco.mj_step(recompiled, nudged)
     first = float(np.abs(data.qpos - fresh.qpos).max())
     mujoco.mj_step(model, data, nstep=BIT_STEPS - 1)
     return _Differences(
-        fields=field_errors(model, again),
+        fields=field_errors(model, recompiled),
         bits=bool(np.array_equal(data.qpos, end)),
         first=first,
         control=float(np.abs(nudged.qpos - fresh.qpos).max()),
-        fall=_fall(model, again, composed),
+        fall=_fall(model, recompiled, composed),
     )
 
 
-def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> float:
+def _fall(model: mujoco.MjModel, recompiled: mujoco.MjModel, start: np.ndarray) -> float:
     """Return the largest difference between both models in a fall without contact.
 
     Every object is raised to a different height, so that no two touch.
@@ -256,8 +256,8 @@ def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> fl
     high = start.copy()
     for k, address in enumerate(model.jnt_qposadr[model.jnt_type == FREE]):
         high[address + 2] += FALL * (k + 1)
-    both = []
-    for m in (model, again):
+    finals = []
+    for m in (model, recompiled):
         data = mujoco.MjData(m)
         data.qpos[:] = high
         path = np.empty((FALL_STEPS, m.nq))
@@ -266,5 +266,5 @@ def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> fl
             path[t] = data.qpos
             if data.ncon:
                 raise EngineError("objects raised for a fall without contact touch each other")
-        both.append(path)
-    return float(np.abs(both[0] - both[1]).max())
+        finals.append(path)
+    return float(np.abs(finals[0] - finals[1]).max())

@@ -159,13 +159,13 @@ def _shape(kind: str, rng: np.random.Generator) -> Shape:
 def _exact(objects: tuple[SceneObject, ...], pick: NDArray, pos: NDArray, rot: NDArray) -> NDArray:
     model, data = start_state(SceneSpec(name="pairs", objects=objects))
     geom = np.array([model.body(obj.name).geomadr[0] for obj in objects])
-    own = np.array([matrix(model.geom_quat[g]) for g in geom])
-    at = pos + np.einsum("nkij,nkj->nki", rot, model.geom_pos[geom][pick])
-    turned = rot @ own[pick]
+    geom_rotations = np.array([matrix(model.geom_quat[g]) for g in geom])
+    positions = pos + np.einsum("nkij,nkj->nki", rot, model.geom_pos[geom][pick])
+    rotations = rot @ geom_rotations[pick]
     distances = np.zeros(len(pick))
     for n, (a, b) in enumerate(geom[pick].tolist()):
-        data.geom_xpos[[a, b]] = at[n]
-        data.geom_xmat[[a, b]] = turned[n].reshape(2, 9)
+        data.geom_xpos[[a, b]] = positions[n]
+        data.geom_xmat[[a, b]] = rotations[n].reshape(2, 9)
         distances[n] = geom_distance(model, data, a, b, 1e-3)
     return np.maximum(-distances, 0.0)
 
@@ -182,14 +182,14 @@ def _sampled(
             continue
         # Both sides of every pair have a piece of each kind; pieces of other kinds are far away.
         row = np.searchsorted(owner, pick).clip(max=len(owner) - 1)
-        at, *others = (x[row] for x in arrays)
+        positions, *others = (x[row] for x in arrays)
         side = np.tile(np.array([0, 1], np.int32), (len(pick), 1))
-        groups.append((side, at + FAR * (owner[row] != pick)[..., None], *others))
+        groups.append((side, positions + FAR * (owner[row] != pick)[..., None], *others))
     every_pair = Colliders(*(PieceGroup(*map(jnp.asarray, rows)) for rows in groups))
     unit = jnp.ones((1, 2))
 
-    def deeper(pos: Array, rot: Array, samples: Array, own: Colliders) -> Array:
-        return jnp.max(pair_depth_reference(pos[None], rot[None], unit, samples, own))
+    def deeper(pos: Array, rot: Array, samples: Array, colliders: Colliders) -> Array:
+        return jnp.max(pair_depth_reference(pos[None], rot[None], unit, samples, colliders))
 
     f32 = lambda x: jnp.asarray(x, jnp.float32)
     every = jax.jit(jax.vmap(deeper))

@@ -198,10 +198,15 @@ def table(x: float = 0.8, y: float = 0.8) -> SceneObject:
 
 
 def standing(
-    spec: ObjectSpec, parent: str, xy: tuple[float, float], z: float, yaw: float = 0.0, **more: Any
+    spec: ObjectSpec,
+    parent: str,
+    xy: tuple[float, float],
+    z: float,
+    yaw: float = 0.0,
+    **fields: Any,
 ) -> SceneObject:
     """Return an object placed on a parent; see `SceneObject`."""
-    return SceneObject(name=spec.name, spec=spec, parent=parent, xy=xy, z=z, yaw=yaw, **more)
+    return SceneObject(name=spec.name, spec=spec, parent=parent, xy=xy, z=z, yaw=yaw, **fields)
 
 
 def _height(item: SceneObject) -> float:
@@ -209,9 +214,9 @@ def _height(item: SceneObject) -> float:
     return float(high[2] - low[2])
 
 
-def block(name: str, x: float, y: float, z: float, **more: Any) -> ObjectSpec:
+def block(name: str, x: float, y: float, z: float, **fields: Any) -> ObjectSpec:
     """Return a wooden box with the given edges [m]."""
-    return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **more)
+    return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **fields)
 
 
 def polygon(corners: int, radius: float) -> tuple[tuple[float, float], ...]:

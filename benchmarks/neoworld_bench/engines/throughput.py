@@ -210,12 +210,14 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
         late = {"first_s": result.first_s, "status": "skipped: budget"}
         return row.model_copy(update={**checked, **late})
     steady = float(np.median(result.steady_s))
-    bare = float(np.median(result.bare_scan_s)) if result.bare_scan_s else None
+    bare_scan_s = float(np.median(result.bare_scan_s)) if result.bare_scan_s else None
     core = 1e3 * float(np.median(result.core_s)) / task.population
     rates = {
         "core_ms": core if task.engine == "native" else None,
         "candidates_per_s": task.population / steady,
-        "bare_scan_candidates_per_s": None if bare is None else task.population / bare,
+        "bare_scan_candidates_per_s": None
+        if bare_scan_s is None
+        else task.population / bare_scan_s,
         "compile_s": max(result.first_s - steady, 0.0),
         "first_s": result.first_s,
         "steady_s": steady,
@@ -238,8 +240,8 @@ def _in_a_process(task: Task) -> Measured | str:
         except subprocess.TimeoutExpired:
             return "skipped: budget"
         if not out.exists():
-            last = (process.stderr.strip().splitlines() or ["no message"])[-1]
-            return f"skipped: process ended with {process.returncode}: {last[:200]}"
+            last_line = (process.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"skipped: process ended with {process.returncode}: {last_line[:200]}"
         result = json.loads(out.read_text(encoding="utf-8"))
     return result if isinstance(result, str) else Measured.model_validate(result)
 
@@ -280,20 +282,20 @@ def measure(task: Task) -> Measured | str:
         steady.append(time.perf_counter() - t0)
         core.append(time.process_time() - c0)
     disturbed = others.cores()
-    moved = motion(scene, rollout)
+    engine_motion = motion(scene, rollout)
     host, device = peak_mib()
-    bare = []
+    bare_scan_times = []
     if task.engine == "mjx" and not task.early_stop:
-        bare = _time_bare(scene, layouts, rollout, task, remaining())
+        bare_scan_times = _time_bare(scene, layouts, rollout, task, remaining())
     return Measured(
         first_s=first,
         steady_s=steady,
         core_s=core,
-        bare_scan_s=bare,
+        bare_scan_s=bare_scan_times,
         mean_steps=float(np.mean(rollout.steps)),
         failed_share=float(np.mean(np.asarray(rollout.status) == RolloutStatus.FAILED)),
-        stable_share=float(np.mean(moved < 1.0)),
-        motion=[float(x) for x in moved[:NAIVE_CANDIDATES]],
+        stable_share=float(np.mean(engine_motion < 1.0)),
+        motion=[float(x) for x in engine_motion[:NAIVE_CANDIDATES]],
         peak_mib=host,
         device_peak_mib=device,
         others_cores=disturbed,
@@ -301,10 +303,10 @@ def measure(task: Task) -> Measured | str:
 
 
 def _time_bare(
-    scene: SceneModel, layouts: Layout, rollout: Rollout, task: Task, left: float
+    scene: SceneModel, layouts: Layout, rollout: Rollout, task: Task, budget_s: float
 ) -> list[float]:
     """Time the bare scan as often as time allows; not at all if a rollout took too long."""
-    ends = time.perf_counter() + left
+    ends = time.perf_counter() + budget_s
     steps = round(task.duration_s / scene.static.mjm.opt.timestep)
     once = bare_scan(scene, layouts, steps)
     jax.block_until_ready(once())

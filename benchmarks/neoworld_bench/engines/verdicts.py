@@ -25,9 +25,9 @@ perturbation of 1e-13 can change its verdict."""
 
 def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
     """Return each candidate's largest motion in units of the bounds; inf if it failed."""
-    far, turned = (np.asarray(x) for x in drifts(scene, rollout))
-    each = np.maximum(far / DISTANCE, turned / ANGLE)
-    most = np.where(np.asarray(scene.movable), each, 0.0).max(axis=1)
+    displacement, rotation = (np.asarray(x) for x in drifts(scene, rollout))
+    ratios = np.maximum(displacement / DISTANCE, rotation / ANGLE)
+    most = np.where(np.asarray(scene.movable), ratios, 0.0).max(axis=1)
     return np.where(np.asarray(rollout.status) == RolloutStatus.FAILED, np.inf, most)
 
 
@@ -128,9 +128,9 @@ def _farthest(model: mujoco.MjModel, path: np.ndarray) -> float:
     if not len(free):
         return 0.0
     seven = path[:, free[:, None] + np.arange(7)]
-    far = np.linalg.norm(seven[..., :3] - seven[:1, :, :3], axis=-1)
-    turned = angle_between(seven[:1, :, 3:], seven[..., 3:])
-    return float(max(far.max() / DISTANCE, turned.max() / ANGLE))
+    displacement = np.linalg.norm(seven[..., :3] - seven[:1, :, :3], axis=-1)
+    rotation = angle_between(seven[:1, :, 3:], seven[..., 3:])
+    return float(max(displacement.max() / DISTANCE, rotation.max() / ANGLE))
 
 
 class Compared(NamedTuple):
@@ -148,11 +148,11 @@ class Compared(NamedTuple):
         return float(self.same[chosen].mean()) if chosen.any() else None
 
 
-def compare(reference: Float[np.ndarray, " pop"], ours: Float[np.ndarray, " pop"]) -> Compared:
+def compare(reference: Float[np.ndarray, " pop"], other: Float[np.ndarray, " pop"]) -> Compared:
     """Compare verdicts; a motion is divided by its stability bound, and below 1 is stable.
 
     Only the reference's motion decides which layouts are borderline.
     """
     near = (reference > NEAR[0]) & (reference < NEAR[1])
     stable = reference < 1.0
-    return Compared(stable, near, stable == (ours < 1.0))
+    return Compared(stable, near, stable == (other < 1.0))

@@ -61,23 +61,23 @@ def photo_scene(number: int, *, width: int = 640) -> SceneSpec:
         pitch=pitch,
         roll=float(rng.uniform(-0.12, 0.12)) if number % 3 == 0 else 0.0,
     )
-    seen = see(scene.model_copy(update={"camera": camera}), finer=2)
-    listed = _without_unseen(seen)
-    return listed if len(listed.objects) == len(seen.objects) else see(listed, finer=2)
+    annotated = see(scene.model_copy(update={"camera": camera}), finer=2)
+    listed = _without_unseen(annotated)
+    return listed if len(listed.objects) == len(annotated.objects) else see(listed, finer=2)
 
 
 def _without_unseen(scene: SceneSpec) -> SceneSpec:
     """Remove objects that the image hardly shows, and what they support."""
-    kept: dict[str, SceneObject] = {}
+    visible: dict[str, SceneObject] = {}
     camera = scene.camera
     assert camera is not None
     for item in scene.objects:
         assert item.box2d is not None
         x0, y0, x1, y1 = item.box2d.as_tuple()
-        shown = min(x1, camera.width) - max(x0, 0.0), min(y1, camera.height_px) - max(y0, 0.0)
-        if item.environment or (min(shown) > LEAST_PX and item.parent in kept):
-            kept[item.name] = item
-    return scene.model_copy(update={"objects": tuple(kept.values())})
+        visible_px = min(x1, camera.width) - max(x0, 0.0), min(y1, camera.height_px) - max(y0, 0.0)
+        if item.environment or (min(visible_px) > LEAST_PX and item.parent in visible):
+            visible[item.name] = item
+    return scene.model_copy(update={"objects": tuple(visible.values())})
 
 
 def _things(rng: np.random.Generator) -> list[SceneObject]:

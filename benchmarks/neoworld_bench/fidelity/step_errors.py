@@ -109,12 +109,12 @@ def photo_rows(
         answer = noisy_response(truth, number)
         fitted, _ = fit_tree(answer)
         as_answered = compose(answer, shapes, c).scene
-        again = fitted
+        refitted = fitted
         if c.refit:
-            again, _ = refit_tree(answer, shapes, shown_sides(as_answered))
+            refitted, _ = refit_tree(answer, shapes, shown_sides(as_answered))
         stages = {
             "as_answered": as_answered,
-            "composed": compose(again, shapes, c).scene,
+            "composed": compose(refitted, shapes, c).scene,
         }
         start = stages["composed"]
         if c.align.enabled:
@@ -199,8 +199,8 @@ def _unsound(scene: SceneSpec, check: SceneMeasure, o: RefineOptions) -> set[str
         if depth > o.max_depth_m
         for name in pair.split("|")
     }
-    still = lambda n: check.drift_m[n] < o.max_drift_m and check.tilt_deg[n] < o.max_tilt_deg
-    names |= {name for name in check.drift_m if not still(name)}
+    stays = lambda n: check.drift_m[n] < o.max_drift_m and check.tilt_deg[n] < o.max_tilt_deg
+    names |= {name for name in check.drift_m if not stays(name)}
     # Children move with their parents.
     for item in scene.objects:
         if item.parent in names:
@@ -212,9 +212,9 @@ def photo_summary(rows: Sequence[PhotoRow]) -> dict[str, Any]:
     """Summarize rows for each part: errors by step, and the objects that a step made worse."""
     parts = {"tuned_on": TUNED_ON, "held_out": HELD_OUT}
     return {
-        part: _figures(own)
+        part: _figures(part_rows)
         for part, numbers in parts.items()
-        if (own := [row for row in rows if row.scene in numbers])
+        if (part_rows := [row for row in rows if row.scene in numbers])
     }
 
 
@@ -268,16 +268,20 @@ def lines(summary: dict[str, Any]) -> Iterator[str]:
     for part in ("tuned_on", "held_out"):
         if part not in summary:
             continue
-        own = summary[part]
-        yield f"{part}: {own['objects']} objects of {own['scenes']} scenes, median (worst)"
-        for step, figures in own["steps"].items():
+        part_summary = summary[part]
+        objects, scenes = part_summary["objects"], part_summary["scenes"]
+        yield f"{part}: {objects} objects of {scenes} scenes, median (worst)"
+        for step, figures in part_summary["steps"].items():
             cells = [
                 f"{unit} {of['median']:.2f} ({of['worst']:.1f})"
                 for name, unit in zip(MEASURES, ("mm", "mm in layout", "deg", "%"), strict=True)
                 if (of := figures.get(name))
             ]
             if "box_iou" in figures:
-                cells += [f"IoU {figures['box_iou']:.3f}", f"{own['valid_scenes'][step]} valid"]
+                cells += [
+                    f"IoU {figures['box_iou']:.3f}",
+                    f"{part_summary['valid_scenes'][step]} valid",
+                ]
             yield f"  {step:12} " + ", ".join(cells)
-        for step, worse in own["made_worse"].items():
+        for step, worse in part_summary["made_worse"].items():
             yield f"  {step}: {len(worse)} made worse" + "".join(f"\n    {x}" for x in worse)

@@ -11,7 +11,7 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ConfigError, SpecError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.render import View, render_plain, visible_vertices
-from neoworld_mjx.render.viewpoints import opened
+from neoworld_mjx.render.viewpoints import with_open_joints
 from neoworld_mjx.spec import JointSpec, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.opening import opening_value, prerequisite_state
 from neoworld_mjx.verify.checking import object_of_file
@@ -116,8 +116,8 @@ def object_pairs(
     if made.is_file() and truth.is_file():
         files = {truth.stem: (made, truth)}
     elif made.is_dir() and truth.is_dir():
-        own = object_files(made)
-        files = {name: (own.get(name), path) for name, path in object_files(truth).items()}
+        made_files = object_files(made)
+        files = {name: (made_files.get(name), path) for name, path in object_files(truth).items()}
     else:
         raise ConfigError("--made and --truth must both be files or both be folders")
     pairs = []
@@ -153,7 +153,7 @@ def joint_frames(
         joint = _joint(spec, joint.mimic.joint)
     share = WHOLE_TURN if joint.type == "continuous" else 1.0
     alone = SceneObject(name=spec.name, spec=spec)
-    others = opened(SceneSpec(objects=(alone,)), 1.0).objects[0].joint_state
+    others = with_open_joints(SceneSpec(objects=(alone,)), 1.0).objects[0].joint_state
     others = {**(others if others_open else {}), **prerequisite_state(spec, joint)}
     scenes = [
         SceneSpec(
@@ -161,9 +161,9 @@ def joint_frames(
         )
         for value in (opening_value(joint, share * k / (FRAMES - 1)) for k in range(FRAMES))
     ]
-    shown = [visible_vertices(spec, scene.objects[0].joint_state) for scene in scenes]
+    points = [visible_vertices(spec, scene.objects[0].joint_state) for scene in scenes]
     view = View.framing(
-        np.vstack(shown),
+        np.vstack(points),
         width=WIDTH,
         height=HEIGHT,
         azimuth=azimuth,
@@ -181,7 +181,7 @@ def motion_is_seen(frames: Sequence[NDArray]) -> bool:
 
 def _side(truth: ObjectTruth, joint: str) -> float:
     """Return the azimuth [rad] from which the part of a joint is seen; +x is the front."""
-    box = next(each.moving_box for each in truth.joints if each.name == joint)
+    box = next(item.moving_box for item in truth.joints if item.name == joint)
     low, high = np.array(truth.box)
     x, y, _ = (np.mean(np.array(box), axis=0) - (low + high) / 2) / np.maximum(high - low, 1e-9)
     front = x > -BEHIND

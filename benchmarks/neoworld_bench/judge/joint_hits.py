@@ -102,18 +102,18 @@ def joint_hit_rows(
                     comparison_request(pair, joint, films, k, repeats)
                     for k in range(1, repeats + 1)
                 ]
-        asked = [request for own in requests.values() for request in own]
-        answers = dict(zip(asked, answers_to(models, asked), strict=True))
+        all_requests = [request for of_joint in requests.values() for request in of_joint]
+        answers = dict(zip(all_requests, answers_to(models, all_requests), strict=True))
         for joint in (each.name for each in pair.truth.joints):
-            own = [(request, answers[request]) for request in requests.get(joint, ())]
-            for request, answer in own:
+            answered = [(request, answers[request]) for request in requests.get(joint, ())]
+            for request, answer in answered:
                 file.add(request, answer)
-            valid = [a.value.same_joint for _, a in own if not isinstance(a, ModelError)]
-            failed = [str(a) for _, a in own if isinstance(a, ModelError)]
+            valid = [a.value.same_joint for _, a in answered if not isinstance(a, ModelError)]
+            failed = [str(a) for _, a in answered if isinstance(a, ModelError)]
             made_joint, same = partners.get(joint, ""), sum(valid)
             if not made_joint:
                 failed = [pair.why if pair.made is None else "no made joint is left for it"]
-            elif not own:
+            elif not answered:
                 failed = ["ball joints are not filmed"]
             decided = 2 * same > len(valid) if valid else None
             yield JointHitRow(

@@ -55,9 +55,9 @@ class MadeScene:
         width, height = self.photo.size
         factor = min(1.0, side / max(width, height))
         size = (max(1, round(width * factor)), max(1, round(height * factor)))
-        shown = Image.fromarray(self.photo.rgb).resize(size, Image.Resampling.LANCZOS)
+        resized = Image.fromarray(self.photo.rgb).resize(size, Image.Resampling.LANCZOS)
         view = View.of(self.camera, *size)
-        return np.asarray(shown), render_scene(self.scene, view).color
+        return np.asarray(resized), render_scene(self.scene, view).color
 
     def part(self, name: str, side: int) -> tuple[Rgb, Rgb]:
         """Return photograph and rendered image around an object: a square, if the image has room.
@@ -69,18 +69,18 @@ class MadeScene:
         window = x0, y0, x1, y1 = self._window(name)
         view = View.through(self.camera, window, side)
         scale = self.photo.size[0] / self.camera.width
-        cut = Image.fromarray(self.photo.rgb).resize(
+        cropped = Image.fromarray(self.photo.rgb).resize(
             (view.width, view.height),
             Image.Resampling.LANCZOS,
             box=(scale * x0, scale * y0, scale * x1, scale * y1),
         )
-        return np.asarray(cut), render_scene(self.scene, view).color
+        return np.asarray(cropped), render_scene(self.scene, view).color
 
     def _window(self, name: str) -> tuple[float, float, float, float]:
         x0, y0, x1, y1 = self.boxes[name]
         side = (1 + 2 * MARGIN) * max(x1 - x0, y1 - y0)
-        left, right = _placed((x0 + x1) / 2, side, self.camera.width)
-        top, bottom = _placed((y0 + y1) / 2, side, self.camera.height_px)
+        left, right = _window_side((x0 + x1) / 2, side, self.camera.width)
+        top, bottom = _window_side((y0 + y1) / 2, side, self.camera.height_px)
         return left, top, right, bottom
 
 
@@ -112,7 +112,7 @@ def made_scenes(folders: Sequence[Path], data: Path | None = None) -> list[MadeS
 
 def _entries(folder: Path) -> list[Path]:
     try:
-        return [each for each in folder.iterdir() if each.is_dir()]
+        return [entry for entry in folder.iterdir() if entry.is_dir()]
     except OSError as error:
         raise SpecError(f"cannot read {folder}: {error.strerror}") from None
 
@@ -154,7 +154,7 @@ def _photograph(folder: Path) -> Path | None:
     return next((folder / name for name in PHOTOS if (folder / name).is_file()), None)
 
 
-def _placed(middle: float, side: float, room: float) -> tuple[float, float]:
+def _window_side(middle: float, side: float, room: float) -> tuple[float, float]:
     """Return an interval around a center, moved and cropped into the image."""
     side = min(side, room)
     low = min(max(middle - side / 2, 0.0), room - side)

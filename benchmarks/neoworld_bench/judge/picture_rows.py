@@ -74,13 +74,15 @@ def picture_rows(
     """
     if not 64 <= side <= 4096:
         raise ConfigError(f"--size takes 64 to 4096 pixels, got {side}")
-    for made in scenes:
-        yield _row(made, "", made.whole(side), models, None, out)
-        items = {item.name: item for item in made.scene.objects}
-        for name in made.boxes if objects else ():
+    for reconstruction in scenes:
+        yield _row(reconstruction, "", reconstruction.whole(side), models, None, out)
+        items = {item.name: item for item in reconstruction.scene.objects}
+        for name in reconstruction.boxes if objects else ():
             item = items.get(name)
             cloud = None if item is None else coloured_points(item.spec, item.joint_state)
-            yield _row(made, name, made.part(name, OBJECT_PX), models, cloud, out)
+            yield _row(
+                reconstruction, name, reconstruction.part(name, OBJECT_PX), models, cloud, out
+            )
 
 
 def picture_figures(rows: Sequence[PictureRow]) -> dict[str, Any]:
@@ -100,13 +102,13 @@ def _means(rows: Sequence[PictureRow]) -> dict[str, float | int | None]:
     means: dict[str, float | int | None] = {"n": len(rows)}
     for name in PICTURE_MEASURES:
         values = [getattr(row, name) for row in rows]
-        known = [value for value in values if value is not None]
-        means[name] = float(np.mean(known)) if known else None
+        measured = [value for value in values if value is not None]
+        means[name] = float(np.mean(measured)) if measured else None
     return means
 
 
 def _row(
-    made: MadeScene,
+    reconstruction: MadeScene,
     name: str,
     pair: tuple[Rgb, Rgb],
     models: PictureModels,
@@ -115,7 +117,7 @@ def _row(
 ) -> PictureRow:
     photo, rendered = pair
     if out is not None:
-        file = out / f"{made.numbered}-{name or 'scene'}.png"
+        file = out / f"{reconstruction.numbered}-{name or 'scene'}.png"
         try:
             out.mkdir(parents=True, exist_ok=True)
             write_atomic(file, to_png(np.concatenate([photo, rendered], axis=1)))
@@ -126,7 +128,7 @@ def _row(
     if name and cloud is None:
         why = why | {"uni3d": "the object was not made"}
     return PictureRow(
-        folder=made.name,
+        folder=reconstruction.name,
         kind="object" if name else "scene",
         name=name,
         width=photo.shape[1],

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from neoworld_mjx.errors import ConfigError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Request, Response, package_text
 from neoworld_mjx.render import View, render_scene
-from neoworld_mjx.render.viewpoints import opened, subject_points
+from neoworld_mjx.render.viewpoints import subject_points, with_open_joints
 from neoworld_mjx.spec import SceneSpec
 
 from ..paper_figures import of_scenes
@@ -91,22 +91,26 @@ class JudgedPictures:
         return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
 
 
-def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
+def judged_pictures(reconstruction: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
     """Render the images of a scene for the judge."""
-    photo, scene = made.whole(side)
+    photo, scene = reconstruction.whole(side)
     height, width = photo.shape[:2]
-    half_open = opened(made.scene, 0.5)
-    view = _aside(made, half_open, width, height)
-    shown = {"photo": photo, "scene": scene, "aside": render_scene(made.scene, view).color}
-    if _moving(made.scene):
-        shown["open"] = render_scene(half_open, view).color
-    return JudgedPictures(shown)
+    half_open = with_open_joints(reconstruction.scene, 0.5)
+    view = _aside(reconstruction, half_open, width, height)
+    pictures = {
+        "photo": photo,
+        "scene": scene,
+        "aside": render_scene(reconstruction.scene, view).color,
+    }
+    if _moving(reconstruction.scene):
+        pictures["open"] = render_scene(half_open, view).color
+    return JudgedPictures(pictures)
 
 
-def _aside(made: MadeScene, half_open: SceneSpec, width: int, height: int) -> View:
+def _aside(reconstruction: MadeScene, half_open: SceneSpec, width: int, height: int) -> View:
     """Return the view from the side, of two, from which more objects are visible."""
-    subjects = np.vstack([subject_points(made.scene), subject_points(half_open)])
-    backward = -made.camera.axes()[:, 2]
+    subjects = np.vstack([subject_points(reconstruction.scene), subject_points(half_open)])
+    backward = -reconstruction.camera.axes()[:, 2]
     azimuth = float(np.arctan2(backward[1], backward[0]))
     views = [
         View.framing(
@@ -120,28 +124,28 @@ def _aside(made: MadeScene, half_open: SceneSpec, width: int, height: int) -> Vi
         for turn in ASIDE_DEG
     ]
     small = (LOOK_PX, max(1, round(LOOK_PX * height / width)))
-    seen = []
+    visible_counts = []
     for view in views:
         look = view._replace(width=small[0], height=small[1])
-        owners = render_scene(made.scene, look, supersample=1).segmentation
-        items = made.scene.objects
-        seen.append(sum(not items[k].environment for k in np.unique(owners[owners >= 0])))
-    return views[int(np.argmax(seen))]
+        owners = render_scene(reconstruction.scene, look, supersample=1).segmentation
+        items = reconstruction.scene.objects
+        visible_counts.append(sum(not items[k].environment for k in np.unique(owners[owners >= 0])))
+    return views[int(np.argmax(visible_counts))]
 
 
 def rating_request(
-    made: MadeScene, pictures: JudgedPictures, repeat: int, repeats: int
+    reconstruction: MadeScene, pictures: JudgedPictures, repeat: int, repeats: int
 ) -> Request[SceneRating]:
     """Return the request for one judgement; the repeats of a scene differ by their number."""
-    joints = _moving(made.scene)
+    joints = _moving(reconstruction.scene)
     listed = "\n".join(f"- {line}" for line in joints[:MOST_JOINTS]) or "- none"
-    more = f"\n- and {len(joints) - MOST_JOINTS} more" if len(joints) > MOST_JOINTS else ""
+    remainder = f"\n- and {len(joints) - MOST_JOINTS} more" if len(joints) > MOST_JOINTS else ""
     prompt = (
-        f"Joints that can move:\n{listed}{more}\n\nThis is judgement {repeat} of {repeats} of this "
-        "scene. The others are not known to you: judge it as if it were the only one."
+        f"Joints that can move:\n{listed}{remainder}\n\nThis is judgement {repeat} of {repeats} of "
+        "this scene. The others are not known to you: judge it as if it were the only one."
     )
     system = package_text(__package__, "judge").removesuffix("\n")
-    name = f"judge:{made.name}:{repeat}"
+    name = f"judge:{reconstruction.name}:{repeat}"
     return Request("critic", name, system, prompt, SceneRating, pictures.for_request())
 
 
@@ -169,14 +173,16 @@ def rating_rows(
     if not 1 <= repeats <= 20:
         raise ConfigError(f"--repeats takes 1 to 20, got {repeats}")
     file = AnswerFile(out)
-    for made in scenes:
-        pictures = judged_pictures(made)
+    for reconstruction in scenes:
+        pictures = judged_pictures(reconstruction)
         if out is not None:
-            save_pictures(out, made.numbered, pictures.for_request())
-        requests = [rating_request(made, pictures, k, repeats) for k in range(1, repeats + 1)]
+            save_pictures(out, reconstruction.numbered, pictures.for_request())
+        requests = [
+            rating_request(reconstruction, pictures, k, repeats) for k in range(1, repeats + 1)
+        ]
         for k, answer in enumerate(answers_to(models, requests), start=1):
             file.add(requests[k - 1], answer)
-            yield _row(made, k, answer)
+            yield _row(reconstruction, k, answer)
 
 
 def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
@@ -194,9 +200,11 @@ def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
     means: dict[str, float | None] = {}
     spread: dict[str, dict[str, float | None]] = {"sd_scenes": {}, "sd_repeats": {}}
     for question in QUESTIONS:
-        scores = [[getattr(row, question) for row in own] for own in by_scene.values()]
-        own_means = [fmean(each) for each in scores]
-        repeated = [stdev(each) for each in scores if len(each) > 1]
+        scores = [
+            [getattr(row, question) for row in scene_rows] for scene_rows in by_scene.values()
+        ]
+        own_means = [fmean(scene_scores) for scene_scores in scores]
+        repeated = [stdev(scene_scores) for scene_scores in scores if len(scene_scores) > 1]
         means[question] = fmean(own_means) if own_means else None
         spread["sd_scenes"][question] = stdev(own_means) if len(own_means) > 1 else None
         spread["sd_repeats"][question] = fmean(repeated) if repeated else None
@@ -211,7 +219,9 @@ def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
     }
 
 
-def _row(made: MadeScene, repeat: int, answer: Response[SceneRating] | ModelError) -> RatingRow:
+def _row(
+    reconstruction: MadeScene, repeat: int, answer: Response[SceneRating] | ModelError
+) -> RatingRow:
     if isinstance(answer, ModelError):
         scores, model, why = dict.fromkeys(QUESTIONS), "", str(answer)
     else:
@@ -219,7 +229,12 @@ def _row(made: MadeScene, repeat: int, answer: Response[SceneRating] | ModelErro
         scores = {question: getattr(rating, question).score for question in QUESTIONS}
         model, why = answer.model, ""
     return RatingRow(
-        folder=made.name, scene_number=made.number, repeat=repeat, **scores, model=model, why=why
+        folder=reconstruction.name,
+        scene_number=reconstruction.number,
+        repeat=repeat,
+        **scores,
+        model=model,
+        why=why,
     )
 
 

@@ -60,14 +60,14 @@ def collider_gap(spec: ObjectSpec, *, seed: int = 0) -> ColliderGap | None:
     Returns:
         The gaps; None if the object has no visual geometry or no colliders.
     """
-    seen, solids = visual_meshes(spec), collision_solids(spec)
-    if not seen or not solids:
+    visuals, solids = visual_meshes(spec), collision_solids(spec)
+    if not visuals or not solids:
         return None
-    visual = sampled(seen, VISUAL_SAMPLES, seed)
+    visual = sampled(visuals, VISUAL_SAMPLES, seed)
     colliding = _union_surface(solids, seed)
     protruding = KDTree(visual).query(colliding)[0]
     short = np.maximum(distance_outside(visual, solids), 0.0)
-    corners = np.vstack([mesh.bounds for mesh in seen])
+    corners = np.vstack([mesh.bounds for mesh in visuals])
     return ColliderGap(
         float(np.quantile(protruding, QUANTILE)) if len(protruding) else 0.0,
         float(np.quantile(short, QUANTILE)),
@@ -79,9 +79,11 @@ def visual_meshes(spec: ObjectSpec) -> "list[trimesh.Trimesh]":
     """Return the meshes of an object's visual geometry, with all joints at zero."""
     import trimesh
 
-    moved = link_poses(spec, {})
+    part_poses = link_poses(spec, {})
     return [
-        trimesh.Trimesh(moved[part.name].then(geom.pose()).apply(vertices), faces, process=False)
+        trimesh.Trimesh(
+            part_poses[part.name].then(geom.pose()).apply(vertices), faces, process=False
+        )
         for part in spec.parts
         for geom in part.geoms
         if geom.role != "collision"
@@ -91,9 +93,9 @@ def visual_meshes(spec: ObjectSpec) -> "list[trimesh.Trimesh]":
 
 def collision_solids(spec: ObjectSpec) -> list[tuple[Piece, Pose]]:
     """Return the convex colliders of an object and their poses, with all joints at zero."""
-    moved = link_poses(spec, {})
+    part_poses = link_poses(spec, {})
     return [
-        (piece, moved[part.name].then(geom.pose()).then(pose(piece.pos, piece.quat)))
+        (piece, part_poses[part.name].then(geom.pose()).then(pose(piece.pos, piece.quat)))
         for part in spec.parts
         for geom in part.geoms
         if geom.role != "visual"

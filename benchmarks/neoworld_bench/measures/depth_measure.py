@@ -118,22 +118,22 @@ def depth_measure(
     Raises:
         ValueError: fewer than LEAST_PIXELS pixels have both depths.
     """
-    drawn = (segmentation >= 0) & np.isfinite(rendered[..., 2])
-    both = drawn & (sensor[..., 2] > 0)
-    count = int(both.sum())
+    rendered_mask = (segmentation >= 0) & np.isfinite(rendered[..., 2])
+    overlap = rendered_mask & (sensor[..., 2] > 0)
+    count = int(overlap.sum())
     if count < LEAST_PIXELS:
         raise ValueError(
             f"{count} pixels have both a rendered and a measured depth; a comparison needs "
             f"{LEAST_PIXELS}"
         )
-    source, target, owner = rendered[both], sensor[both], segmentation[both]
+    source, target, owner = rendered[overlap], sensor[overlap], segmentation[overlap]
     tolerance = TOLERANCE * float(np.median(target[:, 2]))
     fitted = similarity or robust_similarity(source, target, tolerance)
     off = fitted.apply(source) - target
     distance = np.linalg.norm(off, axis=1)
     objects = {}
     for index, name in enumerate(names):
-        visible = int((drawn & (segmentation == index)).sum())
+        visible = int((rendered_mask & (segmentation == index)).sum())
         if visible:
             objects[name] = _error(off[owner == index], distance[owner == index], visible)
     return DepthMeasure(fitted, float((distance <= tolerance).mean()), tolerance, objects)
@@ -199,6 +199,6 @@ def measured_points(
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the points of a depth image in the camera's frame [m]; 0 for pixels without depth."""
     height, width = depth.shape
-    known = np.isfinite(depth) & (depth > 0)
-    known = known if valid is None else known & valid
-    return camera.directions(width, height) * np.where(known, depth, 0.0)[..., None]
+    measured = np.isfinite(depth) & (depth > 0)
+    measured = measured if valid is None else measured & valid
+    return camera.directions(width, height) * np.where(measured, depth, 0.0)[..., None]

@@ -103,12 +103,15 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
         predicted: the reconstructed object, or its joints as an `ObjectTruth`.
         truth: the ground truth.
     """
-    own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
-    ours, theirs = _normalised(own), _normalised(truth)
-    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, MIN_AGREEMENT))
+    estimate = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
+    estimated_joints, true_joints = _normalised(estimate), _normalised(truth)
+    pairs = tuple(
+        _pair(estimated_joints[j], true_joints[i])
+        for i, j in _assigned(estimated_joints, true_joints, MIN_AGREEMENT)
+    )
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
-    missed = tuple(joint.name for joint in theirs if joint.name not in matched)
-    extra = tuple(joint.name for joint in ours if joint.name not in used)
+    missed = tuple(joint.name for joint in true_joints if joint.name not in matched)
+    extra = tuple(joint.name for joint in estimated_joints if joint.name not in used)
     return _summed(truth.name, pairs, missed, extra)
 
 
@@ -118,8 +121,11 @@ def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
     Joints are assigned as in `joint_measure`, but without a minimum overlap. Ground-truth joints
     are left out only if fewer joints were reconstructed.
     """
-    ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
-    return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
+    estimated_joints, true_joints = _normalised(truth_of(predicted)), _normalised(truth)
+    return {
+        true_joints[i].name: estimated_joints[j].name
+        for i, j in _assigned(estimated_joints, true_joints, -1.0)
+    }
 
 
 def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
@@ -132,13 +138,13 @@ def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
     )
 
 
-def agree(a: TrueJoint, b: TrueJoint) -> float:
+def box_agreement(a: TrueJoint, b: TrueJoint) -> float:
     """Return the geometric mean of the two best overlaps of two moved boxes; 0 if disjoint."""
     best = sorted(overlaps(a, b))
     return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
 
 
-def alike(estimate: TrueJoint, true: TrueJoint) -> float:
+def motion_similarity(estimate: TrueJoint, true: TrueJoint) -> float:
     """Return the absolute cosine between the velocities of the true box's corners, 0 to 1."""
     if "ball" in (estimate.type, true.type):
         return float(estimate.type == true.type)
@@ -170,18 +176,20 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
 
 
 def _assigned(
-    ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
+    estimated_joints: Sequence[TrueJoint], true_joints: Sequence[TrueJoint], least: float
 ) -> list[tuple[int, int]]:
-    """Return the pairs (index in theirs, index in ours) with the largest sum of similarities."""
-    worth = np.zeros((len(theirs), len(ours)))
+    """Return the pairs (true index, estimated index) with the largest sum of similarities."""
+    worth = np.zeros((len(true_joints), len(estimated_joints)))
     allowed = np.zeros(worth.shape, bool)
-    for i, true in enumerate(theirs):
-        for j, estimate in enumerate(ours):
-            agreement = agree(estimate, true)
+    for i, true in enumerate(true_joints):
+        for j, estimate in enumerate(estimated_joints):
+            agreement = box_agreement(estimate, true)
             if agreement >= least:
                 allowed[i, j] = True
                 worth[i, j] = (
-                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
+                    agreement
+                    + motion_similarity(estimate, true)
+                    + float(np.mean(overlaps(estimate, true)))
                 )
     rows, columns = linear_sum_assignment(worth, maximize=True)
     return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if allowed[i, j]]
@@ -235,8 +243,8 @@ def _pair(estimate: TrueJoint, true: TrueJoint) -> JointPair:
         predicted=estimate.name,
         true_type=true.type,
         predicted_type=estimate.type,
-        agreement=agree(estimate, true),
-        motion=alike(estimate, true),
+        agreement=box_agreement(estimate, true),
+        motion=motion_similarity(estimate, true),
         axis_deg=None if balls else line_angle_deg(a, b),
         pivot=distance if turn else None,
         limits=_range_overlap(estimate, true, flipped=float(a @ b) < 0),

@@ -57,28 +57,28 @@ def truth_of_mjcf(
         raise SpecError(f"{path}: MuJoCo cannot read it: {error}") from None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    shown = {
+    visuals = {
         geom: mesh
         for geom in range(model.ngeom)
         if int(model.geom_group[geom]) in groups and (mesh := _mesh(model, data, geom)) is not None
     }
-    if not shown:
+    if not visuals:
         raise SpecError(f"{path}: no geom of the groups {groups} is visible")
-    corners = np.vstack([mesh.bounds for mesh in shown.values()])
+    corners = np.vstack([mesh.bounds for mesh in visuals.values()])
     joints = []
     for joint in range(model.njnt):
         kind = _TYPES.get(mujoco.mjtJoint(model.jnt_type[joint]))
         body = int(model.jnt_bodyid[joint])
-        moved = [m.bounds for geom, m in shown.items() if _descends(model, geom, body)]
-        if kind is None or not moved:
+        moved_bounds = [m.bounds for geom, m in visuals.items() if _descends(model, geom, body)]
+        if kind is None or not moved_bounds:
             continue
         limits = None
         if model.jnt_limited[joint] and kind != "ball":
-            rest = float(model.qpos0[model.jnt_qposadr[joint]])
-            limits = [float(v) - rest for v in model.jnt_range[joint]]
+            initial_position = float(model.qpos0[model.jnt_qposadr[joint]])
+            limits = [float(v) - initial_position for v in model.jnt_range[joint]]
         if kind == "revolute" and limits is None:
             kind = "continuous"
-        box = np.vstack(moved)
+        box = np.vstack(moved_bounds)
         joints.append(
             {
                 "name": model.joint(joint).name or f"joint_{joint}",
@@ -97,7 +97,7 @@ def truth_of_mjcf(
         "box": [corners.min(axis=0).tolist(), corners.max(axis=0).tolist()],
         "joints": joints,
     }
-    return truth_from(description, str(path)), sampled(list(shown.values()), samples, seed)
+    return truth_from(description, str(path)), sampled(list(visuals.values()), samples, seed)
 
 
 def _descends(model: mujoco.MjModel, geom: int, body: int) -> bool:

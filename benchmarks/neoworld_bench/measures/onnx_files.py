@@ -55,8 +55,8 @@ class OnnxModel:
             )
         except Exception as error:  # onnxruntime's exceptions have no common base class.
             raise ConfigError(f"{role}: {path} is no ONNX model: {_first_line(error)}") from None
-        self.inputs = tuple(self._port(each) for each in self._session.get_inputs())
-        self.outputs = tuple(each.name for each in self._session.get_outputs())
+        self.inputs = tuple(self._port(port) for port in self._session.get_inputs())
+        self.outputs = tuple(port.name for port in self._session.get_outputs())
 
     def check_inputs(self, expected: Mapping[str, Sequence[int | None]], advice: str) -> None:
         """Check the names and shapes of the inputs.

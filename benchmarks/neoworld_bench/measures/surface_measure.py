@@ -75,16 +75,16 @@ def geometry_measure(
         samples: number of samples of the reconstructed object.
         seed: seed of the samples.
     """
-    own = (
+    points = (
         surface_points(predicted, samples, seed) if isinstance(predicted, ObjectSpec) else predicted
     )
     true = np.asarray(truth, float)
     size = float(np.linalg.norm(np.ptp(true, axis=0)))
     tree = KDTree(true / size)
-    plain = closeness(own / size, true / size, tree)
+    plain = closeness(points / size, true / size, tree)
     best: tuple[Closeness, float, float] | None = None
     for turns in range(4):
-        fitted, turn, scale = _fitted(own @ quarter_turn(turns).T, true, tree, size)
+        fitted, turn, scale = _fitted(points @ quarter_turn(turns).T, true, tree, size)
         fit = closeness(fitted, true / size, tree)
         if best is None or fit.chamfer_x10 < best[0].chamfer_x10:
             best = fit, (90.0 * turns + np.degrees(turn) + 180.0) % 360.0 - 180.0, scale
@@ -94,7 +94,7 @@ def geometry_measure(
         aligned=best[0],
         turn_deg=best[1],
         scale=best[2],
-        samples=len(own),
+        samples=len(points),
         true_samples=len(true),
     )
 
@@ -152,32 +152,34 @@ def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) 
     import trimesh
 
     areas = np.array([mesh.area for mesh in meshes])
-    which = np.random.default_rng(seed).multinomial(count, areas / areas.sum())
+    counts = np.random.default_rng(seed).multinomial(count, areas / areas.sum())
     return [
         trimesh.sample.sample_surface(mesh, n, seed=seed + k)[0] if n else np.zeros((0, 3))
-        for k, (mesh, n) in enumerate(zip(meshes, which.tolist(), strict=True))
+        for k, (mesh, n) in enumerate(zip(meshes, counts.tolist(), strict=True))
     ]
 
 
-def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:
+def _fitted(
+    samples: NDArray, true: NDArray, tree: KDTree, size: float
+) -> tuple[NDArray, float, float]:
     """Fit samples to the ground truth.
 
     Returns:
         The fitted samples divided by the diagonal `size`, the rotation [rad], and the scale.
     """
     goal = true / size
-    factor = size / float(np.linalg.norm(np.ptp(own, axis=0)))
-    points = (own - _middle(own)) * (factor / size) + _middle(goal)
-    turn, scale, last = 0.0, factor, np.inf
-    kept = points, turn, scale
+    factor = size / float(np.linalg.norm(np.ptp(samples, axis=0)))
+    points = (samples - _middle(samples)) * (factor / size) + _middle(goal)
+    turn, scale, last_cost = 0.0, factor, np.inf
+    best = points, turn, scale
     for _ in range(ICP_STEPS):
         forth, near = tree.query(points)
         back, nearest = KDTree(points).query(goal)
         cost = float(forth.mean() + back.mean())
-        if last - cost < MIN_IMPROVEMENT * cost:
+        if last_cost - cost < MIN_IMPROVEMENT * cost:
             break
-        last = cost
-        kept = points, turn, scale
+        last_cost = cost
+        best = points, turn, scale
         # Pairs of both directions have equal weights, so that neither set shrinks into the other.
         source = np.vstack([points, points[nearest]])
         target = np.vstack([goal[near], goal])
@@ -194,13 +196,13 @@ def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDA
         angle = float(np.arctan2(sine, cosine))
         c, s = np.cos(angle), np.sin(angle)
         rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-        turned = p @ rotation.T
-        grown = float((weight * turned * q).sum() / (weight * turned**2).sum())
+        rotated = p @ rotation.T
+        grown = float((weight * rotated * q).sum() / (weight * rotated**2).sum())
         points = (points - a) @ rotation.T * grown + b
         turn, scale = turn + angle, scale * grown
     else:
-        kept = points, turn, scale
-    return kept
+        best = points, turn, scale
+    return best
 
 
 def _middle(points: NDArray) -> NDArray:

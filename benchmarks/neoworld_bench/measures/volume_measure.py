@@ -100,10 +100,12 @@ def voxel_iou(a: "trimesh.Trimesh", b: "trimesh.Trimesh", pitch: float = PITCH) 
     Raises:
         ValueError: a mesh has too many voxels.
     """
-    own, true = filled_voxels(a, pitch), filled_voxels(b, pitch)
-    low = np.minimum(own.min(axis=0), true.min(axis=0))
-    shape = np.maximum(own.max(axis=0), true.max(axis=0)) - low + 1
-    keys = [np.unique(np.ravel_multi_index((each - low).T, shape)) for each in (own, true)]
+    voxels_a, voxels_b = filled_voxels(a, pitch), filled_voxels(b, pitch)
+    low = np.minimum(voxels_a.min(axis=0), voxels_b.min(axis=0))
+    shape = np.maximum(voxels_a.max(axis=0), voxels_b.max(axis=0)) - low + 1
+    keys = [
+        np.unique(np.ravel_multi_index((voxels - low).T, shape)) for voxels in (voxels_a, voxels_b)
+    ]
     common = len(np.intersect1d(*keys, assume_unique=True))
     return common / (len(keys[0]) + len(keys[1]) - common)
 

@@ -231,8 +231,8 @@ def in_a_process(task: ScalingTask, budget: float) -> Scaled | str:
         except subprocess.TimeoutExpired:
             return "skipped: budget"
         if not out.exists():
-            last = (process.stderr.strip().splitlines() or ["no message"])[-1]
-            return f"skipped: process ended with {process.returncode}: {last[:200]}"
+            last_line = (process.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"skipped: process ended with {process.returncode}: {last_line[:200]}"
         return Scaled.model_validate(json.loads(out.read_text(encoding="utf-8")))
 
 
@@ -264,7 +264,7 @@ def _rollouts(task: ScalingTask) -> Scaled:
     seconds, compile_s, rollout = _timed(lambda: engine.rollout(scene, poses), task.repeats)
     records, every = record_steps(scene.static.mjm.opt.timestep, 1.0, 0.1)
     alone = _scan_alone(engine, scene, poses, records, every)
-    moved = motion(scene, rollout)
+    engine_motion = motion(scene, rollout)
     return Scaled(
         seconds=seconds,
         compile_s=compile_s,
@@ -272,8 +272,8 @@ def _rollouts(task: ScalingTask) -> Scaled:
         objects=task.objects,
         parts={"devices": alone, "host": float(np.median(seconds)) - alone},
         device_peak_mib=peak_device_mib(),
-        verdicts=[int(x) for x in moved < 1.0],
-        values=[float(x) for x in moved],
+        verdicts=[int(x) for x in engine_motion < 1.0],
+        values=[float(x) for x in engine_motion],
     )
 
 

@@ -154,14 +154,18 @@ def mask_iou(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     visible in the ground truth, by name.
     """
     assert scene.camera is not None and truth.camera is not None
-    own, real = (draw_scene(s, s.camera, 640).owner for s in (scene, truth) if s.camera)
+    owners, true_owners = (draw_scene(s, s.camera, 640).owner for s in (scene, truth) if s.camera)
     ious = {}
     for k, item in enumerate(truth.objects):
-        shown = real == k
-        if item.environment or not shown.any() or item.name not in {o.name for o in scene.objects}:
+        true_mask = true_owners == k
+        if (
+            item.environment
+            or not true_mask.any()
+            or item.name not in {o.name for o in scene.objects}
+        ):
             continue
-        mine = own == scene.index(item.name)
-        ious[item.name] = float((mine & shown).sum() / (mine | shown).sum())
+        mask = owners == scene.index(item.name)
+        ious[item.name] = float((mask & true_mask).sum() / (mask | true_mask).sum())
     return ious
 
 
@@ -220,12 +224,12 @@ def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[Openi
             initial = initial_scene(truth, number, programs=bool(start % 2))
             if joint.name not in initial.object(item.name).joint_state:
                 continue
-            stages, found = {"composed": initial}, None
+            stages, alignment = {"composed": initial}, None
             for stage, joints in (("without", False), ("aligned", True)):
-                found = align(initial, photo, AlignOptions(joints=joints))
-                stages[stage] = found.scene
-            assert found is not None
-            change = found.objects.get(item.name)
+                alignment = align(initial, photo, AlignOptions(joints=joints))
+                stages[stage] = alignment.scene
+            assert alignment is not None
+            change = alignment.objects.get(item.name)
             opening = None if change is None else change.joints.get(joint.name)
             ious = {stage: mask_iou(s, truth) for stage, s in stages.items()}
             yield OpeningRow(
@@ -254,9 +258,10 @@ def opening_summary(rows: Sequence[OpeningRow]) -> dict[str, Any]:
     parts["right_programs"] = [row for row in rows if row.start % 2 == 0]
     parts["wrong_programs"] = [row for row in rows if row.start % 2]
     return {
-        part: _figures([row for row in own if row.deviation is not None]) | {"rows": len(own)}
-        for part, own in parts.items()
-        if any(row.deviation is not None for row in own)
+        part: _figures([row for row in part_rows if row.deviation is not None])
+        | {"rows": len(part_rows)}
+        for part, part_rows in parts.items()
+        if any(row.deviation is not None for row in part_rows)
     }
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.placed import BALL_EXTENT
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
@@ -34,9 +35,14 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
         - "yaw_error_deg": difference of the headings [deg], see `heading_deg`.
         - "scale_error": absolute difference of the logarithms of the diagonals.
         - "edge_error": mean absolute difference of the logarithms of the three edges.
+
+    Raises:
+        SpecError: the scenes have no movable object in common.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     items = [item for item in truth.objects if not item.static and item.name in ends]
+    if not items:
+        raise SpecError(f"scene {scene.name} has no movable object of the ground truth")
     turns, scales, edges = [], [], []
     for item in items:
         other = scene.object(item.name)
@@ -74,10 +80,10 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
     Missed objects are those that the scene lacks. Extra objects are those that the ground truth
     lacks. No search can correct them, so they are counted separately and affect no error.
     """
-    real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
-    names, known = {item.name for item in own}, {item.name for item in truth.objects}
-    missed = [item.name for item in real if item.name not in names]
-    return missed, [item.name for item in own if item.name not in known]
+    true_items, items = ([item for item in s.objects if not item.static] for s in (truth, scene))
+    names, all_names = {item.name for item in items}, {item.name for item in truth.objects}
+    missed = [item.name for item in true_items if item.name not in names]
+    return missed, [item.name for item in items if item.name not in all_names]
 
 
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
@@ -99,13 +105,15 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
             without.add(item.name)
         if item.static or item.name in without:
             continue
-        own, end, start = scene.object(item.name), ends[item.name], starts[item.name]
-        should = _heights(item, start)
+        other, end, start = scene.object(item.name), ends[item.name], starts[item.name]
+        expected = _heights(item, start)
         if item.parent is not None:
             below = item.parent
             boxes = [bounds(s.object(below).spec) for s in (truth, scene)]
-            should = ends[below].apply(_carried(starts[below].inverse().apply(should), *boxes))
-        rises = np.abs(_heights(own, end) - should)[:, 2]
+            expected = ends[below].apply(
+                _mapped_between_boxes(starts[below].inverse().apply(expected), *boxes)
+            )
+        rises = np.abs(_heights(other, end) - expected)[:, 2]
         fallen = rises.min() > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M
         if fallen or tilt_deg(item, end, start) > MOST_TILT_DEG:
             names.append(item.name)
@@ -142,27 +150,27 @@ def heading_deg(item: SceneObject, end: Pose, start: Pose) -> float | None:
     period = symmetry(item)
     if period == 0.0:
         return None
-    own = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
-    if own == 0.0:
+    upright_period = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
+    if upright_period == 0.0:
         (x, y, _), (true_x, true_y, up) = (rotate(at.quat, [0.0, 0.0, 1.0]) for at in (end, start))
         if abs(up) > math.cos(math.radians(MOST_TILT_DEG)):
             return None
         yaw = math.atan2(y, x) - math.atan2(true_y, true_x)
     else:
-        spins = np.arange(0.0, 2 * math.pi - 1e-9, own)
+        spins = np.arange(0.0, 2 * math.pi - 1e-9, upright_period)
         rolled = [quat_mul(end.quat, from_yaw(spin)) for spin in spins]
         nearest = max(rolled, key=lambda quat: abs(float(quat @ start.quat)))
         yaw = yaw_of(quat_mul(nearest, conjugate(start.quat)))
     return math.degrees(abs(math.remainder(yaw, period)))
 
 
-def _carried(
-    points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
+def _mapped_between_boxes(
+    points: Float[np.ndarray, "n 3"], source: Bounds, target: Bounds
 ) -> Float[np.ndarray, "n 3"]:
-    """Map points from the frame of a true object to that of another, from box to box."""
-    true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
-    ratio = own_size / np.maximum(true_size, LEAST_M)
-    return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
+    """Map points from the frame of one object to that of another, from box to box."""
+    source_size, target_size = (np.subtract(high, low) for low, high in (source, target))
+    ratio = target_size / np.maximum(source_size, LEAST_M)
+    return np.asarray(target[0]) + (points - np.asarray(source[0])) * ratio
 
 
 def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:

@@ -84,10 +84,10 @@ class RunSettings:
 
     def of_method(self, method: str, fingerprint: str) -> str:
         """Return the fingerprint of a method's row, given the fingerprint of its subject."""
-        own = dict(self.named).get(method)
-        if own is None:
+        options = dict(self.named).get(method)
+        if options is None:
             return fingerprint
-        return content_hash([fingerprint, own.model_dump(mode="json")])[:16]
+        return content_hash([fingerprint, options.model_dump(mode="json")])[:16]
 
     def fingerprint(self, *parts: Any) -> str:
         """Return the hash of JSON values, the noise and the options."""

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from neoworld_mjx.checks.joint_sweep import sweep_joints, sweep_together
+from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
 from neoworld_mjx.checks.part_distances import Probe
 from neoworld_mjx.checks.static_checks import is_placeholder
 from neoworld_mjx.config import JointSweepOptions
@@ -32,12 +32,12 @@ def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> fl
         options: number of steps over a range, and number of sampled states.
     """
     o = options or JointSweepOptions()
-    bare = [part.name for part in spec.parts if is_placeholder(part)]
+    placeholders = [part.name for part in spec.parts if is_placeholder(part)]
     free = o.model_copy(update={"max_depth_m": _DEEPEST_M})
-    sweep = sweep_joints(Probe(spec), free, ignored=bare)
+    sweep = sweep_joints(Probe(spec), free, ignored=placeholders)
     overlaps = [*sweep.at_rest.values()]
     for swept in sweep.ranges:
         overlaps += swept.deepest.values()
     strict = replace(sweep, allowed=dict.fromkeys(sweep.allowed, P_PEN_M))
-    overlaps += sweep_together(strict, o).values()
+    overlaps += sweep_combinations(strict, o).values()
     return max((overlap.depth for overlap in overlaps if overlap.depth > 0), default=0.0)

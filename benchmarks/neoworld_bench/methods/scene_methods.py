@@ -96,7 +96,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-BUDGETED = ("random", "cma_es")
+EQUAL_ROLLOUTS = ("random", "cma_es")
 """Other optimizers, which make as many rollouts as `ours` from the same initial scene."""
 METHODS = (
     "open_loop",
@@ -105,10 +105,10 @@ METHODS = (
     "gravity",
     "guided",
     *(name for name in SEARCHES if name != "ours"),
-    *BUDGETED,
+    *EQUAL_ROLLOUTS,
     "ours",
 )
-USUAL = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
+DEFAULT_METHODS = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
 """Default methods of a run."""
 
 
@@ -173,7 +173,7 @@ def outcome_of(
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
         quick = options.model_copy(update={"cem": once})
-        refine(model, quick, seed=seed, engine=OneForAll(engine), photo=picture)
+        refine(model, quick, seed=seed, engine=SingleCandidateEngine(engine), photo=picture)
     began = time.perf_counter()
     refined = refine(model, options, seed=seed, engine=engine, photo=picture)
     spent = time.perf_counter() - began
@@ -190,7 +190,7 @@ def outcome_of(
     )
 
 
-class OneForAll:
+class SingleCandidateEngine:
     """An engine that simulates only the first candidate and copies its result to all others.
 
     A search with this engine compiles the same functions as a search with the wrapped engine, at
@@ -214,7 +214,7 @@ class OneForAll:
         guidance: Guidance | None = None,
     ) -> Rollout:
         """Simulate one candidate; see `Engine.rollout`."""
-        one = self.engine.rollout(
+        single = self.engine.rollout(
             scene,
             poses[:1],
             duration=duration,
@@ -223,8 +223,8 @@ class OneForAll:
             guidance=guidance,
         )
         repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
-        every = jax.tree.map(repeated, one)
-        return eqx.tree_at(lambda r: (r.time, r.start), every, (one.time, poses))
+        copies = jax.tree.map(repeated, single)
+        return eqx.tree_at(lambda r: (r.time, r.start), copies, (single.time, poses))
 
 
 def outcomes_of(
@@ -264,10 +264,10 @@ def outcomes_of(
 
     def alignment_of(used: AlignOptions) -> tuple[Alignment, float]:
         if used not in alignments:
-            shown = picture()
+            rgb = picture()
             began = time.perf_counter()
-            found = align_scene(composed, shown, used)
-            alignments[used] = found, time.perf_counter() - began
+            alignment_result = align_scene(composed, rgb, used)
+            alignments[used] = alignment_result, time.perf_counter() - began
         return alignments[used]
 
     def start_of(method: str) -> tuple[SceneSpec, float]:
@@ -279,8 +279,8 @@ def outcomes_of(
             alignment, spent = alignment_of(plain)
             began, before = time.perf_counter(), composed
             if used.dimensions and programs is not None:
-                again = partial(align_scene, photo=picture(), options=plain)
-                freed = free_dimensions(composed, alignment, picture(), programs, again)
+                realign = partial(align_scene, photo=picture(), options=plain)
+                freed = free_dimensions(composed, alignment, picture(), programs, realign)
                 before, alignment = freed.composed, freed.alignment
             aligned, _ = in_contact(alignment.scene, composed=before)
             starts[used] = aligned, spent + time.perf_counter() - began
@@ -322,9 +322,10 @@ def in_order(methods: Sequence[str]) -> list[str]:
 def is_budgeted(method: str) -> bool:
     """Return True if a method is another optimizer, which makes as many rollouts as `ours`.
 
-    Such methods are those in BUDGETED, and names like `evosax:SNES` or `package.module:function`.
+    Such methods are those in EQUAL_ROLLOUTS, and names like `evosax:SNES` or
+    `package.module:function`.
     """
-    return method in BUDGETED or ":" in method
+    return method in EQUAL_ROLLOUTS or ":" in method
 
 
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:

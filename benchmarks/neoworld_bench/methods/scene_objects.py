@@ -11,7 +11,7 @@ from ..rows import Row
 from .part_depths import articulated, part_depth
 
 OBJECTS = "objects.parquet"
-FAR = 1e6
+MOTION_CAP = 1e6
 """Maximum drift [m] and tilt [deg]. It also replaces NaN and all values of a diverged simulation,
 so that columns are finite."""
 
@@ -77,7 +77,7 @@ def _largest(values: Mapping[str, float], name: str, diverged: bool) -> float | 
     if name not in values:
         return None
     # The comparison is also false for NaN.
-    return values[name] if values[name] < FAR and not diverged else FAR
+    return values[name] if values[name] < MOTION_CAP and not diverged else MOTION_CAP
 
 
 def read_object_rows(folder: Path) -> list[ObjectRow]:

@@ -23,7 +23,7 @@ from neoworld_mjx.io.names import identifier
 from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
 from neoworld_mjx.spec.pose import from_matrix, pose
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..rows import log
 from .layout_errors import unmatched
@@ -35,7 +35,7 @@ in the ground truth."""
 FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc", *MESHES)
 """File names of a submitted scene. If there are several files, the first in this order is read."""
 RESULT = "result.json"
-HELD = "held_"
+FIXED_PREFIX = "held_"
 """Prefix for the name of an object that is fixed in the submission but free in the ground truth."""
 
 
@@ -116,16 +116,16 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
             f"submission: {file} has no object of the scene that is free to move; the movable "
             f"objects of the scene are {', '.join(movable)}"
         )
-    said = SubmittedResult()
+    result = SubmittedResult()
     if (place / RESULT).exists():
-        said = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
-    return MethodResult(scene, measured(scene, o), said.seconds, said.seconds)
+        result = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
+    return MethodResult(scene, measured(scene, o), result.seconds, result.seconds)
 
 
 def _place(folder: Path, scene: str, start: int) -> Path:
     """Return the folder with a start's result: the scene's folder if it contains a scene file."""
-    own = folder / scene
-    return own if scene_file(own) is not None else own / f"start_{start}"
+    scene_folder = folder / scene
+    return scene_folder if scene_file(scene_folder) is not None else scene_folder / f"start_{start}"
 
 
 def scene_file(folder: Path) -> Path | None:
@@ -153,10 +153,10 @@ def _before_camera(read: ImportedScene, truth: SceneSpec) -> SceneSpec:
         return read.spec
     if truth.camera is None:
         raise SpecError(f"submission: {truth.name} has no camera, so poses must be in the world")
-    given = np.array(read.camera.pose)
-    frame = pose(given[:3, 3], from_matrix(given[:3, :3]))
+    camera_pose = np.array(read.camera.pose)
+    frame = pose(camera_pose[:3, 3], from_matrix(camera_pose[:3, :3]))
     camera = pose(truth.camera.position(), from_matrix(truth.camera.axes()))
-    return moved_whole(read.spec, camera.then(frame.inverse()))
+    return transformed_scene(read.spec, camera.then(frame.inverse()))
 
 
 def _with_supports(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
@@ -180,7 +180,9 @@ def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
     """Rename objects that are fixed in the scene but free in the ground truth."""
     free = {item.name for item in truth.objects if not item.static}
     names = {
-        item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})
+        item.name: identifier(
+            FIXED_PREFIX + item.name, "object", {other.name for other in scene.objects}
+        )
         for item in scene.objects
         if item.static and item.name in free
     }

@@ -54,20 +54,20 @@ def with_wrong_dimensions(item: ObjectDeclaration, number: int, log: NoiseLog) -
         text = template.program(_with_wrong_edges(template, item.set, rng))
         built = build(text)
         if built.ok and built.spec is not None:
-            return WrongDimensions(text, _placed(built.spec, item.scale), item.scale)
+            return WrongDimensions(text, _scaled_and_recentred(built.spec, item.scale), item.scale)
     log.refused.append("dimensions")
     text = template.program(item.set)
     built = build(text)
     assert built.spec is not None
-    return WrongDimensions(text, _placed(built.spec, item.scale), item.scale)
+    return WrongDimensions(text, _scaled_and_recentred(built.spec, item.scale), item.scale)
 
 
 def _with_wrong_edges(
-    template: Template, given: Mapping[str, Value], rng: np.random.Generator
+    template: Template, true_values: Mapping[str, Value], rng: np.random.Generator
 ) -> dict[str, Value]:
     """Return a program's parameters with wrong edges, clipped to the parameters' ranges."""
     values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()}
-    values |= given
+    values |= true_values
     factors: dict[Value, float] = {}
     for name in BOX:
         value, parameter = values[name], template.parameters[name]
@@ -78,7 +78,7 @@ def _with_wrong_edges(
     return values
 
 
-def _placed(spec: ObjectSpec, factor: float) -> ObjectSpec:
+def _scaled_and_recentred(spec: ObjectSpec, factor: float) -> ObjectSpec:
     return scale(recentred(spec), factor)
 
 
@@ -97,12 +97,12 @@ def editable(
         ran = run(text)
         if ran.spec is None:
             return "; ".join(signal.phrase() for signal in ran.signals)
-        return _placed(ran.spec, programs[name].factor)
+        return _scaled_and_recentred(ran.spec, programs[name].factor)
 
     def check(name: str, text: str) -> str:
         built = build(text)
         return "" if built.ok else "; ".join(signal.phrase() for signal in built.signals)
 
     return EditablePrograms(
-        {name: each.text for name, each in programs.items()}, object_of, check, compose
+        {name: program.text for name, program in programs.items()}, object_of, check, compose
     )

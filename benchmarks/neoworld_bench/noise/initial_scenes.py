@@ -88,16 +88,16 @@ def initial_scene(
         shapes |= wrong_shapes(scene, number, programs)
     elif noise == "dimensions":
         texts = wrong_edges(scene, number, programs)
-        shapes |= {name: each.spec for name, each in texts.items()}
+        shapes |= {name: wrong.spec for name, wrong in texts.items()}
     fitted = tree
     # A fit would move the objects of an exact response by up to some millimeters.
     if noise != "exact":
         wrong_tree = noise in ("parse", "all")
-        kept = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
-        log.injected += kept.log.injected
-        log.refused += kept.log.refused
-        shapes |= kept.shapes
-        fitted = refit_tree(kept.tree, shapes)[0] if o.refit else kept.tree
+        fitted_tree = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
+        log.injected += fitted_tree.log.injected
+        log.refused += fitted_tree.log.refused
+        shapes |= fitted_tree.shapes
+        fitted = refit_tree(fitted_tree.tree, shapes)[0] if o.refit else fitted_tree.tree
     log.injected += programs.injected
     log.refused += programs.refused
 
@@ -158,12 +158,12 @@ def fitted_response(
 def _attempt(
     response: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
 ) -> FittedResponse:
-    log, made = NoiseLog(), dict[str, ObjectSpec]()
+    log, new_shapes = NoiseLog(), dict[str, ObjectSpec]()
     if wrong_tree:
         parsed = wrong_parse(response, number, log, shapes)
-        response, made = parsed.tree, parsed.shapes
+        response, new_shapes = parsed.tree, parsed.shapes
     fitted, _ = fit_tree(response)
-    return FittedResponse(fitted, made, log, check_tree(fitted))
+    return FittedResponse(fitted, new_shapes, log, check_tree(fitted))
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:

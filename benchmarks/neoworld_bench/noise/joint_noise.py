@@ -141,8 +141,8 @@ def off_pivot(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpe
         return joint
     low, high = bounds(spec)
     step = PIVOT * float(np.linalg.norm(high - low)) * rng.normal(size=2)
-    at = np.array(joint.pos) + step @ np.array(_across(np.array(joint.axis)))
-    return joint.model_copy(update={"pos": tuple(at.tolist())})
+    position = np.array(joint.pos) + step @ np.array(_across(np.array(joint.axis)))
+    return joint.model_copy(update={"pos": tuple(position.tolist())})
 
 
 def off_range(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
@@ -160,7 +160,7 @@ def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec |
     if not options:
         return None
     part, geom = options[int(rng.integers(len(options)))]
-    rest = tuple(other for other in part.geoms if other is not geom)
+    others = tuple(other for other in part.geoms if other is not geom)
     alone = PartSpec(name="extra_part", geoms=(geom,))
     low, high = part_bounds(spec, alone)
     axis = np.eye(3)[int(rng.integers(3))]
@@ -170,10 +170,10 @@ def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec |
         fields |= {"type": "revolute", "upper": TURN_RAD}
     else:
         fields |= {"type": "prismatic", "upper": SLIDE * float(axis @ (high - low))}
-    parts = [p.model_copy(update={"geoms": rest}) if p is part else p for p in spec.parts]
-    apart = spec.model_copy(update={"parts": (*parts, alone)})
-    joint = _with_usual_losses(apart, JointSpec.model_validate(fields))
-    return apart.model_copy(update={"joints": (*spec.joints, joint)})
+    parts = [p.model_copy(update={"geoms": others}) if p is part else p for p in spec.parts]
+    separated = spec.model_copy(update={"parts": (*parts, alone)})
+    joint = _with_usual_losses(separated, JointSpec.model_validate(fields))
+    return separated.model_copy(update={"joints": (*spec.joints, joint)})
 
 
 def _with_usual_losses(spec: ObjectSpec, joint: JointSpec) -> JointSpec:

@@ -61,5 +61,5 @@ class Draft:
 
     def _passes(self, spec: ObjectSpec) -> bool:
         parts = {part.name for part in spec.parts}
-        left = [a for a in self._allowances if {a.first, a.second} <= parts]
-        return not has_errors(check(spec, ProgramOptions(), None, left))
+        remaining = [a for a in self._allowances if {a.first, a.second} <= parts]
+        return not has_errors(check(spec, ProgramOptions(), None, remaining))

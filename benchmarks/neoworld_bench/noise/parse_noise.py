@@ -22,7 +22,7 @@ from neoworld_mjx.spec.pose import from_yaw, rotate
 
 from .split_noise import SPLIT, with_halves
 
-UNSEEN = 1 / (30 + 2)
+TREE_ERROR_RATE = 1 / (30 + 2)
 """Rate per object of each of four errors: missed, duplicated, wrong parent, wrong relation. None of
 30 objects in five rendered images had one. Of the scenes of seven photographs, six were complete;
 with 8 objects per scene, this rate leaves 78 % complete."""
@@ -85,8 +85,8 @@ def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog
     nodes = []
     for node in tree.nodes:
         x, y, z = node.box3d.position
-        at = (x + back * math.cos(camera.pitch), y, z)
-        box = node.box3d.model_copy(update={"position": at})
+        position = (x + back * math.cos(camera.pitch), y, z)
+        box = node.box3d.model_copy(update={"position": position})
         nodes.append(node.model_copy(update={"box3d": box}))
     return tree.model_copy(
         update={"camera": camera.model_copy(update=update), "nodes": tuple(nodes)}
@@ -109,11 +109,11 @@ def wrong_parse(
     tree = _openings(tree, np.random.default_rng((number, 44)), log)
     halves: dict[str, ObjectSpec] = {}
     kinds: tuple[tuple[str, Edit, float], ...] = (
-        ("missed", without, UNSEEN),
-        ("extra", with_copy, UNSEEN),
-        ("carrier", with_other_parent, UNSEEN),
-        ("relation", with_other_relation, UNSEEN),
-        ("split", partial(with_halves, shapes=shapes, made=halves), SPLIT),
+        ("missed", without, TREE_ERROR_RATE),
+        ("extra", with_copy, TREE_ERROR_RATE),
+        ("carrier", with_other_parent, TREE_ERROR_RATE),
+        ("relation", with_other_relation, TREE_ERROR_RATE),
+        ("split", partial(with_halves, shapes=shapes, specs=halves), SPLIT),
     )
     for k, (kind, edit, rate) in enumerate(kinds):
         rng = np.random.default_rng((number, 44, k))
@@ -123,8 +123,8 @@ def wrong_parse(
             tree = changed or tree
     known = {node.name for node in response.nodes}
     new = [node.name for node in tree.nodes if node.name not in known]
-    own = {name: halves.get(name) or shapes[name.removesuffix(COPY)] for name in new}
-    return WrongParse(tree, own)
+    new_shapes = {name: halves.get(name) or shapes[name.removesuffix(COPY)] for name in new}
+    return WrongParse(tree, new_shapes)
 
 
 def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> SceneTree | None:
@@ -163,7 +163,7 @@ def _openings(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> Scene
 
 def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
     """Yield a tree without an object, whose children are moved to the object's parent."""
-    gone = tree.node(name)
+    removed = tree.node(name)
     if len(_objects(tree)) < 2:
         return
     nodes = []
@@ -176,9 +176,13 @@ def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[Sc
         if node.parent == name:
             # What is in a bowl in a crate is in the crate; what is in a bowl on a table is on the
             # table.
-            taken = "in" in (gone.relation, node.relation)
-            relation = gone.relation if taken else node.relation
-            update |= {"parent": gone.parent, "parent_link": gone.parent_link, "relation": relation}
+            inside = "in" in (removed.relation, node.relation)
+            relation = removed.relation if inside else node.relation
+            update |= {
+                "parent": removed.parent,
+                "parent_link": removed.parent_link,
+                "relation": relation,
+            }
         nodes.append(node.model_copy(update=update))
     yield _tree(tree, nodes)
 
@@ -198,14 +202,14 @@ def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[
         axis, sign = side // 2, 1 - 2 * (side % 2)
         step = np.zeros(3)
         step[axis] = sign * APART * node.box3d.size[axis]
-        at = np.array(node.box3d.position) + rotate(from_yaw(node.box3d.yaw), step)
-        box = node.box3d.model_copy(update={"position": tuple(at.tolist())})
+        position = np.array(node.box3d.position) + rotate(from_yaw(node.box3d.yaw), step)
+        box = node.box3d.model_copy(update={"position": tuple(position.tolist())})
         update = {"name": copy, "box3d": box, "occluded": False, "occluded_by": ()}
         other = node.model_copy(update=update)
-        seen = expected_box(tree.camera, other)
-        if seen is None or min(seen[2:] - seen[:2]) < 1:
+        box_2d = expected_box(tree.camera, other)
+        if box_2d is None or min(box_2d[2:] - box_2d[:2]) < 1:
             continue
-        edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, seen), strict=True))
+        edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, box_2d), strict=True))
         yield _tree(tree, [*tree.nodes, other.model_copy(update={"box2d": Box2D(**edges)})])
 
 

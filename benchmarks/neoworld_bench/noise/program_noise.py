@@ -31,7 +31,7 @@ from ..dataset.declaration import ObjectDeclaration, Value, template_of
 from .joint_noise import wrong_joints
 from .noise_draft import TRIES, Draft
 from .parse_noise import NoiseLog
-from .share_noise import AXES, with_other_shares
+from .share_noise import AXES, with_other_proportions
 
 EDGE = 0.06
 """Standard deviation of the logarithm of edges and of other lengths and ratios in a program.
@@ -62,7 +62,7 @@ def wrong_program(
         log: log to which the errors are added: "shape", "part", and the errors of `joint_noise`.
     """
     rng = np.random.default_rng((number, 45, zlib.crc32(item.name.encode())))
-    built = _drawn(template_of(item), item.set, rng, log)
+    built = _sampled_program(template_of(item), item.set, rng, log)
     assert built.spec is not None
     draft = Draft(built.spec, built.allowances, rng, log)
     draft.change("walls", with_other_walls, noted=False)
@@ -72,32 +72,36 @@ def wrong_program(
         draft.change("part", lambda spec, rng: without_part(spec, rng, parents))
     wrong_joints(draft)
     axes = iter(AXES)
-    draft.change("shares", lambda spec, rng: with_other_shares(spec, rng, next(axes)), noted=False)
+    draft.change(
+        "shares", lambda spec, rng: with_other_proportions(spec, rng, next(axes)), noted=False
+    )
     return scale(recentred(draft.spec), item.scale)
 
 
-def _drawn(
-    template: Template, given: dict[str, Value], rng: np.random.Generator, log: NoiseLog
+def _sampled_program(
+    template: Template, true_values: dict[str, Value], rng: np.random.Generator, log: NoiseLog
 ) -> BuildResult:
     """Build the program with noisy parameters; if no sample passes, with the true parameters."""
     for _ in range(TRIES):
-        values = near_parameters(template, given, rng)
+        values = near_parameters(template, true_values, rng)
         built = build(template.program(values))
         if built.ok:
             return built
     log.refused.append("proportions")
-    return build(template.program(given))
+    return build(template.program(true_values))
 
 
 def near_parameters(
-    template: Template, given: dict[str, Value], rng: np.random.Generator
+    template: Template, true_values: dict[str, Value], rng: np.random.Generator
 ) -> dict[str, Value]:
     """Return a program's parameters with noisy lengths, clipped to the parameters' ranges.
 
     Equal edges stay equal, because a model recognizes round and square objects. Counts and choices
     are unchanged.
     """
-    values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()} | given
+    values: dict[str, Value] = {
+        name: p.default for name, p in template.parameters.items()
+    } | true_values
     factors: dict[Value, float] = {}
     for name, parameter in template.parameters.items():
         value, factor = values[name], float(np.exp(EDGE * rng.normal()))

@@ -26,7 +26,7 @@ ALIGNED = 1e-6
 """Maximum deviation of a rotation matrix from one that permutes axes."""
 
 
-class Shares:
+class ProportionMap:
     """A random monotone map of each axis of an object that keeps the object's bounding box.
 
     Parts that are separate along an axis stay separate, and parts that touch keep touching.
@@ -37,9 +37,11 @@ class Shares:
         self.low, self.high = bounds(spec)
         self.knots = np.linspace(0.0, 1.0, KNOTS)
         changed = rng.permutation(3) < axes
-        self.values = np.stack([self._drawn(rng) if own else self.knots for own in changed])
+        self.values = np.stack(
+            [self._sample_knots(rng) if changes else self.knots for changes in changed]
+        )
 
-    def _drawn(self, rng: np.random.Generator) -> Float[np.ndarray, " knot"]:
+    def _sample_knots(self, rng: np.random.Generator) -> Float[np.ndarray, " knot"]:
         while True:
             values = self.knots.copy()
             values[1:-1] += SHARES * rng.normal(size=KNOTS - 2)
@@ -59,16 +61,18 @@ class Shares:
         return self.low + np.stack(mapped, axis=-1) * size
 
 
-def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
+def with_other_proportions(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
     """Return an object with other positions and sizes of its parts in nearly the same box.
 
     Boxes and shapes extruded along an axis are resized, but walls keep their thickness. Other
     shapes are moved. Joints and sites are moved, too.
     """
-    at = Shares(spec, rng, axes)
-    point = lambda pos: tuple(at(np.array(pos)).tolist())
+    proportion_map = ProportionMap(spec, rng, axes)
+    point = lambda pos: tuple(proportion_map(np.array(pos)).tolist())
     parts = tuple(
-        part.model_copy(update={"geoms": tuple(_mapped(geom, at) for geom in part.geoms)})
+        part.model_copy(
+            update={"geoms": tuple(_mapped(geom, proportion_map) for geom in part.geoms)}
+        )
         for part in spec.parts
     )
     joints = tuple(
@@ -78,21 +82,21 @@ def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3)
     return spec.model_copy(update={"parts": parts, "joints": joints, "sites": sites})
 
 
-def _mapped(geom: GeomSpec, at: Shares) -> GeomSpec:
+def _mapped(geom: GeomSpec, proportion_map: ProportionMap) -> GeomSpec:
     shape, turn = geom.shape.model_dump(), matrix(geom.quat)
     axes = np.abs(turn)
     pos = np.array(geom.pos)
     if np.minimum(axes, np.abs(1 - axes)).max() > ALIGNED:
-        return geom.model_copy(update={"pos": tuple(at(pos).tolist())})
-    own = _sides(shape)
-    half = np.round(axes) @ own / 2
-    ends = at(np.stack([pos - half, pos + half]))
+        return geom.model_copy(update={"pos": tuple(proportion_map(pos).tolist())})
+    sides = _sides(shape)
+    half = np.round(axes) @ sides / 2
+    ends = proportion_map(np.stack([pos - half, pos + half]))
     size = np.round(axes).T @ (ends[1] - ends[0])
     # Along an axis in which the shape cannot be resized, only its center moves.
-    middle = np.where(half > 0, ends.mean(axis=0), at(pos))
+    middle = np.where(half > 0, ends.mean(axis=0), proportion_map(pos))
     if "size" in shape:
         shape["size"] = tuple(size.tolist())
-    elif own[2] > 0:
+    elif sides[2] > 0:
         shape["height"] = float(size[2])
     return GeomSpec.model_validate(
         geom.model_dump() | {"shape": shape, "pos": tuple(middle.tolist())}

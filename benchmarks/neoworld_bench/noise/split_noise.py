@@ -41,7 +41,7 @@ def with_halves(
     name: str,
     rng: np.random.Generator,
     shapes: Mapping[str, ObjectSpec],
-    made: dict[str, ObjectSpec],
+    specs: dict[str, ObjectSpec],
 ) -> Iterator[SceneTree]:
     """Yield trees with two halves in place of an object, for a cut across each axis.
 
@@ -53,7 +53,7 @@ def with_halves(
         name: name of the object.
         rng: random generator for the order of the axes.
         shapes: specs of the objects, by name.
-        made: dict to which the specs of the halves are added.
+        specs: dict to which the specs of the halves are added.
     """
     node, names = tree.node(name), [name + end for end in HALVES]
     upright = node.relation in ("on", "in") and np.allclose(node.base_tilt, IDENTITY)
@@ -68,15 +68,15 @@ def with_halves(
         if any(half is None for half in nodes):
             continue
         first, second = (
-            half.model_copy(update={"name": own})
-            for half, own in zip(nodes, names, strict=True)
+            half.model_copy(update={"name": half_name})
+            for half, half_name in zip(nodes, names, strict=True)
             if half is not None
         )
         if axis == 2:
             second = second.model_copy(
                 update={"parent": names[0], "parent_link": None, "relation": "on"}
             )
-        made |= {own: recentred(half) for own, half in zip(names, halves, strict=True)}
+        specs |= {half_name: recentred(half) for half_name, half in zip(names, halves, strict=True)}
         others = [_hidden_by(other, name, names) for other in tree.nodes if other.name != name]
         yield SceneTree.model_validate({**dict(tree), "nodes": (*others, first, second)})
 
@@ -110,9 +110,11 @@ def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | No
             continue
         halves = []
         for side in (0, 1):
-            own = tuple(geom for pair in cut if pair is not None for geom in (pair[side],) if geom)
-            if own:
-                parts = (part.model_copy(update={"geoms": own}),)
+            half_geoms = tuple(
+                geom for pair in cut if pair is not None for geom in (pair[side],) if geom
+            )
+            if half_geoms:
+                parts = (part.model_copy(update={"geoms": half_geoms}),)
                 halves.append(spec.model_copy(update={"parts": parts, "sites": ()}))
         limit = low[2] + ON_GROUND * (high[2] - low[2])
         if len(halves) == 2 and (axis == 2 or all(bounds(h)[0][2] < limit for h in halves)):
@@ -131,10 +133,12 @@ def _cut(
     if low >= plane - edge:
         return None, geom
     turn = matrix(geom.quat)
-    own = int(np.argmax(np.abs(turn[axis])))
+    local_axis = int(np.argmax(np.abs(turn[axis])))
     shape = geom.shape
-    aligned = abs(abs(turn[axis, own]) - 1) < ALIGNED
-    if not aligned or not (isinstance(shape, Box) or (isinstance(shape, Cylinder) and own == 2)):
+    aligned = abs(abs(turn[axis, local_axis]) - 1) < ALIGNED
+    if not aligned or not (
+        isinstance(shape, Box) or (isinstance(shape, Cylinder) and local_axis == 2)
+    ):
         return None
     halves = []
     for a, b in ((low, plane), (plane, high)):
@@ -142,7 +146,7 @@ def _cut(
         pos[axis] = (a + b) / 2
         if isinstance(shape, Box):
             size = list(shape.size)
-            size[own] = b - a
+            size[local_axis] = b - a
             new = Box(size=(size[0], size[1], size[2]))
         else:
             new = Cylinder(radius=shape.radius, height=b - a)
@@ -156,19 +160,21 @@ def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -
     size, share = np.array(node.box3d.size), 1 / (high - low)
     step = ((a + b) / 2 - (low + high) / 2) * share * size
     step[2] = (a[2] - low[2]) * share[2] * size[2]
-    at = np.array(node.box3d.position) + rotate(from_yaw(node.box3d.yaw), step)
-    own = (b - a) * share * size
+    position = np.array(node.box3d.position) + rotate(from_yaw(node.box3d.yaw), step)
+    half_size = (b - a) * share * size
     box = node.box3d.model_copy(
-        update={"position": tuple(at.tolist()), "size": tuple(own.tolist())}
+        update={"position": tuple(position.tolist()), "size": tuple(half_size.tolist())}
     )
     part = node.model_copy(update={"box3d": box})
-    whole, seen = expected_box(tree.camera, node), expected_box(tree.camera, part)
-    if whole is None or seen is None:
+    whole_box, half_box = expected_box(tree.camera, node), expected_box(tree.camera, part)
+    if whole_box is None or half_box is None:
         return None
     # Transfer the difference between the object's 2D box and its expected box to the half.
     read = np.array(node.box2d.as_tuple())
-    ratio = (read[2:] - read[:2]) / (whole[2:] - whole[:2])
-    pixels = np.concatenate([read[:2] + (end - whole[:2]) * ratio for end in (seen[:2], seen[2:])])
+    ratio = (read[2:] - read[:2]) / (whole_box[2:] - whole_box[:2])
+    pixels = np.concatenate(
+        [read[:2] + (end - whole_box[:2]) * ratio for end in (half_box[:2], half_box[2:])]
+    )
     if min(pixels[2:] - pixels[:2]) < 1:
         return None
     edges = dict(zip(("x0", "y0", "x1", "y1"), pixels.tolist(), strict=True))

@@ -29,11 +29,11 @@ def object_files(folder: Path) -> dict[str, Path]:
         raise SpecError(f"there is no folder {folder}")
     files: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        own = path
+        file = path
         if path.is_dir():
-            own = next((path / name for name in OBJECT_FILES if (path / name).is_file()), None)
-        if own is not None and (path.is_dir() or path.suffix.lower() in SUFFIXES):
-            files[path.name if path.is_dir() else path.stem] = own
+            file = next((path / name for name in OBJECT_FILES if (path / name).is_file()), None)
+        if file is not None and (path.is_dir() or path.suffix.lower() in SUFFIXES):
+            files[path.name if path.is_dir() else path.stem] = file
     if not files:
         raise SpecError(
             f"{folder} holds no object: expected are NAME{SUFFIXES[0]}, NAME{SUFFIXES[1]} and the "

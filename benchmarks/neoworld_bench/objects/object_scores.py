@@ -156,8 +156,8 @@ def _scored(
             spec, reason = object_of_file(file, options), ""
         except SpecError as error:
             reason = str(error)[:300]
-    own = ObjectTruth(name=name, box=true.truth.box) if spec is None else spec
-    joints = joint_measure(own, true.truth)
+    predicted = ObjectTruth(name=name, box=true.truth.box) if spec is None else spec
+    joints = joint_measure(predicted, true.truth)
     parts = {joint.name: joint.child for joint in true.truth.joints}
     return ObjectScoreRow(
         object=name,
@@ -182,10 +182,10 @@ def _scored(
 def _surface(spec: ObjectSpec | None, true: TrueObject, samples: int) -> dict[str, float | None]:
     if spec is None or true.points is None:
         return dict.fromkeys((*SURFACE, "raw_chamfer_x10", "raw_f_05", "scale"))
-    found = geometry_measure(spec, true.points, samples=samples)
-    plain = found.unaligned
-    raw = {"raw_chamfer_x10": plain.chamfer_x10, "raw_f_05": plain.f_05, "scale": found.scale}
-    return {name: getattr(found.aligned, name) for name in SURFACE} | raw
+    geometry = geometry_measure(spec, true.points, samples=samples)
+    plain = geometry.unaligned
+    raw = {"raw_chamfer_x10": plain.chamfer_x10, "raw_f_05": plain.f_05, "scale": geometry.scale}
+    return {name: getattr(geometry.aligned, name) for name in SURFACE} | raw
 
 
 def score_figures(rows: Sequence[ObjectScoreRow]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.mechanism import Link, LinkShape, Mechanism
 from neoworld_mjx.export.read_urdf import read_urdf
-from neoworld_mjx.io import read_object, read_outside_text
+from neoworld_mjx.io import read_object, read_untrusted_text
 from neoworld_mjx.io.names import identifier
 from neoworld_mjx.spec.base_shape import BaseShape
 
@@ -70,14 +70,14 @@ def partnet_object(
     """
     mechanism = read_urdf(folder / URDF)
     meshes = {name: _meshes(link) for name, link in mechanism.links.items()}
-    every = [mesh for own in meshes.values() for mesh in own]
+    every = [mesh for of_link in meshes.values() for mesh in of_link]
     if not every:
         raise SpecError(f"{folder / URDF} has no visible geometry")
     parts = _parts(folder)
     joints = []
     for joint in mechanism.joints:
-        moved = [m for name in _carried(mechanism, joint.child) for m in meshes[name]]
-        if joint.type == "fixed" or not moved:
+        moved_meshes = [m for name in _descendants(mechanism, joint.child) for m in meshes[name]]
+        if joint.type == "fixed" or not moved_meshes:
             continue
         limits = None if joint.type == "continuous" else (joint.lower, joint.upper)
         joints.append(
@@ -89,7 +89,7 @@ def partnet_object(
                 "limits": limits,
                 "parent": parts.get(joint.parent, joint.parent),
                 "child": parts.get(joint.child, joint.child),
-                "moving_box": _box(moved),
+                "moving_box": _box(moved_meshes),
             }
         )
     data = {"name": folder.name, "front": front, "box": _box(every), "joints": joints}
@@ -109,11 +109,11 @@ def _parts(folder: Path) -> dict[str, str]:
     file = folder / SEMANTICS
     if not file.exists():
         return {}
-    lines = [line.split() for line in read_outside_text(file, SpecError).splitlines()]
+    lines = [line.split() for line in read_untrusted_text(file, SpecError).splitlines()]
     return {words[0]: identifier(words[2], "part") for words in lines if len(words) >= 3}
 
 
-def _carried(mechanism: Mechanism, child: str) -> list[str]:
+def _descendants(mechanism: Mechanism, child: str) -> list[str]:
     """Return a link and its descendants."""
     links, waiting = [], [child]
     while waiting:
@@ -123,8 +123,8 @@ def _carried(mechanism: Mechanism, child: str) -> list[str]:
 
 
 def _meshes(link: Link) -> list[trimesh.Trimesh]:
-    shown = [shape for shape in link.shapes if shape.role != "collision"] or link.shapes
-    return [_mesh(shape) for shape in shown]
+    visuals = [shape for shape in link.shapes if shape.role != "collision"] or link.shapes
+    return [_mesh(shape) for shape in visuals]
 
 
 def _mesh(item: LinkShape) -> trimesh.Trimesh:

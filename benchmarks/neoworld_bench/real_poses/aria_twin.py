@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import read_object, read_outside_text
+from neoworld_mjx.io import read_object, read_untrusted_text
 from neoworld_mjx.io.names import identifier
 
 from .true_views import PosedObject, TrueView
@@ -85,15 +85,17 @@ def aria_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
             continue
         poses, boxes = _table(folder / POSES, POSE_COLUMNS), _table(folder / BOXES, BOX_COLUMNS)
         instances = read_object(folder / NAMES, SpecError)
-        seen = _seen(folder / SEEN) if (folder / SEEN).is_file() else None
+        visible_ids = _read_visible_ids(folder / SEEN) if (folder / SEEN).is_file() else None
         for time, name in times:
-            visible = None if seen is None else _visible_at(seen, time)
+            visible = None if visible_ids is None else _visible_at(visible_ids, time)
             yield TrueView(name, _objects(folder, poses, boxes, instances, time, visible))
 
 
 def _recordings(path: Path) -> list[Path]:
-    folders = [path, *(sorted(each for each in path.iterdir() if each.is_dir()))]
-    return [each for each in folders if all((each / f).is_file() for f in (POSES, BOXES, NAMES))]
+    folders = [path, *(sorted(folder for folder in path.iterdir() if folder.is_dir()))]
+    return [
+        folder for folder in folders if all((folder / f).is_file() for f in (POSES, BOXES, NAMES))
+    ]
 
 
 def _table(file: Path, columns: tuple[str, ...]) -> dict[str, list[TimedNumbers]]:
@@ -113,7 +115,7 @@ def _table(file: Path, columns: tuple[str, ...]) -> dict[str, list[TimedNumbers]
 
 
 def _rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    reader = csv.DictReader(io.StringIO(read_outside_text(file, SpecError)))
+    reader = csv.DictReader(io.StringIO(read_untrusted_text(file, SpecError)))
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
     if missing:
         raise SpecError(f"{file} has no column {missing[0]}")
@@ -123,7 +125,7 @@ def _rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
         raise SpecError(f"{file} is no table: {error}") from None
 
 
-def _seen(file: Path) -> dict[int, set[str]]:
+def _read_visible_ids(file: Path) -> dict[int, set[str]]:
     """Return the objects that the RGB camera sees, by time."""
     result: dict[int, set[str]] = {}
     columns = ("stream_id", "object_uid", "timestamp[ns]", "visibility_ratio[%]")
@@ -146,11 +148,13 @@ def _ratio(text: str) -> float:
         return 0.0
 
 
-def _visible_at(seen: Mapping[int, set[str]], time: int) -> set[str]:
-    return seen[min(seen, key=lambda each: abs(each - time))] if seen else set()
+def _visible_at(visible_ids: Mapping[int, set[str]], time: int) -> set[str]:
+    return (
+        visible_ids[min(visible_ids, key=lambda stamp: abs(stamp - time))] if visible_ids else set()
+    )
 
 
-def _at(rows: list[TimedNumbers], time: int) -> TimedNumbers:
+def _nearest_in_time(rows: list[TimedNumbers], time: int) -> TimedNumbers:
     return min(rows, key=lambda row: 0 if row.time == STATIC else abs(row.time - time))
 
 
@@ -171,14 +175,14 @@ def _objects(
             continue
         label = instance.get("instance_name") if isinstance(instance, Mapping) else None
         name = identifier(str(label or uid), "object", {item.name for item in objects})
-        values = _at(rows, time).values
+        values = _nearest_in_time(rows, time).values
         norm = float(np.linalg.norm(values[3:]))
         if abs(norm - 1) > 1e-2:
             raise SpecError(f"{folder / POSES}: the quaternion of {uid[:40]} has the norm {norm:g}")
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_quat(values[3:], scalar_first=True).as_matrix()
         pose[:3, 3] = values[:3]
-        low, high = _at(boxes[uid], time).values.reshape(3, 2).T
+        low, high = _nearest_in_time(boxes[uid], time).values.reshape(3, 2).T
         corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij"))
         diameter = float(np.linalg.norm(high - low))
         objects.append(

@@ -131,9 +131,7 @@ def _view(
             continue
         vertices, faces, diameter = _model(*models, number)
         stem = f"obj_{number:06d}"
-        copies = sum(
-            known.name.rpartition("_")[0] == stem or known.name == stem for known in objects
-        )
+        copies = sum(item.name.rpartition("_")[0] == stem or item.name == stem for item in objects)
         label = stem if not copies else f"{stem}_{copies + 1}"
         objects.append(PosedObject(label, vertices, faces, pose, diameter))
     size = None if depth is None else (depth.shape[1], depth.shape[0])
@@ -168,8 +166,8 @@ def _models(path: Path) -> tuple[Path, float]:
 
 
 def _scene_folders(path: Path) -> list[Path]:
-    found = (path.glob(f"{'*/' * depth}{POSES}") for depth in (1, 2))
-    return [file.parent for files in found for file in sorted(files)]
+    pose_files = (path.glob(f"{'*/' * depth}{POSES}") for depth in (1, 2))
+    return [file.parent for files in pose_files for file in sorted(files)]
 
 
 def _named_scenes(path: Path) -> dict[str, Path]:

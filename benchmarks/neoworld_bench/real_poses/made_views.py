@@ -62,12 +62,12 @@ def run_views(runs: Sequence[Path], name: str) -> Iterator[MadeView]:
         SpecError: a scene cannot be read.
     """
     for folder in _folders(runs, name):
-        seen = set()
+        stages = set()
         for stage, file in STAGES:
             stage = "aligned" if file.startswith("compose/") and _is_aligned(folder) else stage
-            if stage in seen or not (folder / file).is_file():
+            if stage in stages or not (folder / file).is_file():
                 continue
-            seen.add(stage)
+            stages.add(stage)
             yield MadeView(OURS, stage, read_scene(folder / file), _matches(folder))
 
 
@@ -98,7 +98,7 @@ def folder_names(roots: Sequence[Path]) -> list[str]:
         if not root.is_dir():
             raise SpecError(f"{root} is no folder")
         names += [root.resolve().name]
-        names += sorted(each.name for each in root.iterdir() if each.is_dir())
+        names += sorted(folder.name for folder in root.iterdir() if folder.is_dir())
     return list(dict.fromkeys(names))
 
 

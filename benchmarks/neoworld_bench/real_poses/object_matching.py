@@ -33,7 +33,7 @@ class PosedMesh(NamedTuple):
 
 
 def matched(
-    made: Mapping[str, PosedMesh],
+    reconstructed: Mapping[str, PosedMesh],
     true: Sequence[PosedObject],
     stated: Mapping[str, str],
     *,
@@ -46,7 +46,7 @@ def matched(
     the overlap of their boxes in the image, which needs both cameras.
 
     Args:
-        made: reconstructed objects by name.
+        reconstructed: reconstructed objects by name.
         true: true objects.
         stated: name of the true object by that of the reconstructed one.
         made_camera: intrinsics of the reconstruction, for an image of the true size.
@@ -57,47 +57,47 @@ def matched(
     """
     names = [item.name for item in true]
     pairs: dict[str, str] = {}
-    for own, other in stated.items():
-        if own not in made:
-            raise SpecError(f"matches: {choices(own, list(made))}")
-        if other not in names:
-            raise SpecError(f"matches: {choices(other, names)}")
-        if other in pairs:
-            raise SpecError(f"matches: {other} stands in two pairs")
-        pairs[other] = own
+    for name, true_name in stated.items():
+        if name not in reconstructed:
+            raise SpecError(f"matches: {choices(name, list(reconstructed))}")
+        if true_name not in names:
+            raise SpecError(f"matches: {choices(true_name, names)}")
+        if true_name in pairs:
+            raise SpecError(f"matches: {true_name} stands in two pairs")
+        pairs[true_name] = name
     for name in names:
-        if name in made and name not in pairs and name not in pairs.values():
+        if name in reconstructed and name not in pairs and name not in pairs.values():
             pairs[name] = name
-    rest = [item for item in true if item.name not in pairs]
-    free = [name for name in made if name not in pairs.values()]
-    if made_camera is None or true_camera is None or not rest or not free:
+    unmatched = [item for item in true if item.name not in pairs]
+    free = [name for name in reconstructed if name not in pairs.values()]
+    if made_camera is None or true_camera is None or not unmatched or not free:
         return pairs
-    own = [_image_box(made[name].vertices, made_camera) for name in free]
+    boxes = [_image_box(reconstructed[name].vertices, made_camera) for name in free]
     overlap = np.array(
-        [[iou_2d(_image_box(item.posed, true_camera), box) for box in own] for item in rest]
+        [[iou_2d(_image_box(item.posed, true_camera), box) for box in boxes] for item in unmatched]
     )
     for row, column in zip(*linear_sum_assignment(-overlap), strict=True):
         if overlap[row, column] >= LEAST_OVERLAP:
-            pairs[rest[row].name] = free[column]
+            pairs[unmatched[row].name] = free[column]
     return pairs
 
 
-def scale_of(made: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
+def scale_of(reconstructed: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
     """Return the scale about the camera that brings pairs of objects to the true distance."""
     ratios = [
-        np.linalg.norm(_centroid(item)) / np.linalg.norm(own.centroid)
-        for own, item in zip(made, true, strict=True)
+        np.linalg.norm(_centroid(item)) / np.linalg.norm(mesh.centroid)
+        for mesh, item in zip(reconstructed, true, strict=True)
     ]
     return IDENTITY._replace(scale=float(np.median(ratios))) if ratios else IDENTITY
 
 
-def similarity_of(made: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
+def similarity_of(reconstructed: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
     """Return the least-squares similarity of the centroids of pairs of objects.
 
     Raises:
         SpecError: fewer than three pairs, or their centroids lie on a line.
     """
-    p = np.array([own.centroid for own in made]).reshape(-1, 3)
+    p = np.array([mesh.centroid for mesh in reconstructed]).reshape(-1, 3)
     q = np.array([_centroid(item) for item in true]).reshape(-1, 3)
     extents = np.linalg.svd(q - q.mean(axis=0), compute_uv=False) if len(q) >= 3 else [1.0, 0.0]
     if extents[1] < LEAST_SPREAD * extents[0]:

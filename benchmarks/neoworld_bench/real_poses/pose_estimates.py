@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import read_outside_text
+from neoworld_mjx.io import read_untrusted_text
 from neoworld_mjx.io.names import identifier
 
 from ..measures.pose_measure import RECALL, add, adi, recall
@@ -59,7 +59,7 @@ def read_estimates(file: Path) -> dict[str, list[PoseEstimate]]:
     Raises:
         SpecError: it cannot be read, or a line is no estimate.
     """
-    reader = csv.DictReader(io.StringIO(read_outside_text(file, SpecError)))
+    reader = csv.DictReader(io.StringIO(read_untrusted_text(file, SpecError)))
     if not set(COLUMNS) <= set(reader.fieldnames or ()):
         raise SpecError(f"{file}: the first line must name {','.join(COLUMNS)}")
     views: dict[str, list[PoseEstimate]] = {}
@@ -69,7 +69,7 @@ def read_estimates(file: Path) -> dict[str, list[PoseEstimate]]:
             views.setdefault(name, []).append(estimate)
     except csv.Error as error:
         raise SpecError(f"{file} is no table: {error}") from None
-    return {name: sorted(own, key=lambda e: -e.score) for name, own in views.items()}
+    return {name: sorted(of_view, key=lambda e: -e.score) for name, of_view in views.items()}
 
 
 def estimate_rows(data: Path, file: Path) -> Iterator[PoseEstimateRow]:
@@ -87,11 +87,11 @@ def estimate_rows(data: Path, file: Path) -> Iterator[PoseEstimateRow]:
         SpecError: a file cannot be read, or the data has none of its views.
     """
     views, method = read_estimates(file), f"poses:{identifier(file.stem, 'poses')}"
-    targets, seen = bop_targets(data), False
+    targets, any_view = bop_targets(data), False
     for view in bop_views(data, targets or views):
-        seen = seen or view.name in views
+        any_view = any_view or view.name in views
         yield from _rows(view, views.get(view.name, []), method, targets.get(view.name))
-    if not seen:
+    if not any_view:
         raise SpecError(f"{file}: {data} has none of its views, such as {next(iter(views), '')}")
 
 
@@ -115,11 +115,13 @@ def _rows(
         if models is None or stem in models:
             by_model.setdefault(stem, []).append(item)
     for stem, items in by_model.items():
-        own = [each for each in estimates if each.stem == stem][: len(items)]
-        cost = np.array([[adi(item.vertices, e.pose, item.pose) for e in own] for item in items])
-        pairs = dict(zip(*linear_sum_assignment(cost), strict=True)) if own else {}
+        candidates = [each for each in estimates if each.stem == stem][: len(items)]
+        cost = np.array(
+            [[adi(item.vertices, e.pose, item.pose) for e in candidates] for item in items]
+        )
+        pairs = dict(zip(*linear_sum_assignment(cost), strict=True)) if candidates else {}
         for index, item in enumerate(items):
-            estimate = own[pairs[index]].pose if index in pairs else None
+            estimate = candidates[pairs[index]].pose if index in pairs else None
             yield PoseEstimateRow(
                 view=view.name, method=method, object=item.name, **_errors(item, estimate)
             )

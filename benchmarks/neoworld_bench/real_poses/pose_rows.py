@@ -13,7 +13,7 @@ from neoworld_mjx.export.file_camera import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..measures.collider_measure import collider_gap
 from ..measures.depth_measure import (
@@ -140,8 +140,8 @@ def real_rows(
         free, view.objects, made.matches, made_camera=intrinsics, true_camera=view.camera
     )
     align = _chosen(align, view)
-    drawn = _drawn(view, made.scene, camera, intrinsics)
-    depth, similarity = _aligned(view, drawn, free, pairs, align, where)
+    rendered = _rendered_points(view, made.scene, camera, intrinsics)
+    depth, similarity = _aligned(view, rendered, free, pairs, align, where)
     rows = list(_object_rows(view, made, meshes, pairs, depth, similarity, volumes))
     measure = measured(made.scene, o)
     known = len(free) - len(pairs) if view.objects else 0
@@ -184,8 +184,8 @@ def _before_camera(made: MadeView, view: TrueView) -> MadeView:
     if stated is None or stated.pose is None or view.camera is None or view.size is None:
         return made
     fovy = 2 * math.atan(view.size[1] / 2 / view.camera.fy)
-    camera, placed, _, _ = viewpoint(FileCamera(pose=stated.pose, fovy=fovy), *view.size)
-    scene = moved_whole(made.scene, placed).model_copy(update={"camera": camera})
+    camera, scene_transform, _, _ = viewpoint(FileCamera(pose=stated.pose, fovy=fovy), *view.size)
+    scene = transformed_scene(made.scene, scene_transform).model_copy(update={"camera": camera})
     return replace(made, scene=scene)
 
 
@@ -211,7 +211,7 @@ def _camera_of(
     return camera, view.camera if stated else intrinsics_of(camera, width, height)
 
 
-def _drawn(
+def _rendered_points(
     view: TrueView, scene: SceneSpec, camera: Camera | None, intrinsics: Intrinsics | None
 ) -> ScenePoints | None:
     """Cast the scene in the image of a view with depth; None for other views."""
@@ -230,7 +230,7 @@ def _chosen(align: AlignBy, view: TrueView) -> AlignBy:
 
 def _aligned(
     view: TrueView,
-    drawn: ScenePoints | None,
+    rendered: ScenePoints | None,
     free: dict[str, PosedMesh],
     pairs: dict[str, str],
     align: AlignBy,
@@ -238,24 +238,28 @@ def _aligned(
 ) -> tuple[DepthMeasure | None, Similarity]:
     """Return the depth measure, if the view has depth, and the similarity of the alignment."""
     true = [item for item in view.objects if item.name in pairs]
-    own = [free[pairs[item.name]] for item in true]
+    meshes = [free[pairs[item.name]] for item in true]
     if align in ("scale", "depth") and view.camera is None:
         raise SpecError(f"{where}: --align {align} needs a camera, which the data does not give")
-    if align == "depth" and drawn is None:
+    if align == "depth" and rendered is None:
         raise SpecError(f"{where}: --align depth needs a depth image, which the data does not give")
     try:
-        given = None
+        known_similarity = None
         if align == "none":
-            given = IDENTITY
+            known_similarity = IDENTITY
         elif align == "scale":
-            given = scale_of(own, true)
+            known_similarity = scale_of(meshes, true)
         elif align == "objects":
-            given = similarity_of(own, true)
-        if drawn is None or view.depth is None or view.camera is None:
-            return None, given or IDENTITY
+            known_similarity = similarity_of(meshes, true)
+        if rendered is None or view.depth is None or view.camera is None:
+            return None, known_similarity or IDENTITY
         sensor = measured_points(view.depth, view.camera)
         depth = depth_measure(
-            drawn.points, drawn.segmentation, drawn.names, sensor, similarity=given
+            rendered.points,
+            rendered.segmentation,
+            rendered.names,
+            sensor,
+            similarity=known_similarity,
         )
     except (SpecError, ValueError) as error:
         raise SpecError(f"{where}: {error}") from None
@@ -271,7 +275,7 @@ def _object_rows(
     similarity: Similarity,
     volumes: bool,
 ) -> Iterator[RealObjectRow]:
-    partner = {own: true for true, own in pairs.items()}
+    partner = {name: true for true, name in pairs.items()}
     true_objects = {item.name: item for item in view.objects}
     for name, mesh in meshes.items():
         true = partner.get(name, "")
@@ -311,16 +315,16 @@ def _depth_columns(depth: DepthMeasure | None, name: str) -> dict[str, Any]:
 
 
 def _pose_columns(
-    own: PosedMesh | None, true: PosedObject | None, similarity: Similarity, volumes: bool
+    posed: PosedMesh | None, true: PosedObject | None, similarity: Similarity, volumes: bool
 ) -> dict[str, Any]:
     import trimesh
 
     columns: dict[str, Any] = dict.fromkeys(
         ("position_mm", "add_s", "icp_rot_deg", "box_iou", "chamfer", "f_score", "voxel_iou")
     )
-    if own is None or true is None or not len(own.faces):
+    if posed is None or true is None or not len(posed.faces):
         return columns
-    a = trimesh.Trimesh(similarity.apply(own.vertices), own.faces, process=False)
+    a = trimesh.Trimesh(similarity.apply(posed.vertices), posed.faces, process=False)
     b = trimesh.Trimesh(true.posed, true.faces, process=False)
     middles = [(mesh.bounds[0] + mesh.bounds[1]) / 2 for mesh in (a, b)]
     columns["position_mm"] = 1e3 * float(np.linalg.norm(middles[0] - middles[1]))

@@ -131,26 +131,26 @@ def score_real_views(
     )
     view_rows: list[RealViewRow] = []
     object_rows: list[RealObjectRow] = []
-    seen = set()
+    matched = set()
     for view in true_views(data, kind, names, intrinsics=intrinsics, depth_scale=depth_scale):
-        made = _reconstructions(view.name, runs, submission)
+        reconstructions = _reconstructions(view.name, runs, submission)
         by_method: dict[str, list[MadeView]] = {}
-        for each in made:
-            by_method.setdefault(each.method, []).append(each)
+        for stage in reconstructions:
+            by_method.setdefault(stage.method, []).append(stage)
         for method, stages in by_method.items():
             score = partial(_scored, view, stages, align, options or RefineOptions(), volumes)
             rows = (kept or KeptRows(None)).rows(f"{view.name} {method}", score)
-            own = [row for row in rows if isinstance(row, RealViewRow)]
-            inner = [row for row in rows if isinstance(row, RealObjectRow)]
-            files[0].put(own, in_place_of=(view.name, method))
-            files[1].put(inner, in_place_of=(view.name, method))
-            view_rows += own
-            object_rows += inner
-            for line in lines(own, inner):
+            view_part = [row for row in rows if isinstance(row, RealViewRow)]
+            object_part = [row for row in rows if isinstance(row, RealObjectRow)]
+            files[0].put(view_part, in_place_of=(view.name, method))
+            files[1].put(object_part, in_place_of=(view.name, method))
+            view_rows += view_part
+            object_rows += object_part
+            for line in lines(view_part, object_part):
                 log.info(line)
-            seen.add(view.name)
-    missing = [name for name in views if name not in seen]
-    if missing or not seen:
+            matched.add(view.name)
+    missing = [name for name in views if name not in matched]
+    if missing or not matched:
         raise SpecError(
             f"{data}: no view with a reconstruction is named {', '.join((missing or names)[:8])}; "
             "folders of reconstructions are named after the views (docs/real-poses.md)"
@@ -161,16 +161,16 @@ def score_real_views(
 def _scored(
     view: TrueView, stages: Sequence[MadeView], align: AlignBy, o: RefineOptions, volumes: bool
 ) -> Iterator[RealViewRow | RealObjectRow]:
-    for each in stages:
-        row, rows = real_rows(view, each, align, o, volumes=volumes)
+    for stage in stages:
+        row, rows = real_rows(view, stage, align, o, volumes=volumes)
         yield row
         yield from rows
 
 
 def _reconstructions(name: str, runs: Sequence[Path], submission: Path | None) -> list[MadeView]:
-    made = list(run_views(runs, name))
-    other = None if submission is None else submitted_view(submission, name)
-    return made if other is None else [*made, other]
+    reconstructions = list(run_views(runs, name))
+    submitted = None if submission is None else submitted_view(submission, name)
+    return reconstructions if submitted is None else [*reconstructions, submitted]
 
 
 def lines(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]) -> Iterator[str]:
@@ -203,31 +203,31 @@ def real_figures(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow])
     """Return the means by method and stage, each with its n, and the recall over true objects."""
     figures: dict[str, Any] = {}
     for method, stage in dict.fromkeys((row.method, row.stage) for row in views):
-        own = [row for row in views if (row.method, row.stage) == (method, stage)]
-        inner = [row for row in objects if (row.method, row.stage) == (method, stage)]
-        true = [row for row in inner if row.true_object]
-        errors = [row.error_mm for row in inner if row.error_mm is not None]
-        gaps = [row.collider_sound for row in inner if row.collider_sound is not None]
-        described: dict[str, Any] = {"views": len(own)}
+        stage_views = [row for row in views if (row.method, row.stage) == (method, stage)]
+        stage_objects = [row for row in objects if (row.method, row.stage) == (method, stage)]
+        true = [row for row in stage_objects if row.true_object]
+        errors = [row.error_mm for row in stage_objects if row.error_mm is not None]
+        gaps = [row.collider_sound for row in stage_objects if row.collider_sound is not None]
+        figure: dict[str, Any] = {"views": len(stage_views)}
         if errors:
-            described["median_error_mm"] = {"value": float(np.median(errors)), "n": len(errors)}
+            figure["median_error_mm"] = {"value": float(np.median(errors)), "n": len(errors)}
         if true:
-            described |= {
+            figure |= {
                 "true_objects": len(true),
                 "missed": sum(not row.object for row in true),
-                "extra": sum(row.extra for row in own),
+                "extra": sum(row.extra for row in stage_views),
                 f"add_s_recall_{RECALL:g}d": recall([row.add_s for row in true]),
                 **{name: _mean([getattr(row, name) for row in true]) for name in MEANS},
             }
-        described["check_passed"] = float(np.mean([row.check_passed for row in own]))
-        described["collider_sound"] = float(np.mean(gaps)) if gaps else None
-        figures[f"{method} {stage}"] = described
+        figure["check_passed"] = float(np.mean([row.check_passed for row in stage_views]))
+        figure["collider_sound"] = float(np.mean(gaps)) if gaps else None
+        figures[f"{method} {stage}"] = figure
     return figures
 
 
 def _mean(values: Sequence[float | None]) -> dict[str, Any]:
-    known = [value for value in values if value is not None]
-    return Mean(value=float(np.mean(known)) if known else None, n=len(known)).model_dump()
+    measured = [value for value in values if value is not None]
+    return Mean(value=float(np.mean(measured)) if measured else None, n=len(measured)).model_dump()
 
 
 def stored_real_rows(folder: Path) -> tuple[list[RealViewRow], list[RealObjectRow]]:

@@ -62,11 +62,11 @@ def standing(seed: int):
     for k, place in enumerate(rng.permutation(PLACES)[:count]):
         kind = str(rng.choice(list(KINDS)))
         mesh = KINDS[kind](rng)
-        at = np.array([0.9 + place[0], place[1], TABLE_Z]) + [*rng.uniform(-0.04, 0.04, 2), 0]
-        objects[f"{kind}_{k}"] = mesh, upright(at, rng.uniform(-np.pi, np.pi))
+        position = np.array([0.9 + place[0], place[1], TABLE_Z]) + [*rng.uniform(-0.04, 0.04, 2), 0]
+        objects[f"{kind}_{k}"] = mesh, upright(position, rng.uniform(-np.pi, np.pi))
         if kind == "carton" and rng.random() < 0.5:
             small = lifted(trimesh.creation.box(extents=0.5 * mesh.extents))
-            top = at + [0, 0, mesh.extents[2]]
+            top = position + [0, 0, mesh.extents[2]]
             objects[f"upper_{k}"] = small, upright(top, rng.uniform(-np.pi, np.pi))
     return objects
 

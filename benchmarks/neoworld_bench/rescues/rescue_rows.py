@@ -80,26 +80,29 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
         seed: of the scene.
         photo: True to give the rescue a rendered photograph of the undisturbed scene.
     """
-    good = scene_of_meshes(standing(seed)).spec
-    given = scene_of_meshes(disturbed(standing(seed), seed))
-    picture = photograph_of(good) if photo else None
+    original = scene_of_meshes(standing(seed)).spec
+    disturbed_scene = scene_of_meshes(disturbed(standing(seed), seed))
+    picture = photograph_of(original) if photo else None
     began = time.perf_counter()
-    rescued = rescue(given, photo=picture)
+    rescued = rescue(disturbed_scene, photo=picture)
     seconds = time.perf_counter() - began
     # With a photograph the table's top is at z = 0.
     up = np.array([0.0, 0.0, TABLE_Z if photo else 0.0])
     fixed = tuple(
-        item.model_copy(update={"environment": item.name == "table"}) for item in given.spec.objects
+        item.model_copy(update={"environment": item.name == "table"})
+        for item in disturbed_scene.spec.objects
     )
     o = RefineOptions()
-    given_passed = passes(measured(given.spec.model_copy(update={"objects": fixed}), o), o)
+    given_passed = passes(
+        measured(disturbed_scene.spec.model_copy(update={"objects": fixed}), o), o
+    )
     for name in rescued.moves_m:
         yield RescueRow(
             scene=seed,
             object=name,
             given_passed=given_passed,
             passed=rescued.passed,
-            **_compared(good, given.spec, rescued, name, up),
+            **_compared(original, disturbed_scene.spec, rescued, name, up),
             seconds=seconds,
         )
 
@@ -112,9 +115,9 @@ def photograph_of(scene: SceneSpec) -> Photographed:
         materials = tuple(m.model_copy(update={"rgba": (*rgb, 1.0)}) for m in item.spec.materials)
         spec = item.spec.model_copy(update={"materials": materials})
         objects.append(item.model_copy(update={"spec": spec}))
-    shown = scene.model_copy(update={"objects": tuple(objects), "camera": CAMERA})
+    colored = scene.model_copy(update={"objects": tuple(objects), "camera": CAMERA})
     return Photographed(
-        render_scene(shown).color, viewpoint(camera_file(), CAMERA.width, CAMERA.height_px)
+        render_scene(colored).color, viewpoint(camera_file(), CAMERA.width, CAMERA.height_px)
     )
 
 
@@ -130,19 +133,21 @@ def rescue_figures(rows: Sequence[RescueRow]) -> dict[str, Any]:
     scenes: dict[int, list[RescueRow]] = {}
     for row in rows:
         scenes.setdefault(row.scene, []).append(row)
-    times = [own[0].seconds for own in scenes.values()]
-    known = [r for r in rows if r.given_outline_px is not None and r.outline_px is not None]
+    times = [scene_rows[0].seconds for scene_rows in scenes.values()]
+    with_outlines = [r for r in rows if r.given_outline_px is not None and r.outline_px is not None]
     median = lambda values: float(np.median(values)) if values else None
     return {
         "scenes": len(scenes),
         "objects": len(rows),
-        "given_pass": sum(own[0].given_passed for own in scenes.values()),
-        "pass": sum(own[0].passed for own in scenes.values()),
+        "given_pass": sum(scene_rows[0].given_passed for scene_rows in scenes.values()),
+        "pass": sum(scene_rows[0].passed for scene_rows in scenes.values()),
         "pass_and_within": sum(
-            own[0].passed and all(r.near for r in own) for own in scenes.values()
+            scene_rows[0].passed and all(r.near for r in scene_rows)
+            for scene_rows in scenes.values()
         ),
         "pass_and_within_but_for_heights": sum(
-            own[0].passed and all(r.near_horizontally for r in own) for own in scenes.values()
+            scene_rows[0].passed and all(r.near_horizontally for r in scene_rows)
+            for scene_rows in scenes.values()
         ),
         f"given_add_s_recall_{RECALL:g}d": recall([r.given_add_s for r in rows]),
         f"add_s_recall_{RECALL:g}d": recall([r.add_s for r in rows]),
@@ -151,23 +156,23 @@ def rescue_figures(rows: Sequence[RescueRow]) -> dict[str, Any]:
         "position_mm": median([r.position_mm for r in rows]),
         "given_size_error": median([abs(r.given_size) for r in rows]),
         "size_error": median([abs(r.size) for r in rows]),
-        "given_outline_px": median([r.given_outline_px for r in known]),
-        "outline_px": median([r.outline_px for r in known]),
+        "given_outline_px": median([r.given_outline_px for r in with_outlines]),
+        "outline_px": median([r.outline_px for r in with_outlines]),
         "seconds": {"median": median(times), "largest": max(times, default=None)},
     }
 
 
 def _compared(
-    good: SceneSpec,
-    given: SceneSpec,
+    original: SceneSpec,
+    disturbed_scene: SceneSpec,
     rescued: Rescued,
     name: str,
     up: Float[np.ndarray, "3"],
 ) -> dict[str, Any]:
-    start, end = world_poses(good)[name], world_poses(rescued.scene)[name]
+    start, end = world_poses(original)[name], world_poses(rescued.scene)[name]
     shift = end.pos + up - start.pos
     turn = float(np.degrees(angle_between(start.quat, end.quat)))
-    true = _points(good, name)
+    true = _points(original, name)
     diagonal = float(np.linalg.norm(np.ptp(true, axis=0)))
     outlines = rescued.outlines_px.get(name, {})
     return {
@@ -175,9 +180,9 @@ def _compared(
         "position_mm": 1e3 * float(np.linalg.norm(shift)),
         "height_mm": 1e3 * float(shift[2]),
         "turn_deg": turn,
-        "given_size": _size(given, name) / _size(good, name) - 1,
-        "size": _size(rescued.scene, name) / _size(good, name) - 1,
-        "given_add_s": add_s(_points(given, name), true) / diagonal,
+        "given_size": _size(disturbed_scene, name) / _size(original, name) - 1,
+        "size": _size(rescued.scene, name) / _size(original, name) - 1,
+        "given_add_s": add_s(_points(disturbed_scene, name), true) / diagonal,
         "add_s": add_s(_points(rescued.scene, name) + up, true) / diagonal,
         "given_outline_px": outlines.get("given"),
         "outline_px": outlines.get("rescued"),

@@ -38,20 +38,23 @@ NEAR_MM = 10.0
 def scene_figure_table(rows: Sequence[SceneRow], methods: Sequence[str]) -> Table:
     """Return a row for each of these methods, in their order."""
     table = []
-    for method, own in _by_method(rows, methods).items():
-        half = [row for row in own if row.evaluation]
-        seconds = figures(own)["seconds"]
+    for method, method_rows in _by_method(rows, methods).items():
+        half = [row for row in method_rows if row.evaluation]
+        seconds = figures(method_rows)["seconds"]
         table.append(
             {
                 "method": method,
-                "valid": _share(interval(own, "valid_rate")),
+                "valid": _share(interval(method_rows, "valid_rate")),
                 "of the evaluation half": _share(interval(half, "valid_rate")),
-                **{name: _share(interval(own, of)) for name, of in SCENE_COLUMNS.items()},
-                "position": _mean(interval(own, "xy_error_m"), 1e3, 1, " mm"),
-                "heading": _mean(interval(own, "yaw_error_deg"), 1.0, 1, "°"),
-                "log scale": _mean(interval(own, "scale_error"), 100.0, 1, " %"),
-                "edges": _mean(interval(own, "edge_error"), 100.0, 1, " %"),
-                "box IoU": _mean(interval(own, "box_iou"), 1.0, 3, ""),
+                **{
+                    name: _share(interval(method_rows, measure))
+                    for name, measure in SCENE_COLUMNS.items()
+                },
+                "position": _mean(interval(method_rows, "xy_error_m"), 1e3, 1, " mm"),
+                "heading": _mean(interval(method_rows, "yaw_error_deg"), 1.0, 1, "°"),
+                "log scale": _mean(interval(method_rows, "scale_error"), 100.0, 1, " %"),
+                "edges": _mean(interval(method_rows, "edge_error"), 100.0, 1, " %"),
+                "box IoU": _mean(interval(method_rows, "box_iou"), 1.0, 3, ""),
                 "whole": "" if seconds is None else f"{seconds:.2g} s",
             }
         )
@@ -69,9 +72,9 @@ def scene_figure_table(rows: Sequence[SceneRow], methods: Sequence[str]) -> Tabl
 def task_figure_table(rows: Sequence[SuccessRow], methods: Sequence[str]) -> Table:
     """Return a row for each of these methods, in their order."""
     table = []
-    for method, own in _by_method(rows, methods).items():
-        times = [row.seconds for row in own]
-        cells = [_share(success_interval(own, share)) for share in SHARES]
+    for method, method_rows in _by_method(rows, methods).items():
+        times = [row.seconds for row in method_rows]
+        cells = [_share(success_interval(method_rows, share)) for share in SHARES]
         table.append(
             {
                 "method": method,
@@ -104,13 +107,15 @@ def real_figure_table(views: Sequence[RealViewRow], objects: Sequence[RealObject
             }
             | {title(stage): _fit(fits.get(stage)) for stage in stages}
         )
-        own = [row for row in objects if row.view == view and row.object]
-        for name in dict.fromkeys(row.object for row in own):
-            found = {(row.method, row.stage): row for row in own if row.object == name}
-            pixels = dict.fromkeys(str(row.measured_px) for row in found.values())
+        view_rows = [row for row in objects if row.view == view and row.object]
+        for name in dict.fromkeys(row.object for row in view_rows):
+            rows_by_stage = {
+                (row.method, row.stage): row for row in view_rows if row.object == name
+            }
+            pixels = dict.fromkeys(str(row.measured_px) for row in rows_by_stage.values())
             table.append(
                 {"photograph": "", "object": name, "pixels": " to ".join(pixels)}
-                | {title(stage): _distance(found.get(stage)) for stage in stages}
+                | {title(stage): _distance(rows_by_stage.get(stage)) for stage in stages}
             )
     errors = {
         stage: [
@@ -123,9 +128,11 @@ def real_figure_table(views: Sequence[RealViewRow], objects: Sequence[RealObject
     count = len({row.view for row in views})
     every = {"photograph": f"{count} photographs", "object": "median of all objects", "pixels": ""}
     near = every | {"object": f"objects within {NEAR_MM:g} mm"}
-    for stage, own in errors.items():
-        every[title(stage)] = f"{np.median([error for _, error in own]):.1f}" if own else ""
-        parts = [(view, float(error < NEAR_MM), 1.0) for view, error in own]
+    for stage, view_rows in errors.items():
+        every[title(stage)] = (
+            f"{np.median([error for _, error in view_rows]):.1f}" if view_rows else ""
+        )
+        parts = [(view, float(error < NEAR_MM), 1.0) for view, error in view_rows]
         near[title(stage)] = _share(ratio_interval(parts, share=True))
     shown = len({(row.view, row.object) for row in objects if row.object})
     return {"n": f"{count} photographs, {shown} objects", "table": [*table, every, near]}
@@ -140,7 +147,7 @@ def joint_figure_table(rows: Sequence[ObjectScoreRow]) -> Table:
 
 
 def _joint_cells(name: str, rows: Sequence[ObjectScoreRow]) -> dict[str, str]:
-    found = score_figures(rows)
+    scores = score_figures(rows)
 
     def share(count: Callable[[ObjectScoreRow], int]) -> str:
         return _share(
@@ -148,15 +155,15 @@ def _joint_cells(name: str, rows: Sequence[ObjectScoreRow]) -> dict[str, str]:
         )
 
     def mean(key: str, digits: int, *, counted: bool = False) -> str:
-        value, n = found[key]["value"], found[key]["n"]
+        value, n = scores[key]["value"], scores[key]["n"]
         return "" if value is None else f"{value:.{digits}f}" + (f" ({n})" if counted else "")
 
     return {
         "object": name,
-        "true": str(found["total"]),
-        "made": str(found["predicted"]),
-        "hits": str(found["hits"]),
-        "extra": str(found["predicted"] - found["hits"]),
+        "true": str(scores["total"]),
+        "made": str(scores["predicted"]),
+        "hits": str(scores["hits"]),
+        "extra": str(scores["predicted"] - scores["hits"]),
         "miss": share(lambda row: row.total - row.hits),
         "wrong type": share(lambda row: row.total - row.hits + row.wrong_type),
         "axis°": mean("axis_deg", 2, counted=True),
@@ -173,8 +180,8 @@ def _joint_cells(name: str, rows: Sequence[ObjectScoreRow]) -> dict[str, str]:
 
 def _by_method(rows: Sequence[Any], methods: Sequence[str]) -> dict[str, list[Any]]:
     names = dict.fromkeys([*methods, *(row.method for row in rows)])
-    found = {name: [row for row in rows if row.method == name] for name in names}
-    return {name: own for name, own in found.items() if own}
+    by_method = {name: [row for row in rows if row.method == name] for name in names}
+    return {name: method_rows for name, method_rows in by_method.items() if method_rows}
 
 
 def _fit(row: RealViewRow | None) -> str:
@@ -191,9 +198,9 @@ def _distance(row: RealObjectRow | None) -> str:
     return f"{row.error_mm:.1f}{bias}"
 
 
-def _share(found: Interval) -> str:
+def _share(estimate: Interval) -> str:
     """Return a share and its interval in per cent, with a decimal below 10 %."""
-    value, low, high = found
+    value, low, high = estimate
     if value is None:
         return ""
     digits = 0 if value >= 0.095 or value == 0 else 1
@@ -203,9 +210,9 @@ def _share(found: Interval) -> str:
     return f"{text} ({100 * low:.{digits}f} to {100 * high:.{digits}f})"
 
 
-def _mean(found: Interval, factor: float, digits: int, unit: str) -> str:
+def _mean(estimate: Interval, factor: float, digits: int, unit: str) -> str:
     """Return a mean and its interval."""
-    value, low, high = found
+    value, low, high = estimate
     if value is None:
         return ""
     text = f"{factor * value:.{digits}f}{unit}"

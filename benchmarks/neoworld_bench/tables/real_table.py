@@ -34,22 +34,22 @@ COLUMNS: dict[str, tuple[str, int]] = {
 
 def real_table(rows: Sequence[RealObjectRow]) -> TextTable:
     """Return a row for each object, and medians with the recall for each method and stage."""
-    shown = {
+    columns = {
         column: (figure, digits)
         for column, (figure, digits) in COLUMNS.items()
         if any(getattr(row, figure) is not None for row in rows)
     }
     posed = any(row.true_object for row in rows)
-    heads = ["view", "method", "stage", "object", "pixels", *shown]
+    heads = ["view", "method", "stage", "object", "pixels", *columns]
     lines = []
     for row in rows:
         name = row.object or f"{row.true_object} (missed)"
-        cells = [_cell(getattr(row, figure), digits) for figure, digits in shown.values()]
+        cells = [_cell(getattr(row, figure), digits) for figure, digits in columns.values()]
         lines.append([row.view, row.method, row.stage, name, str(row.visible_px), *cells])
     for method, stage in dict.fromkeys((row.method, row.stage) for row in rows):
-        own = [row for row in rows if (row.method, row.stage) == (method, stage)]
-        cells = [_median(own, figure, digits) for figure, digits in shown.values()]
-        lines.append(["median", method, stage, f"{len(own)} rows", "", *cells])
+        group = [row for row in rows if (row.method, row.stage) == (method, stage)]
+        cells = [_median(group, figure, digits) for figure, digits in columns.values()]
+        lines.append(["median", method, stage, f"{len(group)} rows", "", *cells])
     if posed:
         heads.append(f"ADD-S < {RECALL:g}")
         for line, row in zip(lines, rows, strict=False):

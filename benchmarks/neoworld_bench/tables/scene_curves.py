@@ -57,10 +57,10 @@ def curve_records(objects: Sequence[ObjectRow]) -> list[dict[str, Any]]:
     """
     records = []
     for method in dict.fromkeys(row.method for row in objects):
-        own = [row for row in objects if row.method == method]
+        method_rows = [row for row in objects if row.method == method]
         for curve in CURVES:
             for threshold in curve.thresholds:
-                parts = _parts(own, curve, threshold)
+                parts = _parts(method_rows, curve, threshold)
                 if not parts:
                     continue
                 share, low, high = ratio_interval(parts, share=True)
@@ -78,22 +78,22 @@ def _parts(
         depths = [(row.scene, row.part_depth_m) for row in objects]
         return [(scene, float(d > threshold), 1.0) for scene, d in depths if d is not None]
     if curve.measure == "S-Pen":
-        each = [(row, row.depth_m > threshold) for row in objects]
+        flags = [(row, row.depth_m > threshold) for row in objects]
     else:
         drift = threshold if curve.over == "drift_m" else DRIFT_M
         tilt = threshold if curve.over == "tilt_deg" else TILT_DEG
-        each = [
+        flags = [
             (row, row.drift_m < drift and row.tilt_deg < tilt)
             for row in objects
             if row.drift_m is not None and row.tilt_deg is not None
         ]
     if curve.measure == "O-Stab":
-        return [(row.scene, float(value), 1.0) for row, value in each]
+        return [(row.scene, float(value), 1.0) for row, value in flags]
     scenes: dict[tuple, list[bool]] = {}
-    for row, value in each:
+    for row, value in flags:
         scenes.setdefault(row.key, []).append(value)
-    of = any if curve.measure == "S-Pen" else all
-    return [(key[0], float(of(values)), 1.0) for key, values in scenes.items()]
+    combine = any if curve.measure == "S-Pen" else all
+    return [(key[0], float(combine(values)), 1.0) for key, values in scenes.items()]
 
 
 def curves_csv(records: Sequence[dict[str, Any]]) -> str:
@@ -114,29 +114,29 @@ def curves_svg(records: Sequence[dict[str, Any]]) -> str | None:
     methods = list(dict.fromkeys(record["method"] for record in records))
 
     def draw(figure: Any) -> None:
-        places = figure.subplots(2, 3).T.ravel()
-        for place, curve in zip(places, CURVES, strict=True):
-            _draw(place, curve, records, methods)
+        all_axes = figure.subplots(2, 3).T.ravel()
+        for axes, curve in zip(all_axes, CURVES, strict=True):
+            _draw(axes, curve, records, methods)
         if methods:
-            lines, names = places[0].get_legend_handles_labels()
+            lines, names = all_axes[0].get_legend_handles_labels()
             figure.legend(lines, names, loc="outside right upper", fontsize=7)
 
     return plot_svg((10.5, 5.2), draw)
 
 
-def _draw(place: Any, curve: Curve, records: Sequence[dict], methods: Sequence[str]) -> None:
+def _draw(axes: Any, curve: Curve, records: Sequence[dict], methods: Sequence[str]) -> None:
     for k, method in enumerate(methods):
-        own = [
+        points = [
             (r["threshold"] * curve.factor, 100 * r["share"])
             for r in records
             if (r["method"], r["measure"], r["over"]) == (method, curve.measure, curve.over)
         ]
-        if own:
+        if points:
             style = "-" if k < 10 else "--"  # matplotlib's colours come again after ten.
-            place.plot(*zip(*own, strict=True), style, linewidth=1.3, label=method)
-    place.axvline(curve.table * curve.factor, color="0.5", linestyle=":", linewidth=1)
-    place.set_xscale("log")
-    place.xaxis.set_major_formatter("{x:g}")
-    place.set_ylim(-3, 103)
-    what = curve.over.split("_")[0]
-    place.set(xlabel=f"{what} [{curve.unit}]", ylabel=f"{curve.measure} [%]")
+            axes.plot(*zip(*points, strict=True), style, linewidth=1.3, label=method)
+    axes.axvline(curve.table * curve.factor, color="0.5", linestyle=":", linewidth=1)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(-3, 103)
+    quantity = curve.over.split("_")[0]
+    axes.set(xlabel=f"{quantity} [{curve.unit}]", ylabel=f"{curve.measure} [%]")

@@ -64,8 +64,8 @@ def scene_tables(folder: Path) -> dict[str, str]:
     }
     if curves := curve_records(read_object_rows(folder)):
         texts["curves.csv"] = curves_csv(curves)
-        if (drawn := curves_svg(curves)) is not None:
-            texts["curves.svg"] = drawn
+        if (svg := curves_svg(curves)) is not None:
+            texts["curves.svg"] = svg
     return texts
 
 
@@ -76,14 +76,16 @@ def table_records(rows: Sequence[SceneRow]) -> Iterator[dict[str, Any]]:
         "tabletop": [row for row in rows if row.tabletop],
         "evaluation": [row for row in rows if row.evaluation],
     }
-    for subset, own in subsets.items():
-        for method in dict.fromkeys(row.method for row in own):
-            of = [row for row in own if row.method == method]
+    for subset, subset_rows in subsets.items():
+        for method in dict.fromkeys(row.method for row in subset_rows):
+            method_rows = [row for row in subset_rows if row.method == method]
             record: dict[str, Any] = {"subset": subset, "method": method, "source": "measured"}
-            record |= {"n": len(of), "scenes": len({row.scene for row in of})}
-            record["articulated"] = sum(row.articulated for row in of)
+            record |= {"n": len(method_rows), "scenes": len({row.scene for row in method_rows})}
+            record["articulated"] = sum(row.articulated for row in method_rows)
             for column, (measure, factor, _) in COLUMNS.items():
-                for end, value in zip(("", " low", " high"), interval(of, measure), strict=True):
+                for end, value in zip(
+                    ("", " low", " high"), interval(method_rows, measure), strict=True
+                ):
                     if value is not None:
                         record[column + end] = factor * value
             yield record

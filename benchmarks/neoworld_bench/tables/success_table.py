@@ -21,10 +21,20 @@ def success_table(rows: Sequence[SuccessRow]) -> TextTable:
     """
     names = [name.removeprefix("success_") for name in SHARES]
     lines = []
-    for starts, own in (("all", rows), ("evaluation", [row for row in rows if row.evaluation])):
-        for method in dict.fromkeys(row.method for row in own):
-            of = [row for row in own if row.method == method]
-            lines.append([method, starts, str(len(of)), *(_cell(of, share) for share in SHARES)])
+    for starts, subset_rows in (
+        ("all", rows),
+        ("evaluation", [row for row in rows if row.evaluation]),
+    ):
+        for method in dict.fromkeys(row.method for row in subset_rows):
+            method_rows = [row for row in subset_rows if row.method == method]
+            lines.append(
+                [
+                    method,
+                    starts,
+                    str(len(method_rows)),
+                    *(_cell(method_rows, share) for share in SHARES),
+                ]
+            )
     for name, success in PAPER.items():
         cells = [f"{100 * success:.2f}" if n == "success_in_scene" else "" for n in SHARES]
         lines.append([f"{name}*", "", "", *cells])

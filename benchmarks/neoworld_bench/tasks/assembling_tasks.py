@@ -92,15 +92,15 @@ def bridge(form: str, turn: float) -> Prepared:
     )
     grasp = grasp_box(scene, "beam", depth=0.01)
 
-    def condition(made: SceneSpec) -> Every:
-        poses, at = world_poses(made), _across(scene, made).pos
+    def condition(reconstructed: SceneSpec) -> Every:
+        poses, at = world_poses(reconstructed), _across(scene, reconstructed).pos
         targets = (poses[name].inverse().apply(at).tolist() for name in ("table", "pier_1"))
         both = zip((on_table, on_piers), targets, strict=True)
         return Every(of=tuple(leaf.model_copy(update={"target": tuple(t)}) for leaf, t in both))
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        held = grasp_in(scene, made, "beam", grasp)
-        return pick_and_place(made, "beam", held, _across(scene, made))
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        held = grasp_in(scene, reconstructed, "beam", grasp)
+        return pick_and_place(reconstructed, "beam", held, _across(scene, reconstructed))
 
     return Prepared(scene, Every(of=(on_table, on_piers)), plan, condition)
 

@@ -98,9 +98,13 @@ def carry(
     """Return a task that carries an object to a pose in another's frame; `ways` go to
     pick_and_place."""
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        goal = goal_on(made, to, in_other(scene, made, to, at), yaw=yaw, tilt=tilt)
-        return pick_and_place(made, moved, grasp_in(scene, made, moved, grasp), goal, **ways)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        goal = goal_on(
+            reconstructed, to, in_other(scene, reconstructed, to, at), yaw=yaw, tilt=tilt
+        )
+        return pick_and_place(
+            reconstructed, moved, grasp_in(scene, reconstructed, moved, grasp), goal, **ways
+        )
 
     return Prepared(scene, predicate, plan)
 

@@ -118,28 +118,32 @@ def _judge(
 def _path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
     """Yield the targets: displacement [m], rotation since the start, opening [m]."""
     path = []
-    at, turned, opening = np.array(plan.position), np.array([1.0, 0.0, 0.0, 0.0]), plan.opening
+    position, orientation, opening = (
+        np.array(plan.position),
+        np.array([1.0, 0.0, 0.0, 0.0]),
+        plan.opening,
+    )
     for move in plan.moves:
         steps = max(1, round(move.seconds / CONTROL_S))
         for k in range(1, steps + 1):
             share = _eased(k / steps)
-            place, quat = moved(at, turned, move, share)
+            place, quat = moved(position, orientation, move, share)
             # Fingers close from the first moment of a move on: 0 is a force, not a place.
             aim = 0.0 if move.opening == 0 else opening + share * (move.opening - opening)
             path.append((place - np.array(plan.position), quat, aim))
-        at, turned = moved(at, turned, move, 1.0)
+        position, orientation = moved(position, orientation, move, 1.0)
         opening = move.opening
     return path
 
 
 def moved(
-    at: NDArray, turned: NDArray, move: ToolMove, share: float = 1.0
+    position: NDArray, orientation: NDArray, move: ToolMove, share: float = 1.0
 ) -> tuple[NDArray, NDArray]:
     """Return the displacement of a point [m] and the rotation after a share of a move."""
     turn = rotation(share * np.array(move.turn))
-    pivot = at if move.about is None else np.array(move.about)
-    place = pivot + rotate(turn, at - pivot) + share * np.array(move.displacement)
-    return place, quat_mul(turn, turned)
+    pivot = position if move.about is None else np.array(move.about)
+    place = pivot + rotate(turn, position - pivot) + share * np.array(move.displacement)
+    return place, quat_mul(turn, orientation)
 
 
 def _eased(x: float) -> float:
@@ -148,9 +152,9 @@ def _eased(x: float) -> float:
 
 
 def _follow(world: World, plan: TaskPlan, targets: tuple[NDArray, NDArray, float]) -> float:
-    displacement, turned, opening = targets
+    displacement, orientation, opening = targets
     vector = np.zeros(3)
-    mujoco.mju_quat2Vel(vector, turned, 1.0)
+    mujoco.mju_quat2Vel(vector, orientation, 1.0)
     world.command(displacement, in_start_axes(plan, vector), opening)
     mujoco.mj_step(world.model, world.data, round(CONTROL_S / TIMESTEP))
     goal = np.array(plan.position) + displacement

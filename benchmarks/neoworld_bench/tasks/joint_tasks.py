@@ -25,10 +25,10 @@ def open_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
     scene = _scene_with_cup(template, yaw, {})
     goal = JointBetween(object=template, joint=joint, low=OPEN, high=1.05, source=OPENED)
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        moving = made.object(template).spec.joint(joint)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        moving = reconstructed.object(template).spec.joint(joint)
         target = moving.lower + AIM * (moving.upper - moving.lower)
-        return work_joint(made, template, joint, target, hold)
+        return work_joint(reconstructed, template, joint, target, hold)
 
     return Prepared(scene, goal, plan)
 
@@ -43,9 +43,9 @@ def close_joint(
     scene = _scene_with_cup(template, yaw, {joint: start})
     goal = JointBetween(object=template, joint=joint, low=-0.1, high=CLOSED, source=CLOSED_SOURCE)
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        shut = made.object(template).spec.joint(joint).lower
-        return work_joint(made, template, joint, shut, hold)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        shut = reconstructed.object(template).spec.joint(joint).lower
+        return work_joint(reconstructed, template, joint, shut, hold)
 
     return Prepared(scene, goal, plan)
 
@@ -66,8 +66,10 @@ def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
         source=TURNED,
     )
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        return work_joint(made, template, joint, _value(made, template, joint) + TURN, hold)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        return work_joint(
+            reconstructed, template, joint, _value(reconstructed, template, joint) + TURN, hold
+        )
 
     return Prepared(scene, goal, plan)
 

@@ -98,44 +98,44 @@ def plan_rows(
 def scene_rows(
     models: Panel,
     task: ManipulationTask,
-    seen: PlannedScene,
+    planned: PlannedScene,
     *,
     rounds: int,
     feedback: bool,
     seed: int,
 ) -> Iterator[PlanRow]:
     """Request a plan of a task in one scene; see `plan_rows`."""
-    names = (seen.method, seen.method + FEEDBACK)[: 1 + feedback]
+    names = (planned.method, planned.method + FEEDBACK)[: 1 + feedback]
     try:
-        condition = task.predicate_in(seen.scene)
+        condition = task.predicate_in(planned.scene)
     except Exception as error:  # Such as an object that the predicate names and the scene lacks.
         for name in names:
-            yield _without_plan(task, name, seen.start, f"no plan: {described(error)}")
+            yield _without_plan(task, name, planned.start, f"no plan: {described(error)}")
         return
-    asked = models.run(ask_for_plan(models, task, seen, condition, rounds=rounds))
-    best = asked.best
+    attempts = models.run(ask_for_plan(models, task, planned, condition, rounds=rounds))
+    best = attempts.best
     if best is None:
-        reason = asked.fallbacks[0][1] if asked.fallbacks else "the model gave none"
+        reason = attempts.fallbacks[0][1] if attempts.fallbacks else "the model gave none"
         for name in names:
-            yield _without_plan(task, name, seen.start, f"no plan: {reason}")
+            yield _without_plan(task, name, planned.start, f"no plan: {reason}")
         return
-    scene, executions = seen.scene, 0
+    scene, executions = planned.scene, 0
     for name in names:
-        if name != seen.method and not best.outcome.success:
+        if name != planned.method and not best.outcome.success:
             refined = refine_by_outcome(scene, best.plan, condition, seed=seed)
             scene, executions = refined.scene, refined.executions
-        there = planned_there(task, scene, best.plan)
+        outcome = planned_there(task, scene, best.plan)
         yield PlanRow(
             task=task.name,
             kind=task.kind,
             method=name,
-            start=seen.start,
-            plans=len(asked.attempts),
+            start=planned.start,
+            plans=len(attempts.attempts),
             executions=executions,
-            in_scene=there.in_scene.success,
-            on_truth=there.on_truth.success,
-            reason=there.on_truth.reason,
-            scene_reason=there.in_scene.reason,
+            in_scene=outcome.in_scene.success,
+            on_truth=outcome.on_truth.success,
+            reason=outcome.on_truth.reason,
+            scene_reason=outcome.in_scene.reason,
         )
 
 
@@ -158,11 +158,14 @@ def plan_figures(rows: Sequence[PlanRow]) -> dict[str, Any]:
     """Return both shares of successful plans by method, with intervals clustered by task."""
     figures = {}
     for method in dict.fromkeys(row.method for row in rows):
-        own = [row for row in rows if row.method == method]
-        figures[method] = {"n": len(own), "no_plan": sum(row.plans == 0 for row in own)}
+        method_rows = [row for row in rows if row.method == method]
+        figures[method] = {
+            "n": len(method_rows),
+            "no_plan": sum(row.plans == 0 for row in method_rows),
+        }
         for name, of in (("success_on_truth", "on_truth"), ("success_in_scene", "in_scene")):
             share, low, high = ratio_interval(
-                [(row.task, float(getattr(row, of)), 1.0) for row in own], share=True
+                [(row.task, float(getattr(row, of)), 1.0) for row in method_rows], share=True
             )
             figures[method] |= {name: share, f"{name}_interval": [low, high]}
     return {"tasks": len({row.task for row in rows}), "methods": figures}

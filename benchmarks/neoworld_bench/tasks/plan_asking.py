@@ -58,23 +58,23 @@ class AskedPlan:
 
 
 def plan_request(
-    task: ManipulationTask, seen: PlannedScene, earlier: Sequence[PlanAttempt] = ()
+    task: ManipulationTask, planned: PlannedScene, earlier: Sequence[PlanAttempt] = ()
 ) -> Request[PlannedTask]:
     """Return the request for a plan.
 
     Args:
         task: gives the instruction; its truth is not told.
-        seen: the scene as it is known, such as a reconstruction.
+        planned: the scene as it is known, such as a reconstruction.
         earlier: plans that failed, which are told with their outcomes.
     """
     parts, pictures = [], []
-    if seen.picture is not None:
-        pictures = [Picture.of("scene", seen.picture)]
-        parts.append(seen.view_in_words)
-    if seen.in_numbers:
-        parts.append(f"The scene:\n{scene_in_numbers(seen.scene)}")
+    if planned.picture is not None:
+        pictures = [Picture.of("scene", planned.picture)]
+        parts.append(planned.view_in_words)
+    if planned.in_numbers:
+        parts.append(f"The scene:\n{scene_in_numbers(planned.scene)}")
     else:
-        parts.append("Its objects: " + ", ".join(item.name for item in seen.scene.objects))
+        parts.append("Its objects: " + ", ".join(item.name for item in planned.scene.objects))
     parts.append(f"The instruction: {task.instruction}")
     prompt = "\n\n".join(parts)
     for number, attempt in enumerate(earlier, start=1):
@@ -94,22 +94,24 @@ def scene_in_numbers(scene: SceneSpec) -> str:
     lines = []
     poses = world_poses(scene)
     for item in scene.objects:
-        at = poses[item.name]
+        object_pose = poses[item.name]
         low, high = bounds(item.spec, item.joint_state)
-        edges, middle = high - low, at.apply((low + high) / 2)
-        axes = ", ".join(f"{name} {_vector(rotate(at.quat, row))}" for name, row in _axes())
-        carried = f", carried by {item.parent}" if item.parent else ""
-        still = ", cannot move" if item.static else ""
-        lines.append(
-            f"- {item.name} ({item.spec.label or item.spec.name}{carried}{still}): box of edges "
-            f"{_vector(edges)} along its axes {axes}; middle of the box {_vector(middle)}, origin "
-            f"{_vector(at.pos)}"
+        edges, middle = high - low, object_pose.apply((low + high) / 2)
+        axes = ", ".join(
+            f"{name} {_vector(rotate(object_pose.quat, row))}" for name, row in _axes()
         )
-        moved = link_poses(item.spec, item.joint_state)
+        support = f", carried by {item.parent}" if item.parent else ""
+        immobile = ", cannot move" if item.static else ""
+        lines.append(
+            f"- {item.name} ({item.spec.label or item.spec.name}{support}{immobile}): box of edges "
+            f"{_vector(edges)} along its axes {axes}; middle of the box {_vector(middle)}, origin "
+            f"{_vector(object_pose.pos)}"
+        )
+        part_poses = link_poses(item.spec, item.joint_state)
         group = welded(item.spec)
         for joint in [j for j in item.spec.joints if j.type != "fixed"][:MOST_JOINTS]:
             value = joint_position(item.spec, joint, item.joint_state)
-            base = at.then(moved[joint.parent])
+            base = object_pose.then(part_poses[joint.parent])
             now = "a ball" if isinstance(value, tuple) else f"now {value:.2f}"
             limits = (
                 f", {joint.lower:.2f} to {joint.upper:.2f}" if joint.upper > joint.lower else ""
@@ -128,7 +130,7 @@ def scene_in_numbers(scene: SceneSpec) -> str:
 async def ask_for_plan(
     models: Panel,
     task: ManipulationTask,
-    seen: PlannedScene,
+    planned: PlannedScene,
     condition: Predicate,
     *,
     rounds: int = 2,
@@ -149,12 +151,12 @@ async def ask_for_plan(
     fallbacks: list[tuple[str, str]] = []
 
     async def attempt(earlier: Sequence[PlanAttempt]) -> PlanAttempt | None:
-        request = plan_request(task, seen, earlier)
+        request = plan_request(task, planned, earlier)
         stage = f"{request.name} was not answered"
         answer = await ask_or_record(models, request, stage, fallbacks)
         if answer is None:
             return None
-        outcome = await asyncio.to_thread(execute, seen.scene, answer.plan, condition)
+        outcome = await asyncio.to_thread(execute, planned.scene, answer.plan, condition)
         return PlanAttempt(answer.plan, outcome)
 
     first = await attempt(())

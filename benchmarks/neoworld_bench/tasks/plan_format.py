@@ -66,10 +66,10 @@ class TaskPlan(Spec):
         across = np.linalg.norm(np.cross(approach, closing))
         if across < 0.1 * np.linalg.norm(approach) * np.linalg.norm(closing) or across < 1e-9:
             raise ValueError("approach and closing must not be zero, nor parallel")
-        turned = np.array([1.0, 0.0, 0.0, 0.0])
+        orientation = np.array([1.0, 0.0, 0.0, 0.0])
         for k, move in enumerate(self.moves):
-            turned = quat_mul(rotation(move.turn), turned)
-            if 2 * math.acos(min(1.0, abs(turned[0]))) > MAX_TURN:
+            orientation = quat_mul(rotation(move.turn), orientation)
+            if 2 * math.acos(min(1.0, abs(orientation[0]))) > MAX_TURN:
                 raise ValueError(
                     f"moves.{k}.turn: the tool may turn {MAX_TURN} rad away from its start, no more"
                 )

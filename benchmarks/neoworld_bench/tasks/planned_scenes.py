@@ -97,8 +97,8 @@ def reconstructed_scene(
             warm=False,
         )
     )
-    made = photo.back(outcomes[method].scene)
-    return _pictured(method, start, made, photo, sees)
+    reconstructed = photo.back(outcomes[method].scene)
+    return _pictured(method, start, reconstructed, photo, sees)
 
 
 def _pictured(
@@ -107,8 +107,11 @@ def _pictured(
     if photo is None or sees == "numbers":
         return PlannedScene(method, start, scene, None, None, in_numbers=True)
     assert photo.scene.camera is not None
-    taken, back = View.of(photo.scene.camera), photo.placed.inverse()
-    view = taken._replace(eye=back.apply(taken.eye), axes=rotate(back.quat, taken.axes.T).T)
+    photo_view, photo_to_world = View.of(photo.scene.camera), photo.scene_transform.inverse()
+    view = photo_view._replace(
+        eye=photo_to_world.apply(photo_view.eye),
+        axes=rotate(photo_to_world.quat, photo_view.axes.T).T,
+    )
     picture = render(scene, view).color
     return PlannedScene(method, start, scene, picture, view, in_numbers=sees == "both")
 

@@ -74,11 +74,13 @@ class Located(Spec):
 
     def _distance(self, world: World) -> float:
         """Return the violation of the bounds [m]; 0.1 rad count as 1 cm."""
-        base, at = world.pose(self.relative_to, self.part), world.pose(self.object)
-        local = base.inverse().apply(at.apply(np.array(self.point))) - np.array(self.target)
-        z = at.apply(np.array([0.0, 0.0, 1.0])) - at.pos
+        base, object_pose = world.pose(self.relative_to, self.part), world.pose(self.object)
+        local = base.inverse().apply(object_pose.apply(np.array(self.point))) - np.array(
+            self.target
+        )
+        z = object_pose.apply(np.array([0.0, 0.0, 1.0])) - object_pose.pos
         tilt = math.acos(float(np.clip(z[2], -1.0, 1.0)))
-        turn = _heading(base, at)
+        turn = _heading(base, object_pose)
         return (
             max(0.0, float(np.hypot(local[0], local[1])) - self.radius)
             + max(0.0, self.low - local[2], local[2] - self.high)
@@ -123,8 +125,8 @@ class Leaning(Spec):
         return math.exp(-max(0.0, self.tilt[0] - angle, angle - self.tilt[1]))
 
     def _angle(self, world: World) -> float:
-        at = world.pose(self.object)
-        z = at.apply(np.array([0.0, 0.0, 1.0])) - at.pos
+        object_pose = world.pose(self.object)
+        z = object_pose.apply(np.array([0.0, 0.0, 1.0])) - object_pose.pos
         return math.acos(float(np.clip(z[2], -1.0, 1.0)))
 
     def meaning(self) -> str:
@@ -175,20 +177,20 @@ class Every(Spec):
 
     def holds(self, world: World) -> bool:
         """Return True if the state fulfils each of them."""
-        return all(each.holds(world) for each in self.of)
+        return all(part.holds(world) for part in self.of)
 
     def progress(self, world: World) -> float:
         """Return the mean progress."""
-        return float(np.mean([each.progress(world) for each in self.of]))
+        return float(np.mean([part.progress(world) for part in self.of]))
 
     def meaning(self) -> str:
         """Return a description in one line."""
-        return "; ".join(each.meaning() for each in self.of)
+        return "; ".join(part.meaning() for part in self.of)
 
     @property
     def source(self) -> str:
         """Sources of all of them."""
-        return "; ".join(dict.fromkeys(each.source for each in self.of))
+        return "; ".join(dict.fromkeys(part.source for part in self.of))
 
 
 Predicate = Located | Leaning | JointBetween | Every

@@ -48,8 +48,8 @@ def dominoes(count: int, gap: float, bend: float, values: dict[str, Value]) -> P
         of=tuple(Leaning(object=item.name, tilt=TOPPLED, source=TOPPLED_SOURCE) for item in row)
     )
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        first, edges = _foot(made, "domino_1"), grown(scene, made, "domino_1")
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        first, edges = _foot(reconstructed, "domino_1"), grown(scene, reconstructed, "domino_1")
         deep, high = thick * float(edges[0]), tall * float(edges[2])
         way = _level(rotate(first.quat, (1.0, 0.0, 0.0)))
         # 3 mm before its face, near its top, and 6 mm farther than it takes to tip it over.
@@ -79,11 +79,11 @@ def tip(program: str, tall: float, half: float, foot: float, values: dict[str, V
     # The push goes along +x of the table.
     along = np.round(rotate(conjugate(world_poses(scene)[program].quat), (1.0, 0.0, 0.0)), 9)
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        at, edges = _foot(made, program), grown(scene, made, program)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        foot_pose, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
         across, high = float(np.abs(along) @ edges), tall * float(edges[2])
-        way = _level(rotate(at.quat, along))
-        start = at.pos - way * (half * across + 0.012) + np.array([0.0, 0.0, high - 0.012])
+        way = _level(rotate(foot_pose.quat, along))
+        start = foot_pose.pos - way * (half * across + 0.012) + np.array([0.0, 0.0, high - 0.012])
         far = 0.005 + foot * across * (high - 0.012) / high + 0.01
         return push(start, way * far, speed=0.05)
 
@@ -129,21 +129,23 @@ def slide(
         source=PUSHED_SOURCE,
     )
 
-    def between(made: SceneSpec) -> NDArray:
-        poses = world_poses(made)
+    def between(reconstructed: SceneSpec) -> NDArray:
+        poses = world_poses(reconstructed)
         return (poses["mark"].pos + poses["mark_2"].pos) / 2
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        at, edges = _foot(made, program), grown(scene, made, program)
-        offset = (between(made) - at.pos) * [1.0, 1.0, 0.0]
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        foot_pose, edges = _foot(reconstructed, program), grown(scene, reconstructed, program)
+        offset = (between(reconstructed) - foot_pose.pos) * [1.0, 1.0, 0.0]
         way = _level(offset)
-        start = at.pos - way * (half * float(edges[0]) + 0.012)
+        start = foot_pose.pos - way * (half * float(edges[0]) + 0.012)
         start = start + np.array([0.0, 0.0, height * float(edges[2])])
         far = float(np.linalg.norm(offset)) + 0.003
         return push(start, way * far, speed=0.08, retreat=0.1)
 
-    def condition(made: SceneSpec) -> Predicate:
-        x, y, _ = world_poses(made)["table"].inverse().apply(between(made)).tolist()
+    def condition(reconstructed: SceneSpec) -> Predicate:
+        x, y, _ = (
+            world_poses(reconstructed)["table"].inverse().apply(between(reconstructed)).tolist()
+        )
         return goal.model_copy(update={"target": (x, y, goal.target[2])})
 
     return Prepared(scene, goal, plan, condition)
@@ -181,12 +183,14 @@ def off_the_edge() -> Prepared:
         source=PLACED,
     )
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        at, edges = _foot(made, "cube"), grown(scene, made, "cube")
-        way = _level(world_poses(made)["tray"].pos - at.pos)
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        foot_pose, edges = _foot(reconstructed, "cube"), grown(scene, reconstructed, "cube")
+        way = _level(world_poses(reconstructed)["tray"].pos - foot_pose.pos)
         # The shelf's own clearance lies below the cube, too.
         middle = 0.02 * float(edges[2]) - GAP
-        start = at.pos - way * (0.02 * float(edges[0]) + 0.012) + np.array([0.0, 0.0, middle])
+        start = (
+            foot_pose.pos - way * (0.02 * float(edges[0]) + 0.012) + np.array([0.0, 0.0, middle])
+        )
         return push(start, way * 0.075, speed=0.1, retreat=0.1)
 
     return Prepared(scene, goal, plan)
@@ -231,12 +235,15 @@ def ball_into_goal(angle: float) -> Prepared:
         source=PUSHED_SOURCE,
     )
 
-    def plan(made: SceneSpec) -> TaskPlan:
-        at, radius = _foot(made, "ball"), 0.035 * float(grown(scene, made, "ball")[2])
-        offset = (world_poses(made)["gate"].pos - at.pos) * [1.0, 1.0, 0.0]
+    def plan(reconstructed: SceneSpec) -> TaskPlan:
+        foot_pose, radius = (
+            _foot(reconstructed, "ball"),
+            0.035 * float(grown(scene, reconstructed, "ball")[2]),
+        )
+        offset = (world_poses(reconstructed)["gate"].pos - foot_pose.pos) * [1.0, 1.0, 0.0]
         way = _level(offset)
         # The fingers lie flat and are open, so that the ball rests against both.
-        start = at.pos - way * (radius + 0.01) + np.array([0.0, 0.0, radius])
+        start = foot_pose.pos - way * (radius + 0.01) + np.array([0.0, 0.0, radius])
         aim = (float(way[0]), float(way[1]), 0.0)
         side = (-aim[1], aim[0], 0.0)
         far = float(np.linalg.norm(offset)) + 0.06

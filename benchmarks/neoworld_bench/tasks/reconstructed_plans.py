@@ -33,7 +33,7 @@ class PlannedThere:
 
 
 def planned_there(
-    task: ManipulationTask, made: SceneSpec, plan: TaskPlan | str | None = None
+    task: ManipulationTask, reconstructed: SceneSpec, plan: TaskPlan | str | None = None
 ) -> PlannedThere:
     """Plan a task in a reconstruction and execute the plan; failures do not raise.
 
@@ -43,27 +43,27 @@ def planned_there(
 
     Args:
         task: what is to be done.
-        made: a scene of the same objects, moved to where the task's scene is. Objects may be
-            missing, and the table shares the shift.
+        reconstructed: a scene of the same objects, moved to where the task's scene is. Objects may
+            be missing, and the table shares the shift.
         plan: a plan made there, such as a model's; by default the reference planner makes it.
     """
     began = time.perf_counter()
-    there = {item.name for item in made.objects}
+    reconstructed_names = {item.name for item in reconstructed.objects}
     names = [item.name for item in task.scene.objects if not item.environment]
-    found = [name for name in names if name in there]
-    offs = offsets(made, task.scene, found)
-    shift = np.median(offs, axis=0) if found else np.zeros(2)
+    present = [name for name in names if name in reconstructed_names]
+    offs = offsets(reconstructed, task.scene, present)
+    shift = np.median(offs, axis=0) if present else np.zeros(2)
     error = None
-    if task.object in found:
-        error = float(np.linalg.norm(offs[found.index(task.object)] - shift))
-    plan = _planned(task, made) if plan is None else plan
+    if task.object in present:
+        error = float(np.linalg.norm(offs[present.index(task.object)] - shift))
+    plan = _planned(task, reconstructed) if plan is None else plan
     if isinstance(plan, TaskPlan):
         back = (-float(shift[0]), -float(shift[1]), 0.0)
         on_truth = execute(task.scene, plan.shifted(back), task.predicate)
         unaligned = execute(task.scene, plan, task.predicate)
-        in_scene = _carried_out(task, made, plan)
+        in_scene = _carried_out(task, reconstructed, plan)
     else:
-        missing = [name for name in names if name not in there]
+        missing = [name for name in names if name not in reconstructed_names]
         plan += f"; the scene has no {', '.join(missing)}" if missing else ""
         on_truth = in_scene = unaligned = failed(f"no plan: {plan}")
     return PlannedThere(
@@ -76,18 +76,18 @@ def planned_there(
     )
 
 
-def _planned(task: ManipulationTask, made: SceneSpec) -> TaskPlan | str:
+def _planned(task: ManipulationTask, reconstructed: SceneSpec) -> TaskPlan | str:
     """Return the plan, or the reason why there is none."""
     try:
-        return task.plan_in(made)
+        return task.plan_in(reconstructed)
     except Exception as error:  # Whatever a reconstruction lacks, there is no plan for it.
         return described(error)
 
 
-def _carried_out(task: ManipulationTask, made: SceneSpec, plan: TaskPlan) -> Outcome:
+def _carried_out(task: ManipulationTask, reconstructed: SceneSpec, plan: TaskPlan) -> Outcome:
     try:
-        condition: Predicate = task.predicate_in(made)
-        return execute(made, plan, condition)
+        condition: Predicate = task.predicate_in(reconstructed)
+        return execute(reconstructed, plan, condition)
     except Exception as error:  # Such as an object that the predicate names and the scene lacks.
         return failed(f"not carried out: {described(error)}")
 

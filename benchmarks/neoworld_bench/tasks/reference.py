@@ -75,29 +75,31 @@ def pick_and_place(
         drop: how far above the goal to let go [m].
         retreat: how far to draw the fingers back [m].
     """
-    at = world_poses(scene)[name]
-    approach = rotate(at.quat, grasp.approach)
-    start = at.apply(np.array(grasp.point))
-    turn = rotation_vector(quat_mul(goal.quat, conjugate(at.quat)))
+    object_pose = world_poses(scene)[name]
+    approach = rotate(object_pose.quat, grasp.approach)
+    start = object_pose.apply(np.array(grasp.point))
+    turn = rotation_vector(quat_mul(goal.quat, conjugate(object_pose.quat)))
     end = goal.apply(np.array(grasp.point)) + (0, 0, drop)
-    held = grasp.width
-    opened = min(held + 2 * grasp.slack, MAX_OPENING)
+    grasp_width = grasp.width
+    open_width = min(grasp_width + 2 * grasp.slack, MAX_OPENING)
     up = np.array([0.0, 0.0, max(clear, end[2] + hover - start[2])])
     across = end + (0, 0, hover) - (start + up)
     back = -retreat * rotate(rotation(turn), approach)
     return TaskPlan(
         position=_vec(start - ABOVE_M * approach),
         approach=_vec(approach),
-        closing=_vec(rotate(at.quat, grasp.closing)),
-        opening=opened,
+        closing=_vec(rotate(object_pose.quat, grasp.closing)),
+        opening=open_width,
         moves=(
-            _move(ABOVE_M * approach, opened, 1.0),
+            _move(ABOVE_M * approach, open_width, 1.0),
             ToolMove(opening=0, seconds=0.5),
             _move(up, 0, _pace(up, CARRY_M_S)),
             _move(across, 0, _pace(across, CARRY_M_S, turn), turn=turn),
             _move((0, 0, -hover), 0, max(0.5, hover / LOWER_M_S)),
-            ToolMove(opening=min(held + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), seconds=0.5),
-            _move(back, min(held + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), 0.6),
+            ToolMove(
+                opening=min(grasp_width + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), seconds=0.5
+            ),
+            _move(back, min(grasp_width + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), 0.6),
         ),
     )
 
@@ -175,12 +177,15 @@ def work_joint(
     """
     item = scene.object(name)
     moving = item.spec.joint(joint)
-    at = world_poses(scene)[name]
+    object_pose = world_poses(scene)[name]
     value = joint_position(item.spec, moving, item.joint_state)
     if isinstance(value, tuple):
         raise ValueError(f"joint {joint} is a ball")
-    moved = link_poses(item.spec, item.joint_state)
-    part, base = at.then(moved[moving.child]), at.then(moved[moving.parent])
+    part_poses = link_poses(item.spec, item.joint_state)
+    part, base = (
+        object_pose.then(part_poses[moving.child]),
+        object_pose.then(part_poses[moving.parent]),
+    )
     middle, half = _held_box(item.spec, joint, hold.geom)
     point = part.apply(middle + half * np.array(hold.spot))
     axis, anchor = rotate(base.quat, moving.axis), base.apply(np.array(moving.pos))
@@ -191,13 +196,13 @@ def work_joint(
     if hold.way == "grip":
         closing = rotate(part.quat, _axis(hold.closing))
         width = 2 * float(np.abs(_axis(hold.closing)) @ half)
-        opened = width + 2 * SLACK_M
-        first = [_move(ABOVE_M * approach, opened, 1.0), ToolMove(opening=0, seconds=0.5)]
+        open_width = width + 2 * SLACK_M
+        first = [_move(ABOVE_M * approach, open_width, 1.0), ToolMove(opening=0, seconds=0.5)]
         start, grip = point - ABOVE_M * approach, 0.0
     else:
         local = rotate(conjugate(part.quat), way)
         reach = float(np.abs(local) @ half) + 0.003
-        grip = opened = 0.0
+        grip = open_width = 0.0
         if hold.way == "poke":
             start = point - way * (reach + TIP_M)
             approach = way
@@ -213,7 +218,7 @@ def work_joint(
         position=_vec(start),
         approach=_vec(approach),
         closing=_vec(closing),
-        opening=opened,
+        opening=open_width,
         moves=(*first, move),
     )
 
@@ -272,8 +277,8 @@ def _outermost(spec: ObjectSpec, joint: str, most: int = 4) -> list[str]:
             continue
         middle = (low + high) / 2
         arm = middle - anchor
-        far = np.linalg.norm(arm - (arm @ axis) * axis)
-        reach[name] = middle @ axis if moving.type == "prismatic" else float(far)
+        distance = np.linalg.norm(arm - (arm @ axis) * axis)
+        reach[name] = middle @ axis if moving.type == "prismatic" else float(distance)
     return sorted(reach, key=lambda name: -reach[name])[:most]
 
 

@@ -121,7 +121,7 @@ class ManipulationTask:
 
 def _in_other(predicate: Predicate, truth: SceneSpec, scene: SceneSpec) -> Predicate:
     if isinstance(predicate, Every):
-        parts = [_in_other(each, truth, scene) for each in predicate.of]
+        parts = [_in_other(part, truth, scene) for part in predicate.of]
         return predicate.model_copy(update={"of": tuple(parts)})
     if not isinstance(predicate, Located):
         return predicate

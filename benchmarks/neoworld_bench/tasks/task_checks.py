@@ -49,7 +49,7 @@ def check_tasks(tasks: Sequence[ManipulationTask], directions: int) -> Iterator[
     for task in tasks:
         start = time.monotonic()
         outcome = execute(task.scene, task.plan, task.predicate)
-        still = sum(
+        displaced_count = sum(
             execute(task.displaced(heading), task.plan, task.predicate).success
             for heading in _headings(task.name, directions)
         )
@@ -61,7 +61,7 @@ def check_tasks(tasks: Sequence[ManipulationTask], directions: int) -> Iterator[
             reason=outcome.reason,
             waiting=waiting.success,
             drift_mm=1000 * waiting.drift_m,
-            displaced=still,
+            displaced=displaced_count,
             directions=directions,
             lag_mm=1000 * outcome.lag_m,
             simulated_s=outcome.seconds,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from neoworld_mjx.physics.support import posed_shapes
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import Pose, from_yaw, pose
-from neoworld_mjx.spec.scene import moved_whole
+from neoworld_mjx.spec.scene import transformed_scene
 
 from ..fidelity.rendered_scenes import see, visible_shares
 
@@ -34,12 +34,12 @@ class TaskPhoto(NamedTuple):
 
     scene: SceneSpec
     """With its camera, visible boxes, depths and hidden flags."""
-    placed: Pose
+    scene_transform: Pose
     """Motion of the task's scene to its place before the camera."""
 
-    def back(self, made: SceneSpec) -> SceneSpec:
+    def back(self, reconstructed: SceneSpec) -> SceneSpec:
         """Move a scene that was reconstructed from the photograph to where the task's scene is."""
-        return moved_whole(made, self.placed.inverse())
+        return transformed_scene(reconstructed, self.scene_transform.inverse())
 
 
 def photographed_task(scene: SceneSpec) -> TaskPhoto:
@@ -52,16 +52,16 @@ def photographed_task(scene: SceneSpec) -> TaskPhoto:
     """
     best: tuple[float, SceneSpec, Pose] | None = None
     for beside in BESIDE_DEG:
-        placed, camera = _view(scene, math.pi + math.radians(beside))
-        there = moved_whole(scene, placed).model_copy(update={"camera": camera})
-        shown = min(
+        transform, camera = _view(scene, math.pi + math.radians(beside))
+        moved_scene = transformed_scene(scene, transform).model_copy(update={"camera": camera})
+        least_visible = min(
             share
-            for name, share in visible_shares(there).items()
-            if not there.object(name).environment
+            for name, share in visible_shares(moved_scene).items()
+            if not moved_scene.object(name).environment
         )
-        if best is None or shown > best[0]:
-            best = shown, there, placed
-        if shown >= LEAST_SHOWN:
+        if best is None or least_visible > best[0]:
+            best = least_visible, moved_scene, transform
+        if least_visible >= LEAST_SHOWN:
             break
     assert best is not None
     return TaskPhoto(see(best[1], finer=2), best[2])
@@ -74,8 +74,8 @@ def _view(scene: SceneSpec, turn: float) -> tuple[Pose, Camera]:
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     distance = MARGIN * radius / math.sin(FOVY / 2)
     ahead = np.array([distance * math.cos(PITCH), 0.0, 0.0])
-    turned = pose((0.0, 0.0, 0.0), from_yaw(turn))
-    placed = pose(ahead - turned.apply(middle * [1.0, 1.0, 0.0]), turned.quat)
+    rotation = pose((0.0, 0.0, 0.0), from_yaw(turn))
+    transform = pose(ahead - rotation.apply(middle * [1.0, 1.0, 0.0]), rotation.quat)
     camera = Camera(
         width=640,
         height_px=480,
@@ -83,7 +83,7 @@ def _view(scene: SceneSpec, turn: float) -> tuple[Pose, Camera]:
         height=float(middle[2]) + distance * math.sin(PITCH),
         pitch=PITCH,
     )
-    return placed, camera
+    return transform, camera
 
 
 def _points(scene: SceneSpec) -> Float[np.ndarray, "n 3"]:

@@ -19,7 +19,7 @@ from ..materials import MATERIALS
 from ..part import Joint, Part
 from ..placing import Shape
 from ..sdk_object import Object
-from ..session import LimitExceeded, Session, entered
+from ..session import LimitExceeded, Session, use_session
 from .blender_availability import require_blender
 from .blender_process import failure, run_confined
 from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
@@ -68,7 +68,7 @@ def build_object(
     if scene.error is not None:
         return [_raised(scene)]
     try:
-        with entered(session):
+        with use_session(session):
             return _Conversion(scene, time.monotonic() + options.blender_timeout_s).run()
     except LimitExceeded as exceeded:
         return [limit_signal(exceeded, session)]
@@ -118,8 +118,8 @@ class _Conversion:
 
     def _part(self, name: str) -> Part:
         if name not in self.parts:
-            taken = {part.name for part in self.parts.values()}
-            self.parts[name] = self.object.part(identifier(name, "part", taken))
+            names = {part.name for part in self.parts.values()}
+            self.parts[name] = self.object.part(identifier(name, "part", names))
         return self.parts[name]
 
     def _known_part(self, name: str, argument: str) -> Part:
@@ -137,13 +137,13 @@ class _Conversion:
             if time.monotonic() > self.deadline:
                 raise TimeoutError("splitting the shapes into convex pieces takes too long")
             try:
-                placed = shape_of(solid, shape.convex or shape.role == "visual")
+                shape_and_pose = shape_of(solid, shape.convex or shape.role == "visual")
             except ValueError as error:
                 raise ValueError(f"{context}: {error}") from None
-            if placed is None:
+            if shape_and_pose is None:
                 continue
             part.add(
-                Shape(*placed),
+                Shape(*shape_and_pose),
                 material=self._material(shape, solid.slot),
                 role=shape.role,  # pyright: ignore[reportArgumentType] the SDK checks it
                 name=identifier(shape.name, "shape", part._named),
@@ -182,10 +182,10 @@ class _Conversion:
         built: dict[str, Joint] = {}
         pending = list(self.scene.joints)
         while pending:
-            ready = [joint for joint in pending if _named_by(joint) <= built.keys()]
+            ready = [joint for joint in pending if _referenced_joints(joint) <= built.keys()]
             if not ready:
                 joint, known = pending[0], [joint.name for joint in self.scene.joints]
-                unknown = sorted(_named_by(joint) - built.keys())
+                unknown = sorted(_referenced_joints(joint) - built.keys())
                 raise ValueError(
                     f"joint {joint.name!r}: mimic or after: {choices(unknown[0], known)}, and none "
                     "may wait for itself"
@@ -220,9 +220,9 @@ class _Conversion:
             arguments["mimic"] = built[joint.mimic]
             arguments["multiplier"] = 1.0 if joint.multiplier is None else joint.multiplier
             arguments["offset"] = joint.offset or 0.0
-        openers = [built[name] for name in _after(joint)]
-        if openers:
-            arguments["after"] = openers
+        prerequisites = [built[name] for name in _prerequisite_names(joint)]
+        if prerequisites:
+            arguments["after"] = prerequisites
         return create(name, parent, child, **arguments)
 
 
@@ -236,12 +236,12 @@ def _rounded(values: list[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _after(joint: BlenderJoint) -> list[str]:
+def _prerequisite_names(joint: BlenderJoint) -> list[str]:
     return [name.strip() for name in (joint.after or "").split(",") if name.strip()]
 
 
-def _named_by(joint: BlenderJoint) -> set[str]:
-    return {*_after(joint), *([joint.mimic] if joint.mimic else [])}
+def _referenced_joints(joint: BlenderJoint) -> set[str]:
+    return {*_prerequisite_names(joint), *([joint.mimic] if joint.mimic else [])}
 
 
 def _material_in(name: str) -> str | None:

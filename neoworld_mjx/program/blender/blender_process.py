@@ -18,12 +18,12 @@ from .blender_scene import BlenderScene
 
 SCENE_MIB = 48
 """Largest size of the returned scene [MiB]; a triangle takes about 40 bytes."""
-_WALL = 4.0
+_WALL_TIME_FACTOR = 4.0
 """Limit on wall time, as a multiple of the limit on processor time; the machine may be busy."""
 _CPU_START_S = 5
 """Additional processor time for loading Blender [s]."""
 _CHILD = Path(__file__).with_name("blender_child.py")
-_KILLED = (-9, -24)
+_KILL_CODES = (-9, -24)
 """Exit codes of a process that exceeded the limit on processor time: SIGKILL and SIGXCPU."""
 
 
@@ -87,15 +87,17 @@ def run_confined(
                 start_new_session=True,
             )
             try:
-                code, late = child.wait(_WALL * cpu_s), False
+                code, timed_out = child.wait(_WALL_TIME_FACTOR * cpu_s), False
             except subprocess.TimeoutExpired:
-                code, late = 0, True
+                code, timed_out = 0, True
             finally:
                 child.kill()
                 child.wait()
         out, err = (_read(path, printed_bytes) for path in paths[1:3])
-        if late or code:
-            return BlenderOutput(None, code or -9, out, err, timed_out=late or code in _KILLED)
+        if timed_out or code:
+            return BlenderOutput(
+                None, code or -9, out, err, timed_out=timed_out or code in _KILL_CODES
+            )
         try:
             scene = read_model(paths[3], BlenderScene, ProgramError, "a scene of Blender")
         except ProgramError as error:

@@ -41,7 +41,7 @@ def split_solids(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Soli
         slots: material slot of each triangle, shape [f].
     """
     label = _components(len(vertices), faces)
-    if not all(_closed(faces[label == k]) for k in np.unique(label)):
+    if not all(_is_closed(faces[label == k]) for k in np.unique(label)):
         vertices, index = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
         faces = index.reshape(-1)[faces]
         a, b, c = faces.T
@@ -53,7 +53,7 @@ def split_solids(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Soli
     if groups and volumes.max() < 0:
         faces, volumes = faces[:, ::-1], -volumes
     outer = int(volumes.argmax()) if groups else 0
-    cavities = [k for k, v in enumerate(volumes) if v < -1e-12 and _closed(faces[groups[k]])]
+    cavities = [k for k, v in enumerate(volumes) if v < -1e-12 and _is_closed(faces[groups[k]])]
     for k in cavities:
         groups[outer] = np.concatenate([groups[outer], groups[k]])
     return [
@@ -110,7 +110,7 @@ def _components(count: int, faces: NDArray) -> NDArray:
     return label[faces[:, 0]]
 
 
-def _closed(faces: NDArray) -> bool:
+def _is_closed(faces: NDArray) -> bool:
     """Return True if every edge belongs to two faces that traverse it in opposite directions."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     directed = {(int(a), int(b)) for a, b in edges}
@@ -146,17 +146,17 @@ def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
         return None
     # Order the edges by the nearest axes, so that an axis-aligned box has no rotation.
     lengths = np.array([np.linalg.norm(edge) for edge in axes])
-    turn = np.array([edge / length for edge, length in zip(axes, lengths, strict=True)])
-    order = np.abs(turn).argmax(axis=1)
+    rotation = np.array([edge / length for edge, length in zip(axes, lengths, strict=True)])
+    order = np.abs(rotation).argmax(axis=1)
     if len(set(order.tolist())) == 3:
-        turn, lengths = turn[np.argsort(order)], lengths[np.argsort(order)]
-        turn = turn * np.where(np.diag(turn) < 0, -1.0, 1.0)[:, None]
-    if np.linalg.det(turn) < 0:
-        turn[2] = -turn[2]
-    local = np.abs((vertices - centre) @ turn.T)
+        rotation, lengths = rotation[np.argsort(order)], lengths[np.argsort(order)]
+        rotation = rotation * np.where(np.diag(rotation) < 0, -1.0, 1.0)[:, None]
+    if np.linalg.det(rotation) < 0:
+        rotation[2] = -rotation[2]
+    local = np.abs((vertices - centre) @ rotation.T)
     if np.abs(local - lengths / 2).max() > _SQUARE * max(1.0, float(lengths.max())):
         return None
-    if np.abs(turn - np.eye(3)).max() < _SQUARE * 10:
-        turn = np.eye(3)
+    if np.abs(rotation - np.eye(3)).max() < _SQUARE * 10:
+        rotation = np.eye(3)
     x, y, z = np.round(lengths, 7).tolist()
-    return Box(size=(x, y, z)), pose(np.round(centre, 7), from_matrix(turn.T))
+    return Box(size=(x, y, z)), pose(np.round(centre, 7), from_matrix(rotation.T))

@@ -8,7 +8,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...annotation.annotation import GROUND, KEPT, MODEL, SHAPES, AnnotatedObject, Annotation
+from ...annotation.annotation import (
+    EXISTING_PROGRAM,
+    GROUND,
+    SHAPES,
+    WRITTEN_BY_MODEL,
+    AnnotatedObject,
+    Annotation,
+)
 from ...annotation.edits import find_object, with_box, with_change, without
 from ...config import Config
 from ...errors import SpecError
@@ -136,7 +143,7 @@ class Annotator:
         gui.add_button("Draw its box").on_click(lambda event: self._begin_box(event.client))
         self._message = gui.add_html("")
         self._object_folder = gui.add_folder("This object")
-        kinds = (*SHAPES, MODEL, KEPT, *templates())
+        kinds = (*SHAPES, WRITTEN_BY_MODEL, EXISTING_PROGRAM, *templates())
         with self._object_folder:
             self._fields = {
                 "name": gui.add_text("Name", ""),

@@ -36,8 +36,8 @@ class Contacts(NamedTuple):
         for depth, pair in zip(self.depths, self.pairs, strict=True):
             deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
         worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
-        named = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
-        return f"{len(self.depths)} contacts. Deepest: {'; '.join(named) or 'no overlap'}"
+        lines = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
+        return f"{len(self.depths)} contacts. Deepest: {'; '.join(lines) or 'no overlap'}"
 
 
 class FreeFall:

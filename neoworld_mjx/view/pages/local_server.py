@@ -101,8 +101,8 @@ def close_server(server: Any) -> None:
 def address(server: Any) -> str:
     """Return the URL of the page for a browser on this machine."""
     host = server.get_host()
-    shown = "localhost" if host in (LOCAL, "0.0.0.0", "::") else host
-    return f"http://{shown}:{server.get_port()}"
+    host_name = "localhost" if host in (LOCAL, "0.0.0.0", "::") else host
+    return f"http://{host_name}:{server.get_port()}"
 
 
 def _free_port(host: str, port: int | None) -> int:

@@ -52,7 +52,7 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
         raise RunError("refine/history.npz does not belong to compose/scene.json")
     chosen = ranked_candidates(history, iteration)[:GHOSTS]
     xy, yaw, log_scale = (history[key][iteration][chosen] for key in ("xy", "yaw", "log_scale"))
-    moved = np.abs(np.concatenate([xy, yaw[..., None], log_scale[..., None]], axis=2)) > 1e-5
+    changed = np.abs(np.concatenate([xy, yaw[..., None], log_scale[..., None]], axis=2)) > 1e-5
     rank = np.linspace(0.0, 1.0, len(chosen))[:, None]
     colors = np.round(GOOD + rank * (POOR - GOOD)).astype(np.uint8)
     arrangement = arrange(snap(scene))
@@ -69,7 +69,7 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
     hide_ghosts(server)
     with server.atomic():
         for k, obj in enumerate(scene.objects):
-            if obj.static or not moved[:, k].any():
+            if obj.static or not changed[:, k].any():
                 continue
             meshes = [m for part in obj.spec.parts for m in visible_meshes(obj.spec, part)]
             for n, mesh in enumerate(meshes):
@@ -131,7 +131,7 @@ class Ghosts:
                 f"iteration {requested}: the best {count} candidates that were rolled out"
             )
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Remove the ghosts, and forget which iteration was shown."""
         with self._lock:
             self._requested = self._shown = 0

@@ -44,8 +44,8 @@ class RectanglePicker:
         self._waiting = True
 
         @self._server.scene.on_rect_select()
-        def drawn(event: Any) -> None:
-            self._server.scene.remove_rect_select_callback(drawn)
+        def on_rectangle(event: Any) -> None:
+            self._server.scene.remove_rect_select_callback(on_rectangle)
             self._waiting = False
             view, current = event.client.camera, self._camera() or camera
             corners = (event.screen_min, event.screen_max)

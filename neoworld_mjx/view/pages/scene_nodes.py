@@ -28,9 +28,9 @@ def part_poses(scene: SceneSpec) -> PartPoses:
     """Return the pose of each part at the scene's poses and joint states."""
     poses = world_poses(scene)
     return {
-        (obj.name, part): poses[obj.name].then(moved)
+        (obj.name, part): poses[obj.name].then(part_pose)
         for obj in scene.objects
-        for part, moved in link_poses(obj.spec, obj.joint_state).items()
+        for part, part_pose in link_poses(obj.spec, obj.joint_state).items()
     }
 
 

@@ -155,7 +155,7 @@ class SceneViewer:
         self._blend.visible = target.picture is not None and target.after.camera is not None
         self._home_button.visible = target.after.camera is not None
         self._box.visible = self._blend.visible
-        self._ghosts.forget()
+        self._ghosts.reset()
         self._layout.value = "after"
         self._joints.show(self._editor.scene)
         self._load_history()

@@ -23,7 +23,7 @@ LABELS = {
     "prior": ("prior, sigma²", 1.0),
 }
 """Label with unit for each built-in term, and the factor that converts values to this unit."""
-NOT_DRAWN = -1
+NOT_SAMPLED = -1
 """Status of an entry of the arrays for which no candidate was sampled."""
 
 History = Mapping[str, NDArray]
@@ -117,7 +117,7 @@ def _reward_chart(absolute: NDArray) -> Markup:
 def _valid_chart(history: History) -> Markup:
     if "valid" not in history:
         return elements.missing("history.npz does not state which candidates are valid.")
-    valid = 100.0 * history["valid"].sum(1) / np.maximum(_drawn(history), 1)
+    valid = 100.0 * history["valid"].sum(1) / np.maximum(_sampled(history), 1)
     lines = [Series("valid", valid, "var(--c3)")]
     return line_chart(lines, y_label="candidates, %", limits=(0.0, 100.0))
 
@@ -128,27 +128,27 @@ def _term_chart(term: TermHistory, best: NDArray) -> Markup:
     return line_chart([Series("candidate of best reward", chosen), mean], y_label=term.label)
 
 
-def _drawn(history: History) -> NDArray:
+def _sampled(history: History) -> NDArray:
     """Return the number of sampled candidates in each iteration."""
     status = history.get("status")
     if status is None:
         iterations, population = history["absolute"].shape
         return np.full(iterations, population)
-    return np.sum(status != NOT_DRAWN, axis=1)
+    return np.sum(status != NOT_SAMPLED, axis=1)
 
 
 def _table(history: History, terms: list[TermHistory], chosen: NDArray) -> Markup:
     absolute = history["absolute"]
     best, mean = over_finite(absolute, np.max), over_finite(absolute, np.mean)
-    drawn = _drawn(history)
-    failed = drawn - np.sum(np.isfinite(absolute), axis=1)
+    sampled = _sampled(history)
+    failed = sampled - np.sum(np.isfinite(absolute), axis=1)
     heads = ["#iteration", "#best", "#mean", "#sampled", "#valid", "#failed"]
     heads += ["#mean log scale", *(f"#{term.name} of best" for term in terms)]
     rows = []
     for i in range(len(absolute)):
         valid = int(np.sum(history["valid"][i])) if "valid" in history else ""
         scale = f"{np.nanmean(history['log_scale'][i]):+.4f}" if "log_scale" in history else ""
-        counts = [drawn[i], valid, failed[i]]
+        counts = [sampled[i], valid, failed[i]]
         values = [f"{term.values[i, chosen[i]]:.4g}" for term in terms]
         rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", *counts, scale, *values])
     return elements.table(heads, rows)

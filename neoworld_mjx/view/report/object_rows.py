@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 from pydantic import ValidationError
 
-from ...checks.verdict import Check, quantity
+from ...checks.verdict import Check, format_quantity
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
@@ -67,10 +67,10 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         tests += "; the scene is valid, because it supports these objects"
     elif causes:
         tests = " the object tests or the final check of the scene"
-    said = "" if untested == len(rows) else f"{outcome}{tests}. "
+    summary = "" if untested == len(rows) else f"{outcome}{tests}. "
     if untested:
-        said += f"{untested} of {len(rows)} were not tested alone. "
-    note = elements.paragraph(f"{said}Open a row to see its checks.", "dim")
+        summary += f"{untested} of {len(rows)} were not tested alone. "
+    note = elements.paragraph(f"{summary}Open a row to see its checks.", "dim")
     return elements.section(TITLE, note, *(row for _, row in rows))
 
 
@@ -109,8 +109,8 @@ def _facts(
     if agreement.get("refined") is not None:
         steps = {"parsed": "parsed cuboid", "composed": "composed", "refined": "refined"}
         overlaps = [
-            f"{shown} {agreement[step]:.2f}"
-            for step, shown in steps.items()
+            f"{label} {agreement[step]:.2f}"
+            for step, label in steps.items()
             if agreement.get(step) is not None
         ]
         facts.append(("boxes agree", ", ".join(overlaps)))
@@ -163,7 +163,7 @@ def _measured(check: Mapping[str, Any], key: str) -> str:
     value = check.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return "" if value is None else str(value)
-    return quantity(value, str(check.get("unit") or ""))
+    return format_quantity(value, str(check.get("unit") or ""))
 
 
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:

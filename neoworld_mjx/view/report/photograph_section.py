@@ -121,26 +121,26 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
     heading, size = math.degrees(deviations["yaw"]), 100 * deviations["log_scale"]
     # An object on a wall moves only in the plane of the wall, so its distance has no deviation.
     on_wall = along == 0
-    moved = 1000 * math.hypot(*change["shift_m"])
+    shift_mm = 1000 * math.hypot(*change["shift_m"])
     source = _SOURCES[change["evidence"]]
     if on_wall:
-        known = [f"along the wall {_deviation(across)} mm"]
+        deviation_texts = [f"along the wall {_deviation(across)} mm"]
     else:
         unseen = deviations["yaw"] >= UNSEEN * YAW
-        known = [
+        deviation_texts = [
             f"along the view {_deviation(along)} mm",
             f"across {_deviation(across)} mm",
             "heading not seen" if unseen else f"heading {_deviation(heading)}°",
         ]
-    known.append(f"size {_deviation(size)} %")
+    deviation_texts.append(f"size {_deviation(size)} %")
     return [
         name,
         f"{source}: {change['reason']}" if change["reason"] else source,
-        f"{moved:.{_digits(across if on_wall else min(along, across))}f}",
+        f"{shift_mm:.{_digits(across if on_wall else min(along, across))}f}",
         _signed(change["yaw_deg"], _digits(heading)),
         _signed(100 * (change["size_ratio"] - 1), _digits(size)),
         *(outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
-        ", ".join(known),
+        ", ".join(deviation_texts),
     ]
 
 

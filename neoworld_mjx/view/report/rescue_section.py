@@ -32,11 +32,11 @@ def rescue_section(folder: Path) -> Markup:
     rows = [
         [
             name,
-            f"{1000 * moved:.1f}",
+            f"{1000 * move:.1f}",
             f"{rescued['turns_deg'][name]:.1f}",
             *(outline_off(outlines[name][key]) for key in ("given", "rescued") if outlines),
         ]
-        for name, moved in rescued["moves_m"].items()
+        for name, move in rescued["moves_m"].items()
     ]
     pictures = [
         (folder / "photo.png", "Photograph"),
@@ -44,11 +44,11 @@ def rescue_section(folder: Path) -> Markup:
         (folder / "pictures" / "after.png", "Rescued, through the same camera"),
         (folder / "pictures" / "rescued.png", _CAPTION),
     ]
-    shown = [picture(path, caption) for path, caption in pictures] if outlines else []
+    figures = [picture(path, caption) for path, caption in pictures] if outlines else []
     return elements.section(
         TITLE,
         elements.paragraph(CHECKED),
-        elements.div("pictures", *shown) if shown else "",
+        elements.div("pictures", *figures) if figures else "",
         elements.paragraph(_agreement(outlines)),
         elements.table(heads, rows),
         elements.paragraph(OUTLINE_OFF, "dim") if outlines else "",
@@ -59,10 +59,12 @@ def _agreement(outlines: dict[str, Any]) -> str:
     """Return a sentence on how many outlines are nearer to the photograph's than as given."""
     if not outlines:
         return "No photograph was given, so nothing was compared with one."
-    known = [(o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()]
-    nearer = sum(after < before for before, after in known)
-    unknown = len(outlines) - len(known)
+    outline_pairs = [
+        (o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()
+    ]
+    nearer = sum(after < before for before, after in outline_pairs)
+    unknown = len(outlines) - len(outline_pairs)
     return (
         f"Of {len(outlines)} movable objects, {nearer} have outlines nearer to the photograph's "
-        f"than as given, {len(known) - nearer} do not, and {unknown} are unknown."
+        f"than as given, {len(outline_pairs) - nearer} do not, and {unknown} are unknown."
     )

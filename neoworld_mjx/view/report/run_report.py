@@ -39,7 +39,7 @@ _ERRORS = (
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a section may raise if a file has an unexpected structure."""
-OF_PHOTOGRAPHS = (
+SECTIONS_NOT_IN_RESCUE = (
     *("Before and after", object_rows.TITLE, "Parse", changes.TITLE, "Models"),
     "Agreement with the photograph",
 )
@@ -84,7 +84,7 @@ def write_report(folder: Path) -> Path:
         ("Options and versions", lambda: _settings(run)),
     ]
     if (folder / rescue_section.FILE).is_file():
-        sections = [each for each in sections if each[0] not in OF_PHOTOGRAPHS]
+        sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
         [_draw_section(name, section) for name, section in sections],
@@ -161,7 +161,7 @@ def _numbers(run: dict[str, Any]) -> Markup:
 
     pairs, depth, drift = number("s_pen"), number("max_depth_m"), number("max_drift_m")
     turn, scale, stable = number("max_tilt_deg"), number("mean_log_scale"), metrics.get("s_stab")
-    moved = f"{number('mean_shift_m') * 1000:.1f} mm, {number('mean_turn_deg'):.1f}°"
+    shift = f"{number('mean_shift_m') * 1000:.1f} mm, {number('mean_turn_deg'):.1f}°"
     drift_limit = f"{limits['max_drift_m'] * 1000:g} mm in {limits['check_duration_s']:g} s"
     cards: list[tuple[str, str, str, str, bool | None]] = [
         ("s_pen", "S-Pen (exported scene)", f"{pairs:.0f}", "target 0", pairs == 0),
@@ -189,7 +189,7 @@ def _numbers(run: dict[str, Any]) -> Markup:
         (
             "mean_shift_m",
             "moved after composition",
-            moved,
+            shift,
             "mean, settling and tilt included",
             None,
         ),
