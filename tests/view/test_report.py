@@ -511,7 +511,7 @@ def test_every_reward_term_is_shown_by_name(tmp_path):
 
 
 def test_failed_candidates_are_counted(tmp_path):
-    assert convergence.NOT_DRAWN == rounds.NOT_SAMPLED
+    assert convergence.NOT_SAMPLED == rounds.NOT_SAMPLED
     path = tmp_path / "history.npz"
     _history(path, iterations=2, population=8)
     with np.load(path) as data:
