@@ -41,11 +41,11 @@ def keep_compilations() -> Path | None:
 
 
 def free_memory_maps(share: float = 0.5) -> bool:
-    """Clear JAX's caches if the process may run out of memory maps; return True if it did so.
+    """Clear JAX's caches if the process may run out of memory maps; return True if it cleared them.
 
-    On CPUs, every compiled function maps some hundred memory regions, and JAX keeps the compiled
+    On CPUs, every compiled function maps about a hundred memory regions, and JAX keeps the compiled
     functions of past scenes. Linux allows 65 530 maps per process, so compilation would fail after
-    some thirty scenes. The caches are cleared if the process uses at least the fraction `share` of
+    about thirty scenes. The caches are cleared if the process uses at least the fraction `share` of
     the allowed maps. On systems that do not report memory maps, the caches are never cleared.
     """
     import jax

@@ -105,7 +105,7 @@ class Unknowns:
 
     @property
     def size_with_stretches(self) -> int:
-        """Number of unknowns and of nuisance unknowns."""
+        """Number of all unknowns, including the stretches, which are nuisance parameters."""
         return self.size + STRETCH * (len(self.free) + len(self.joints))
 
     @property

@@ -182,7 +182,7 @@ class Verdict(Spec):
 
     @property
     def score(self) -> float:
-        """Fault score: the sum over failed checks of 1 plus a tenth of the margin."""
+        """Fault score: the sum of (1 + margin / 10) over the failed checks."""
         return sum(1.0 + 0.1 * check.margin for check in self.checks if check.failed)
 
     def to_json(self) -> str:

@@ -112,7 +112,7 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
 
     A lying object is verified in its resting pose. Some objects depend on their scene and would
     fall without it: objects that lean or hang, objects that are tilted on a support that is not
-    level, and objects in a container that cannot stand on their own.
+    level, and objects that are in a container and cannot stand on their own.
 
     Args:
         node: the object, as parsed.

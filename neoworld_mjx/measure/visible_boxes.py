@@ -35,7 +35,9 @@ def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
 
 
 def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
-    """Return, for each object, the sides of its visible box at which the object itself ends.
+    """Return, for each object, the sides of its visible box that are ends of the object itself.
+
+    Other sides are edges of an occluder or of the image.
 
     Environment supports are omitted. The result is empty if the scene has no camera.
     """

@@ -220,8 +220,9 @@ def compile_scene(
 def _at_composed_heights(a: Arrangement) -> Arrangement:
     """Return an arrangement whose zero layout has the composed heights.
 
-    An object that rests on other objects, is tilted, or penetrates its support keeps its height
-    above the surface under it.
+    The gap of each snapped object becomes its composed height minus the height at which it touches
+    its support. Without this, objects that rest on several objects, are tilted, or penetrate their
+    support would change their heights in the zero layout.
     """
     touch = snapped_heights(a, Layout.zero(1, len(a.parent)))[0] - a.gap
     return a._replace(gap=np.where(a.snapped, a.z - touch, a.gap))

@@ -290,7 +290,10 @@ def _leans(item: SceneObject) -> bool:
 
 
 def link_frame(parent: SceneObject, link: str | None) -> Pose:
-    """Return a link's support frame, relative to the parent's origin, in the parent's yaw frame."""
+    """Return the upright frame of a link of a supporting object, relative to the object's frame.
+
+    The frame is rotated about the vertical only. If `link` is None, it is that of the base.
+    """
     link_pose = pose((0, 0, 0), parent.base_tilt)
     if link is not None:
         link_pose = link_pose.then(link_poses(parent.spec, parent.joint_state)[link])

@@ -175,7 +175,7 @@ def free_dimensions(
 def _states(
     contours: Contours, alignment: Alignment, programs: EditablePrograms
 ) -> tuple[dict[str, _Object], dict[str, str]]:
-    """Return the objects whose programs may be changed, and for each other object the reason."""
+    """Return the objects whose programs may be changed, and why the others may not, by name."""
     objects, excluded, texts = {}, {}, programs.texts
     for name in alignment.objects:
         k = alignment.scene.index(name)
@@ -209,7 +209,8 @@ def _propose(
     """Propose a change of an object.
 
     Returns:
-        The object, with the reason if no change is proposed, and the proposal or None.
+        The updated state of the object, which holds the reason if no change is proposed; and the
+        proposal, or None.
     """
     k = contours.fitted.unknowns.scene.index(name)
     if k not in contours.fitted.shapes or not state.current:

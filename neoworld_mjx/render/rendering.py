@@ -60,8 +60,8 @@ def render(
 ) -> RenderedImage:
     """Render a scene or a posed model.
 
-    If only one of `width` and `height` is given, the other follows from the aspect ratio of a
-    `Camera`, and does not change for a `View`.
+    If only one of `width` and `height` is given, the other is computed from the aspect ratio of a
+    `Camera`; for a `View`, it is the size stored in the view.
 
     Args:
         scene: a scene, rendered at its poses and joint states, or a model and its data after
@@ -70,10 +70,10 @@ def render(
         camera: the camera.
         width: width [px].
         height: height [px].
-        supersample: rays per pixel and axis at edges; 1 disables antialiasing.
+        supersample: rays per pixel along each axis, at edges only; 1 disables antialiasing.
         floor: if True, render a plain floor below all objects, and the scene's backdrop. Neither
             counts as an object.
-        shadows: if False, omit shadows. Rendering takes half the time, and only colors change.
+        shadows: if False, omit shadows. This halves the rendering time and affects only the colors.
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)

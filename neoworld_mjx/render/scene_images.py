@@ -38,7 +38,7 @@ def render_scene(
         width: width [px]; by default the width of the camera, or 480 without one.
         height: height [px]; by default it follows from the aspect ratio of the camera, or is 2/3 of
             the width without one.
-        supersample: rays per pixel and axis at edges.
+        supersample: rays per pixel along each axis, at edges only.
     """
     camera = camera or scene.camera
     if camera is None:
@@ -74,7 +74,7 @@ def render_object(
             object's right side (-y).
         width: width [px].
         height: height [px].
-        supersample: rays per pixel and axis at edges.
+        supersample: rays per pixel along each axis, at edges only.
     """
     obj = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
     if camera is None:

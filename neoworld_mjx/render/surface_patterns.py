@@ -31,7 +31,7 @@ def patterned(
     Args:
         pattern: the pattern.
         colour: linear color of the material [3].
-        second: linear color [3] of joints, veins, etc.; if None, a darker shade of `colour`.
+        second: linear color [3] of mortar, veins, etc.; if None, a darker shade of `colour`.
         point: points in the object's frame [m], shape [n, 3].
         normal: normals at the points, shape [n, 3].
         pixel: size of a pixel at each point [m], shape [n].

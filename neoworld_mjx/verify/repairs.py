@@ -158,7 +158,7 @@ def repair(
 def _likeliest_cause(
     verdict: Verdict, given_up: Collection[tuple[Fault | None, str]]
 ) -> Check | None:
-    """Return the failed check of the likeliest repairable cause, or None.
+    """Return the first failed check of the likeliest repairable fault, or None.
 
     Checks in `given_up` are excluded.
     """

@@ -44,7 +44,7 @@ class BlenderOutput:
 
     @property
     def missing(self) -> str:
-        """Feature that this machine lacks and that confining the process needs; empty if none."""
+        """Kernel feature that confines the process but is missing on this machine; else empty."""
         if self.exit_code != UNAVAILABLE:
             return ""
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
