@@ -60,7 +60,7 @@ class NormalEquations:
 
     @property
     def with_box(self) -> frozenset[int]:
-        """Indices of the objects with evidence of a 2D box."""
+        """Indices of the objects whose 2D boxes were added as evidence."""
         return frozenset(self._boxes)
 
     def solved(

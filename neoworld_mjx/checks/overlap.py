@@ -67,7 +67,7 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
 def _needless_prerequisites(
     sweep: JointSweep, swept: JointRange, options: ProgramOptions
 ) -> Iterator[Signal]:
-    """Yield an error for each prerequisite that does not obstruct the joint when it is closed.
+    """Yield an error for each prerequisite that, when closed, does not obstruct the joint.
 
     A prerequisite excludes states from the sweep, so needless prerequisites are not allowed.
     """

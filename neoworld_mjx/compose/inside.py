@@ -92,7 +92,7 @@ def has_same_footprint(parent: SceneObject, obj: SceneObject) -> bool:
 
 
 def _min_separation(a: SceneObject, b: SceneObject) -> float:
-    """Return the smallest distance [m] between the positions of two objects in a container."""
+    """Return the distance [m] that the positions of two objects in a container must keep."""
     widths = [np.ptp(bounds(o.spec, o.joint_state), axis=0)[:2].min() for o in (a, b)]
     return float(sum(widths)) / 4
 

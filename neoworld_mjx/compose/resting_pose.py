@@ -141,7 +141,7 @@ def _tilted_directions(down: NDArray, step: float) -> list[NDArray]:
 
 
 def _lower(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
-    """Minimize the extent of points along a direction that is within a step of `down`.
+    """Find the unit vector within `step` of `down` with the smallest largest projection of points.
 
     The extent is a maximum of linear functions, so it is not smooth. A linear program minimizes it.
 

@@ -168,7 +168,7 @@ def guide() -> str:
 
 
 def all_instructions(options: ProgramOptions) -> str:
-    """Return the system prompts of all requests to programmers, joined by newlines."""
+    """Return the system prompts of all requests for programs, joined by newlines."""
     return "\n".join(instructions(s.file, options.language) for s in STAGES[options.stages])
 
 

@@ -33,7 +33,7 @@ class CEMParams(eqx.Module):
 class CEMState(eqx.Module):
     """A diagonal Gaussian over (dx, dy, dyaw, log s) of every object.
 
-    The population axes of both layouts have length 1.
+    `mean` and `std` are layouts whose population axis has length 1.
     """
 
     mean: Layout
