@@ -13,7 +13,7 @@ def box(name, size=(0.1, 0.1, 0.1)):
     return scenes.single(name, (Box(size=size), (0, 0, 0)))
 
 
-@pytest.mark.parametrize("depth", [0.0004, 0.004, 0.03])
+@pytest.mark.parametrize("depth", [0.0004, 0.0009, 0.0011, 0.0019, 0.03])
 def test_depth_of_two_boxes_side_by_side(depth):
     result = scene_measure(
         scenes.on_table((box("a"), (0, 0), 0.0, {}), (box("b"), (0.1 - depth, 0), 0.0, {})),
