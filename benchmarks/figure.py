@@ -126,7 +126,7 @@ def recorded(result: dict[str, Any], known: Figure | None, code: list[str]) -> F
     if isinstance(result.get("n"), str):
         measured["n"] = result["n"]
     if machine:
-        devices = ", ".join(machine["devices"])
+        devices = ", ".join(machine["devices"]).replace("cpu: cpu", "JAX on the CPU")
         cores = f"{machine['cores']} cores, load {machine['load'][0]:.1f}"
         measured["device"] = f"{machine['processor']}, {cores}; {devices}"
         measured["software"] = ", ".join(f"{k} {v}" for k, v in machine["versions"].items())
