@@ -159,7 +159,7 @@ class Unknowns:
         return surface._replace(vertices=place.world(body, surface.vertices))
 
     def mesh(self, place: Placement, k: int) -> WorldMesh:
-        """Return the visible surface of an object in the world, without its faces."""
+        """Return an object's visible surface in the world, without indices of smooth faces."""
         bodies = np.flatnonzero(self.object_of == k).tolist()
         return joined([self.body_mesh(place, b) for b in bodies])
 

@@ -196,7 +196,7 @@ def _corners(piece: Piece, piece_pose: Pose) -> NDArray:
 
 
 def _order_by_level(xy: NDArray, level: NDArray) -> NDArray:
-    """Order points from low to high levels, so that any first points cover their level evenly.
+    """Return indices that order points by level; the first points of a level cover it evenly.
 
     If there are several levels, no level has more than the fraction LEVEL_SHARE of the first
     UNDERSIDE_POINTS points.

@@ -67,7 +67,7 @@ class Shape:
 
 @no_type_check
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, context: str) -> Pose:
-    """Return the pose of a shape's spec for which the shape's origin or anchor lies at a point.
+    """Return the pose that puts a shape's origin or anchor at a point.
 
     Args:
         shape: the shape.

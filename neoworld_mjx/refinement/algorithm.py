@@ -15,7 +15,8 @@ valid candidate (see `Scores.rested`). Each object has a factor that multiplies 
 deviations:
 
 - The factor is initially 0 for objects that rest in the initial layout, and 1 for all others.
-- It doubles, up to a limit, in every iteration in which the object rests in no candidate.
+- A factor that is not 0 doubles, up to a limit, in every iteration in which its object rests in no
+  candidate.
 
 Until a candidate is valid, the distribution of an object is fitted to the candidates in which this
 object rests. `configs/paper.yaml` disables the rule.

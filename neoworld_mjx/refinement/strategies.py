@@ -202,7 +202,7 @@ def open_strategy(
         name: name of the strategy in evosax, such as SNES.
         scene: the scene's arrays.
         options: options that give the population size and the initial standard deviations.
-        parameters: values by name, of parameters of evosax, LEARNING_RATE and RESTART.
+        parameters: values by name: parameters of evosax, LEARNING_RATE, or RESTART.
 
     Raises:
         ConfigError: the strategy or a parameter does not exist, or the strategy cannot search the

@@ -146,7 +146,7 @@ def sample_values(
 ) -> list[dict[str, Any]]:
     """Sample values uniformly from ranges.
 
-    A larger number of samples begins with the samples of a smaller number.
+    If `samples` is increased, the earlier samples stay the same.
     """
     rows = np.random.default_rng(seed).random((samples, len(ranges)))
     return [
