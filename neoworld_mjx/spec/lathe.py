@@ -28,9 +28,9 @@ class Lathe(BaseShape):
 
     A solid, and the part of a shell below a flat inner floor, consist of frusta. Each band of a
     shell above the floor consists of wedges. The corners of these convex pieces lie on the true
-    surface of revolution. Along a circle of radius r, pieces stay within e = r (1 - cos(pi /
-    sectors)) of the surface. Neighboring bands are joined into one convex piece if its cross-
-    section exceeds those of the bands by at most e / 2 and by at most a quarter of the wall
+    surface of revolution. Along a circle of radius r, pieces stay within
+    e = r (1 - cos(pi / sectors)) of the surface. Neighboring bands are joined into one convex piece
+    if its section exceeds those of the bands by at most e / 2 and by at most a quarter of the wall
     thickness.
     """
 
