@@ -28,7 +28,10 @@ def saved(tmp_path):
     program = tmp_path / "thing.py"
 
     def save(text: str) -> None:
-        program.write_text(text)
+        # A plain write first empties the file, which the watcher may build.
+        new = tmp_path / "thing.py.new"
+        new.write_text(text)
+        new.replace(program)
 
     save(CUP.format(shape="box((0.1, 0.1, 0.1))"))
     return program, save
