@@ -96,8 +96,9 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     The boxes of the parts that two joints move are compared, with a margin of 2 % of the diagonal.
     Two joints can match if these boxes overlap in all three directions and agree in the better two,
     because an image does not show the depth behind a front. The Hungarian method maximizes the sum
-    of overlap and motion similarity. Motion similarity is the cosine between the velocity fields of
-    the two joints over the true joint's box; it depends on type, axis and pivot.
+    of the overlap in the better two directions, the mean overlap in all three, and motion
+    similarity. Motion similarity is the cosine between the velocity fields of the two joints over
+    the true joint's box; it depends on type, axis and pivot.
 
     Args:
         predicted: the reconstructed object, or its joints as an `ObjectTruth`.
