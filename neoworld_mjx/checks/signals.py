@@ -32,7 +32,7 @@ class Signal(BaseModel):
     threshold: float | None = None
     """Limit with which the value is compared."""
     hint: str = ""
-    """How to correct the program."""
+    """Hint that says how to correct the program."""
 
     @property
     def identity(self) -> tuple[str, str | None, str | None, int | None, str]:

@@ -26,7 +26,7 @@ class Fault(StrEnum):
     """Faults that the object tests report, ordered from likely causes to symptoms."""
 
     hint: str
-    """How to remedy the fault."""
+    """Hint that says how to remedy the fault."""
 
     def __new__(cls, value: str, hint: str) -> "Fault":
         """Create a fault from its name and hint."""
@@ -247,7 +247,7 @@ class Limit:
     best: float | None = None
     """Best value; if None, it is 0, or twice the threshold if `least` is True."""
     hint: str = ""
-    """How to remedy a violation; if empty, the hint of the fault applies."""
+    """Hint that says how to remedy a violation; if empty, the hint of the fault applies."""
 
     def is_borderline(self, value: float) -> bool:
         """Return True if a passing value is close to the threshold; see `BORDERLINE`."""

@@ -19,7 +19,7 @@ class Component(NamedTuple):
     name: str
     present: Callable[[], bool]
     consequence: str
-    """What is missing or slow without the component."""
+    """Features that are missing or slow without the component."""
     remedy: str
     """Command that installs the component."""
 

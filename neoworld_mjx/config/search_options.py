@@ -311,7 +311,7 @@ class SettleOptions(Options):
         "the settled poses. If false, the placed poses are used.",
         difference=PaperDifference(
             False,
-            "Some objects lean, roll or lie in a container. They come to rest at poses that no "
+            "Some objects lean, roll or lie in a container. They settle at poses that no "
             "layout can express and only simulation finds.",
         ),
     )

@@ -29,7 +29,7 @@ class Crop:
     picture: Picture
     """The crop, with the label "crop" by which requests refer to it."""
     note: str
-    """What hides the object and which edges of the picture cut it off; empty if neither is true."""
+    """Phrase that names occluders, and edges of the picture that cut the object off; else empty."""
     window: tuple[float, float, float, float]
     """Window of the crop in pixels of the original photo (x0, y0, x1, y1)."""
 

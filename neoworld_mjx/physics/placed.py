@@ -51,7 +51,7 @@ HORIZONTAL, VERTICAL = 0.25, (0.1, 0.01)
 """Bounds of the shift of an object's center by settling: HORIZONTAL * size horizontally, and
 VERTICAL[0] * size + VERTICAL[1] vertically [m]."""
 SMALL_M = 0.05
-"""Size below which the tilt of an object is ignored, since the object may come to rest in another
+"""Size below which the tilt of an object is ignored, since the object may settle in another
 orientation than the one in the response [m]."""
 LEAST_SIZE_M = 1e-6
 """Least size of an object [m]."""

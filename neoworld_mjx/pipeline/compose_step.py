@@ -67,13 +67,16 @@ def compose_scene(context: StepContext) -> None:
                 tree = _refit(context, tree, objects, out, change_supports=not by_person)
             composed = compose(tree, objects, options)
             scene, contact_notes = composed.scene, ()
-            if options.align.enabled:
-                composed, scene, contact_notes = _align(context, tree, objects, composed, out)
+            photo = _rgb(run) if options.align.enabled or options.looks else None
+            if photo is not None and options.align.enabled:
+                composed, scene, contact_notes = _align(
+                    context, tree, objects, composed, photo, out
+                )
             scene, stale = apply_layout(scene, patch, options.gap_m)
-            if options.looks:
+            if photo is not None and options.looks:
                 from ..align.looks import as_photographed
 
-                scene = as_photographed(scene, _rgb(run))
+                scene = as_photographed(scene, photo)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             _write_json(out / "compose" / "scales.json", composed.scales)
             _record_notes(run, composed, contact_notes)
@@ -144,6 +147,7 @@ def _align(
     tree: SceneTree,
     objects: Mapping[str, ObjectSpec],
     composed: "Composed",
+    photo: UInt8[np.ndarray, "row column 3"],
     out: Path,
 ) -> tuple["Composed", SceneSpec, tuple[str, ...]]:
     """Align a composed scene with the photograph, and move its objects back into contact.
@@ -158,8 +162,7 @@ def _align(
     from .resized_programs import with_freed_dimensions, write_resized
 
     run, config = context.run, context.config
-    options, photo = config.compose, _rgb(run)
-    start = composed.scene
+    options, start = config.compose, composed.scene
     alignment = align(start, photo, options.align, measured=tree.camera_measured)
     if options.align.dimensions:
         freed = with_freed_dimensions(

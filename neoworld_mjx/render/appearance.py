@@ -22,15 +22,15 @@ class Appearance:
     gloss: NDArray
     """Reflectance at normal incidence, shape [geom]."""
     metal: NDArray
-    """Whether reflections have the color of the geom, bool [geom]."""
+    """True if reflections have the color of the geom, bool [geom]."""
     patterned: NDArray
-    """Whether the geom has a pattern or a print, bool [geom]."""
+    """True if the geom has a pattern or a print, bool [geom]."""
     patterns: dict[int, SurfacePattern]
     """Patterns by geom id."""
     prints: dict[int, ReadPrint]
     """Prints of the photograph by geom id, in the frame of the geom's body."""
     photographed: NDArray
-    """Whether the color comes from the photograph (the geom has a print), bool [geom]."""
+    """True if the color comes from the photograph (the geom has a print), bool [geom]."""
     to_object: NDArray
     """Rotation from the world frame to the frame of each geom's body, shape [geom, 3, 3]."""
     offset: NDArray

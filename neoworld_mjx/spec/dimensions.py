@@ -28,9 +28,9 @@ class Motion(NamedTuple):
     mass: float = AUTHORED_MASS
     """Mass exponent of the joint's child."""
     slides: bool = False
-    """Whether the joint is prismatic."""
+    """True if the joint is prismatic."""
     leader_slides: bool = False
-    """Whether the leader, the joint that this joint mimics, is prismatic."""
+    """True if the leader, the joint that this joint mimics, is prismatic."""
 
 
 NO_JOINT = Motion()

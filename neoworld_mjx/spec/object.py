@@ -59,7 +59,7 @@ class Material(ScalableSpec):
 
     @property
     def see_through(self) -> bool:
-        """Whether the material is transparent."""
+        """True if the material is transparent."""
         return self.rgba[3] < OPAQUE_ALPHA
 
 
@@ -72,7 +72,7 @@ class GeomSpec(ScalableSpec):
     quat: Rotation = IDENTITY
     material: Name
     role: Role = "both"
-    """Whether the geom is visible, collides, or both. Only geoms that collide have mass."""
+    """Use of the geom: visible, colliding, or both. Only geoms that collide have mass."""
 
     @field_validator("quat")
     @classmethod

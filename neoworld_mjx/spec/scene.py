@@ -59,7 +59,7 @@ class SceneObject(Spec):
     leans_on: Name | None = Field(default=None, exclude_if=lambda value: value is None)
     """Object against which this object leans; if None, the nearest object in its direction."""
     environment: bool = False
-    """Whether the object is a static support of the environment, which is not optimized."""
+    """True if the object is a static support of the environment, which is not optimized."""
     fixed_base: bool = False
     xy: tuple[Number, Number] = (0.0, 0.0)
     """Position in the parent's frame [m]."""
@@ -74,7 +74,7 @@ class SceneObject(Spec):
     box2d: Box2D | None = None
     """Box in the photograph."""
     occluded: bool = False
-    """Whether `box2d` bounds only a part of the object."""
+    """True if `box2d` bounds only a part of the object."""
     depth: Number | None = None
     """Parsed depth of the object's center along the view [m]."""
     parsed_size: Vec3 | None = None
@@ -86,7 +86,7 @@ class SceneObject(Spec):
 
     @property
     def static(self) -> bool:
-        """Whether the base of the object cannot move: an environment support, or a fixed base."""
+        """True if the base of the object cannot move: an environment support, or a fixed base."""
         return self.environment or self.fixed_base
 
 

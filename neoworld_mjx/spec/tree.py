@@ -104,9 +104,9 @@ class TreeNode(Spec):
     parent_link: Name | None = None
     """Movable part of the parent that supports this node, such as an open drawer."""
     environment: bool = False
-    """Whether the node is a static support of the environment (table, floor, shelf, wall)."""
+    """True if the node is a static support of the environment (table, floor, shelf, wall)."""
     fixed_base: bool = False
-    """Whether the object is built in or mounted; see `fastened`."""
+    """True if the object is built in or mounted; see `fastened`."""
     occluded: bool = False
     occluded_by: tuple[Name, ...] = ()
     box2d: Box2D
@@ -121,19 +121,19 @@ class TreeNode(Spec):
     outline: SupportOutline = RECTANGLE
     """Outline of an environment support within `box3d`, seen from above."""
     furniture: bool = False
-    """Whether the node is an environment support with an object program."""
+    """True if the node is an environment support with an object program."""
     surface: SupportSurface | None = None
     """Surface of an environment support; if None, it follows from the description, without
     pattern."""
 
     @property
     def slab(self) -> bool:
-        """Whether the node is an environment support without a program: a box with a flat top."""
+        """True if the node is an environment support without a program: a box with a flat top."""
         return self.environment and not self.furniture
 
     @property
     def fastened(self) -> bool:
-        """Whether the object is fixed to its parent, or attached permanently."""
+        """True if the object is fixed to its parent, or attached permanently."""
         return self.fixed_base or (self.relation == "attached" and self.held_by is None)
 
 

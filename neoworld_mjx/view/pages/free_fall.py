@@ -73,7 +73,7 @@ class FreeFall:
 
     @property
     def playing(self) -> bool:
-        """Whether the simulation is running."""
+        """True if the simulation is running."""
         return self._playing.is_set()
 
     @property

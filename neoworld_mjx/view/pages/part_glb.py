@@ -39,7 +39,7 @@ class Detail(NamedTuple):
     tolerance: float = 0.0
     """Largest deviation of simplified surfaces [m]; if 0, every triangle is kept."""
     lit: bool = True
-    """Whether the browser lights surfaces; if False, vertex colors include the lighting."""
+    """If True, the browser lights surfaces; if False, vertex colors include the lighting."""
 
 
 def detail_of(scene: SceneSpec, distance: float) -> Detail:
