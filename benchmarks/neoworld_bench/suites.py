@@ -34,6 +34,7 @@ MethodName = Literal[
     "without_creases",
     "without_contacts",
     "without_camera",
+    "without_final",
     "algorithm1",
     "random",
     "cma_es",
@@ -181,8 +182,9 @@ class SceneSet(NoisyRuns):
     )
     """Methods: also random, cma_es, evosax:STRATEGY or package.module:function, which get as many
     rollouts as ours; without_s_sem, without_d_pen, without_d_drift, without_photo,
-    without_contours, without_creases and without_camera; aligned and aligned_dimensions, the
-    alignment without a search; and NAME=FILE, the search with the options of a YAML file.
+    without_contours, without_creases, without_camera and without_final; aligned and
+    aligned_dimensions, the alignment without a search; and NAME=FILE, the search with the options
+    of a YAML file.
     """
     label: str | None = None
     """Name of the row of ours, to compare runs with different options."""

@@ -7,7 +7,7 @@ keeps it in place in the image if the camera moves.
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,6 +69,8 @@ STAGES = (
     AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True),
     AlignmentStage(2, FINE_PX, 6.0, 0.5),
 )
+STAGES_AGAIN = (AlignmentStage(2, FINE_PX, 10.0, 1.0), AlignmentStage(1, FINE_PX, 6.0, 0.5))
+"""Stages of an alignment that starts from an aligned scene."""
 
 
 def align(
@@ -96,6 +98,43 @@ def align(
     Raises:
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
+    o = options or AlignOptions()
+    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured))
+
+
+def align_again(
+    scene: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    only: Collection[str],
+    options: AlignOptions | None = None,
+) -> Alignment:
+    """Align some objects of an aligned scene once more; all others and the camera keep their poses.
+
+    Args:
+        scene: the scene, with a camera.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+        only: names of the objects that may move.
+        options: as for `align`. Joints keep their positions.
+
+    Returns:
+        As `align`. The uncertainties do not include that of the camera.
+
+    Raises:
+        PhotoError: the photograph does not have the camera's aspect ratio.
+    """
+    o = (options or AlignOptions()).model_copy(update={"camera": False, "joints": False})
+    return _aligned(scene, photo, o, STAGES_AGAIN, only=only)
+
+
+def _aligned(
+    scene: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    o: AlignOptions,
+    stages: Sequence[AlignmentStage],
+    *,
+    measured: frozenset[str] = frozenset(),
+    only: Collection[str] | None = None,
+) -> Alignment:
     camera = scene.camera
     if camera is None:
         return Alignment(scene)
@@ -106,20 +145,22 @@ def align(
             f"the photograph has {size} pixels, which is not the aspect ratio of the scene's "
             f"camera ({camera.width} x {camera.height_px})"
         )
-    o = options or AlignOptions()
-    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours)
+    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours, only=only)
     if not len(unknowns.free):
         return Alignment(scene)
-    images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in (COARSE_PX, FINE_PX)}
+    widths = {stage.width for stage in stages}
+    images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
-    problem = _Problem(unknowns, o, frozenset(measured), colliders)
+    problem = _Problem(unknowns, o, measured, colliders)
     try:
-        return _solution(problem, images)
+        return _solution(problem, images, stages)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=f"the solver failed: {str(error).splitlines()[0]}")
 
 
-def _solution(problem: "_Problem", images: dict[int, LabImage]) -> Alignment:
+def _solution(
+    problem: "_Problem", images: dict[int, LabImage], stages: Sequence[AlignmentStage]
+) -> Alignment:
     unknowns, scene = problem.unknowns, problem.unknowns.scene
     reasons = {
         k: "it is see-through" for k, item in enumerate(scene.objects) if see_through(item.spec)
@@ -128,7 +169,7 @@ def _solution(problem: "_Problem", images: dict[int, LabImage]) -> Alignment:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = np.zeros(unknowns.size)
     misjudged = True
-    for stage in STAGES:
+    for stage in stages:
         problem = replace(problem, misjudged=misjudged or stage.open_focal)
         for _ in range(stage.steps):
             equations, _ = problem.linearized(x, images[stage.width], stage, reasons)
@@ -136,7 +177,7 @@ def _solution(problem: "_Problem", images: dict[int, LabImage]) -> Alignment:
             if stage.open_focal:
                 deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
                 misjudged = is_misjudged(float(x[FOCAL]), deviation)
-    last = STAGES[-1]
+    last = stages[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
     refused = problem.refused(equations, drawn, images[last.width].bins)

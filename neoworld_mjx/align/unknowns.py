@@ -13,6 +13,7 @@ the origin, so the scene moves instead.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,7 +58,7 @@ class Unknowns:
     scene: SceneSpec
     camera: Camera
     free: Int[np.ndarray, " free"]
-    """Indices of the objects that may move: all objects with a parent."""
+    """Indices of the objects that may move. All of them have a parent."""
     arrangement: Arrangement
     in_wall: Float[np.ndarray, "object 2"]
     """Horizontal direction in the wall to which an object is attached, in the frame of the object's
@@ -76,9 +77,27 @@ class Unknowns:
     """Parts that the open joints move. They are the bodies after the objects."""
 
     @classmethod
-    def of(cls, scene: SceneSpec, camera: Camera, *, joints: bool = True) -> "Unknowns":
-        """Return the unknowns of a composed scene; open joints are unknowns if `joints` is True."""
-        free = [k for k, item in enumerate(scene.objects) if item.parent is not None]
+    def of(
+        cls,
+        scene: SceneSpec,
+        camera: Camera,
+        *,
+        joints: bool = True,
+        only: Collection[str] | None = None,
+    ) -> "Unknowns":
+        """Return the unknowns of a composed scene.
+
+        Args:
+            scene: the scene.
+            camera: its camera.
+            joints: if True, open joints are unknowns.
+            only: names of the objects that may move; if None, all objects with a parent may.
+        """
+        free = [
+            k
+            for k, item in enumerate(scene.objects)
+            if item.parent is not None and (only is None or item.name in only)
+        ]
         items = {k: scene.objects[k] for k in free} if joints else {}
         opened = open_joints(items)
         lowest = [bounds(o.spec, o.joint_state, o.base_tilt)[0][2] for o in scene.objects]

@@ -284,11 +284,22 @@ class AlignOptions(Options):
         "Also estimate how far doors, drawers and lids are open if they are composed open. If the "
         "shape of an object is wrong, this can make its openings less accurate.",
     )
+    final: bool = option(
+        True,
+        "After the refinement, align the objects that settling or the search moved in the image "
+        "once more, at the tilts at which they rest. The result is used if it passes the final "
+        "check. Requires `contours`.",
+    )
     dimensions: bool = option(
         False,
         "If the outline of an object contradicts its proportions, change named constants of its "
         "program one by one, and align again.",
     )
+
+    @property
+    def aligns_again(self) -> bool:
+        """True if objects that the refinement moved are aligned again."""
+        return self.enabled and self.contours and self.final
 
 
 class ComposeOptions(Options):

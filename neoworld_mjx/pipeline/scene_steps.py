@@ -1,6 +1,8 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
 import json
+import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +12,11 @@ from ..io import read_object
 from ..mllm import Picture
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
-from ..spec import read_scene
-from .step_context import COMPOSED, RESULT, SCENE, TREE, StepContext, read_tree
+from ..spec import SceneSpec, read_scene
+from .step_context import ALIGNED, COMPOSED, RESULT, SCENE, TREE, StepContext, read_tree
+
+if TYPE_CHECKING:
+    from ..refinement.final_alignment import FinalAlignment
 
 
 def refine_layout(context: StepContext) -> None:
@@ -25,7 +30,14 @@ def refine_layout(context: StepContext) -> None:
     photo = None
     if by_model or "s_photo" in config.refine.reward.terms:
         photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb)
-    inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
+    inputs: dict[str, object] = {
+        "scene": run.path / COMPOSED,
+        "options": config.refine,
+        "seed": config.seed,
+    }
+    aligns_again = config.compose.align.aligns_again and (run.path / ALIGNED).is_file()
+    if aligns_again:
+        inputs |= {"photo": run.path / "photo.png", "align": config.compose.align}
 
     def report(line: str) -> None:
         progress.report(f"  {line}")
@@ -46,8 +58,18 @@ def refine_layout(context: StepContext) -> None:
             progress=report,
         )
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
-        (out / SCENE).write_text(refined.scene.to_json(), encoding="utf-8")
-        moves = object_moves(composed, refined.scene)
+        scene, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
+        if aligns_again and refined.passed:
+            began = time.perf_counter()
+            final = _align_final(context, composed, refined.scene)
+            seconds["align"] = time.perf_counter() - began
+            if final is not None:
+                scene, measure = final.scene, final.measure
+                count = "1 object" if len(final.aligned) == 1 else f"{len(final.aligned)} objects"
+                why = f"the refinement had moved them in the image: {', '.join(final.aligned)}"
+                run.note("refine", f"{count} aligned again", why)
+        (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
+        moves = object_moves(composed, scene)
         summary = {
             "passed": refined.passed,
             "engine": refined.engine,
@@ -64,13 +86,13 @@ def refine_layout(context: StepContext) -> None:
                 name: np.asarray(getattr(refined.layout, name)[0]).tolist()
                 for name in ("xy", "yaw", "log_scale")
             },
-            "after": refined.measure.model_dump(mode="json"),
+            "after": measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
         if (run.path / TREE).is_file():  # A rescue has no tree.
-            summary["box_iou"] = box_iou(read_tree(run), composed, refined.scene)
+            summary["box_iou"] = box_iou(read_tree(run), composed, scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-        run.record("refine", seconds=refined.seconds)
+        run.record("refine", seconds=seconds)
         for note in refined.fallbacks:
             outcome, _, reason = note.partition(": ")
             run.fallback("refine", outcome, reason)
@@ -82,6 +104,24 @@ def refine_layout(context: StepContext) -> None:
                     f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
+
+
+def _align_final(
+    context: StepContext, composed: SceneSpec, refined: SceneSpec
+) -> "FinalAlignment | None":
+    """Align the objects again that the refinement moved, except those that a person placed."""
+    from ..compose.layout_patch import read_layout_patch
+    from ..refinement.final_alignment import align_final
+
+    run, config = context.run, context.config
+    return align_final(
+        composed,
+        refined,
+        load_photo(run.path / "photo.png").rgb,
+        config.refine,
+        config.compose.align,
+        keep=read_layout_patch(run.path).objects,
+    )
 
 
 def _mean(values: list[float]) -> float:

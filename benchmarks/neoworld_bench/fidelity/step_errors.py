@@ -23,6 +23,7 @@ from neoworld_mjx.fit.refit import refit_tree
 from neoworld_mjx.measure import SceneMeasure, measured, passes, shown_sides, visible_box_iou
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.simulate import open_engine
+from neoworld_mjx.refinement.final_alignment import align_final
 from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import Box3D, SceneSpec
 
@@ -122,7 +123,11 @@ def photo_rows(
             start, _ = in_contact(aligned, c, composed=start)
             stages["aligned"] = start
         if runner is not None:
-            stages["refined"] = refine(start, o, seed=seed, engine=runner).scene
+            refined = refine(start, o, seed=seed, engine=runner)
+            final = None
+            if refined.passed and c.align.aligns_again:
+                final = align_final(start, refined.scene, photograph(scene), o, c.align)
+            stages["refined"] = refined.scene if final is None else final.scene
         checks = {
             step: measured(at if step == "refined" else snap_exactly(at), o)
             for step, at in stages.items()

@@ -29,6 +29,7 @@ from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.program.freed_dimensions import EditablePrograms, free_dimensions
 from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.final_alignment import align_final
 from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import SceneSpec
@@ -81,6 +82,7 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_contours": AlignOptions(contours=False),
     "without_creases": AlignOptions(creases=False),
     "without_contacts": AlignOptions(contacts=False),
+    "without_final": AlignOptions(final=False),
     "without_camera": AlignOptions(camera=False),
 }
 """Options of the alignment with the photograph in each of its ablations."""
@@ -262,6 +264,9 @@ def outcomes_of(
     picture = functools.cache(photo)
     alignments: dict[AlignOptions, tuple[Alignment, float]] = {}
 
+    def options_of(method: str) -> AlignOptions:
+        return (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
+
     def alignment_of(used: AlignOptions) -> tuple[Alignment, float]:
         if used not in alignments:
             rgb = picture()
@@ -271,11 +276,11 @@ def outcomes_of(
         return alignments[used]
 
     def start_of(method: str) -> tuple[SceneSpec, float]:
-        used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
+        used = options_of(method)
         if method in UNALIGNED or not used.enabled:
             return composed, 0.0
         if used not in starts:
-            plain = used.model_copy(update={"dimensions": False})
+            plain = used.model_copy(update={"dimensions": False, "final": True})
             alignment, spent = alignment_of(plain)
             began, before = time.perf_counter(), composed
             if used.dimensions and programs is not None:
@@ -310,6 +315,13 @@ def outcomes_of(
             for name in ("seconds", "seconds_to_result")
             if (value := getattr(result, name)) is not None
         }
+        used = options_of(method)
+        if method not in (*UNALIGNED, *SETTLED) and used.aligns_again and result.accepted:
+            began = time.perf_counter()
+            final = align_final(start, result.scene, picture(), o, used)
+            times["seconds"] += time.perf_counter() - began
+            if final is not None:
+                result = dataclasses.replace(result, scene=final.scene, measure=final.measure)
         yield method, dataclasses.replace(result, **times)
 
 

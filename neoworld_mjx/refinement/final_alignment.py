@@ -1,0 +1,138 @@
+"""Final alignment: objects that the refinement moved in the image are aligned again.
+
+The alignment of Step 4 does not know the poses at which objects rest. A pear rolls until it rests,
+and slices of bread push each other apart, so their contours leave those of the photograph. Here,
+they are aligned at the tilts at which they rest, settled again, and checked again.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..align.acceptance import SAME_PX, gain
+from ..align.align import FINE_PX, align_again
+from ..align.colors import LabImage
+from ..align.rasterize import draw_scene, height_of, pixels_of
+from ..config import AlignOptions, RefineOptions
+from ..measure import SceneMeasure, measured, passes
+from ..physics.settling import settle_scene
+from ..render import visible_surface
+from ..spec import SceneSpec, world_poses
+from .finishing import Finished
+
+TRIES = 3
+"""Largest number of times that the aligned scene is settled and checked. After each time, objects
+that do not rest, or that agree less with the photograph, get their previous poses back."""
+
+
+@dataclass(frozen=True)
+class FinalAlignment:
+    """Scene after the final alignment, which passes the final check."""
+
+    scene: SceneSpec
+    measure: SceneMeasure
+    """Measures of the final check."""
+    aligned: tuple[str, ...]
+    """Names of the objects that were aligned again."""
+
+
+def align_final(
+    composed: SceneSpec,
+    refined: SceneSpec,
+    photo: UInt8[np.ndarray, "row column 3"],
+    o: RefineOptions | None = None,
+    options: AlignOptions | None = None,
+    *,
+    keep: Collection[str] = (),
+) -> FinalAlignment | None:
+    """Align the objects again that the refinement moved in the image.
+
+    The camera and all other objects keep their poses until the scene settles. An object keeps its
+    refined pose and size in these cases:
+
+    - The colors of the photograph do not show its contour.
+    - It would not rest at its new pose.
+    - Its new silhouette would explain the photograph less well than that of the refined scene.
+
+    Args:
+        composed: the scene before the refinement, aligned with the photograph.
+        refined: the refined scene, which passes the final check.
+        photo: the photograph (sRGB).
+        o: options of settling and of the final check.
+        options: options of the alignment.
+        keep: names of objects that are not aligned again.
+
+    Returns:
+        The new scene; None if no object moved in the image or none can be aligned again. It is also
+        None without settling or without a camera.
+
+    Raises:
+        PhotoError: the photograph does not have the camera's aspect ratio.
+    """
+    o, camera = o or RefineOptions(), refined.camera
+    if camera is None or not o.settle.enabled:
+        return None
+    moved = moved_in_image(composed, refined).difference(keep)
+    if not moved:
+        return None
+    again = align_again(refined, photo, moved, options)
+    accepted = {name for name, change in again.objects.items() if change.evidence == "pixels"}
+    bins = LabImage.of(photo, FINE_PX, height_of(camera, FINE_PX)).bins
+    owner = draw_scene(refined, camera, FINE_PX).owner
+    for _ in range(TRIES):
+        if not accepted:
+            break
+        finished = _settled(_mixed(refined, again.scene, accepted), o)
+        rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
+        worse = {
+            item.name
+            for k, item in enumerate(refined.objects)
+            if item.name in accepted and not (rests[k] and gain(shown == k, owner == k, bins) >= 0)
+        }
+        if finished.passed and not worse:
+            names = tuple(item.name for item in refined.objects if item.name in accepted)
+            return FinalAlignment(finished.scene, finished.measure, names)
+        accepted = accepted - worse if worse else set()
+    return None
+
+
+def moved_in_image(before: SceneSpec, after: SceneSpec) -> set[str]:
+    """Return the names of the movable objects that moved by more than SAME_PX in the image.
+
+    The displacement is the largest of any vertex, in an image FINE_PX wide. The two scenes have the
+    same camera and objects.
+    """
+    start, end = _pixels(before), _pixels(after)
+    return {name for name, at in start.items() if np.abs(end[name] - at).max(initial=0) > SAME_PX}
+
+
+def _pixels(scene: SceneSpec) -> dict[str, Float[np.ndarray, "vertex 2"]]:
+    """Return the vertices of each movable object's visible surface in the image [px]."""
+    assert scene.camera is not None
+    poses, found = world_poses(scene), {}
+    for item in scene.objects:
+        if item.parent is not None and not item.static:
+            vertices, _ = visible_surface(item.spec, item.joint_state)
+            found[item.name] = pixels_of(scene.camera, poses[item.name].apply(vertices), FINE_PX)[0]
+    return found
+
+
+def _mixed(refined: SceneSpec, aligned: SceneSpec, names: set[str]) -> SceneSpec:
+    """Return the refined scene with the poses and sizes of some objects from the aligned scene.
+
+    Uncertainties are those of the alignment of Step 4, which include that of the camera.
+    """
+    objects = [
+        new.model_copy(update={"uncertainty": old.uncertainty}) if old.name in names else old
+        for old, new in zip(refined.objects, aligned.objects, strict=True)
+    ]
+    return refined.model_copy(update={"objects": tuple(objects)})
+
+
+def _settled(scene: SceneSpec, o: RefineOptions) -> Finished:
+    """Settle and check a scene, without `Finished.moved_away`: the silhouettes decide that."""
+    settled = settle_scene(scene, o.settle)
+    measure = measured(settled, o)
+    return Finished(settled, measure, (), passes(measure, o))
