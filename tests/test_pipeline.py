@@ -14,10 +14,13 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import refinement
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import EngineError, RunError
+from neoworld_mjx.measure import measured
 from neoworld_mjx.pipeline import reconstruct, refine_again
-from neoworld_mjx.spec import SceneSpec, SceneTree
+from neoworld_mjx.refinement import final_alignment
+from neoworld_mjx.refinement.final_alignment import FinalAlignment
+from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from tests.support.example_figures import check_figures
 from tests.support.notebooks import run_small
 
@@ -227,6 +230,30 @@ def test_refining_again_keeps_the_steps_before(composed, tmp_path, photo):
     assert (run / "compose" / "scene.json").read_bytes() == before
     assert json.loads((run / "run.json").read_text())["seeds"]["run"] == 7
     assert (run / "scene.xml").is_file()
+
+
+def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
+    example_run, tmp_path, monkeypatch
+):
+    def again(before, refined, picture, *options, keep):
+        calls.append((before, picture.shape, set(keep)))
+        cup = refined.object("cup").model_copy(update={"yaw": 0.25})
+        objects = [cup if item.name == "cup" else item for item in refined.objects]
+        scene = refined.model_copy(update={"objects": tuple(objects)})
+        return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))
+
+    calls = []
+    monkeypatch.setattr(final_alignment, "align_final", again)
+    run = shutil.copytree(example_run[0], tmp_path / "run")
+    refine_again(run)
+    assert calls[0][0] == read_scene(run / "compose" / "scene.json") and not calls[0][2]
+    assert read_scene(run / "scene.json").object("cup").yaw == 0.25
+    data = json.loads((run / "run.json").read_text())
+    (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
+    assert note["step"] == "refine" and note["what"].startswith("1 object") and "cup" in note["why"]
+    calls.clear()
+    refine_again(run, None, {"compose": {"align": {"final": False}}})
+    assert not calls
 
 
 def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):

@@ -5,7 +5,7 @@ and slices of bread push each other apart, so their contours leave those of the 
 they are aligned at the tilts at which they rest, settled again, and checked again.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +17,18 @@ from ..align.colors import LabImage
 from ..align.rasterize import draw_scene, height_of, pixels_of
 from ..config import AlignOptions, RefineOptions
 from ..measure import SceneMeasure, measured, passes
-from ..physics.settling import settle_scene
+from ..physics.model import SceneModel, compile_scene
+from ..physics.settling import moved_away, settle_scene
 from ..render import visible_surface
 from ..spec import SceneSpec, world_poses
 from .finishing import Finished
 
 TRIES = 3
-"""Largest number of times that the aligned scene is settled and checked. After each time, objects
-that do not rest, or that agree less with the photograph, get their previous poses back."""
+"""Largest number of times that the aligned scene is settled and checked. After each time, some
+objects get their refined poses back: those that do not rest or agree less with the photograph, and
+all objects that carry such an object."""
+FEW_SAMPLES = 8
+"""Number of surface samples of an object in the compiled scene, which does not use them."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,9 @@ def align_final(
     refined pose and size in these cases:
 
     - The colors of the photograph do not show its contour.
-    - It would not rest at its new pose.
-    - Its new silhouette would explain the photograph less well than that of the refined scene.
+    - It, or an object that it carries, would not rest, or would settle away from its new pose.
+    - Its silhouette, or that of an object that it carries, would explain the photograph less well
+      than in the refined scene.
 
     Args:
         composed: the scene before the refinement, aligned with the photograph.
@@ -81,16 +86,16 @@ def align_final(
     accepted = {name for name, change in again.objects.items() if change.evidence == "pixels"}
     bins = LabImage.of(photo, FINE_PX, height_of(camera, FINE_PX)).bins
     owner = draw_scene(refined, camera, FINE_PX).owner
+    model = compile_scene(refined, samples=FEW_SAMPLES)
     for _ in range(TRIES):
         if not accepted:
             break
-        finished = _settled(_mixed(refined, again.scene, accepted), o)
+        finished = _settled(model, _mixed(refined, again.scene, accepted), o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
-        worse = {
-            item.name
-            for k, item in enumerate(refined.objects)
-            if item.name in accepted and not (rests[k] and gain(shown == k, owner == k, bins) >= 0)
-        }
+        faulty = [
+            k for k in range(len(rests)) if not rests[k] or gain(shown == k, owner == k, bins) < 0
+        ]
+        worse = _with_supports(refined, faulty) & accepted
         if finished.passed and not worse:
             names = tuple(item.name for item in refined.objects if item.name in accepted)
             return FinalAlignment(finished.scene, finished.measure, names)
@@ -131,8 +136,20 @@ def _mixed(refined: SceneSpec, aligned: SceneSpec, names: set[str]) -> SceneSpec
     return refined.model_copy(update={"objects": tuple(objects)})
 
 
-def _settled(scene: SceneSpec, o: RefineOptions) -> Finished:
-    """Settle and check a scene, without `Finished.moved_away`: the silhouettes decide that."""
-    settled = settle_scene(scene, o.settle)
+def _with_supports(scene: SceneSpec, objects: Iterable[int]) -> set[str]:
+    """Return the names of some objects, given by index, and of all objects that carry them."""
+    names = set[str]()
+    for k in objects:
+        name: str | None = scene.objects[k].name
+        while name is not None:
+            names.add(name)
+            name = scene.object(name).parent
+    return names
+
+
+def _settled(model: SceneModel, placed: SceneSpec, o: RefineOptions) -> Finished:
+    """Settle and check a scene, which differs from the compiled scene only in poses and sizes."""
+    settled = settle_scene(placed, o.settle)
     measure = measured(settled, o)
-    return Finished(settled, measure, (), passes(measure, o))
+    away = moved_away(model, placed, settled, np.zeros(len(model.names)))
+    return Finished(settled, measure, away, passes(measure, o) and not away)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import NO_CONTOUR, align
+from neoworld_mjx.align.align import NO_CONTOUR, align, align_again
 from neoworld_mjx.align.alignment import Alignment, ObjectAlignment
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
@@ -370,3 +370,20 @@ def test_a_failure_of_the_solver_leaves_the_scene(five, photo, monkeypatch):
 def test_a_photograph_of_another_aspect_ratio_is_refused(five, photo):
     with pytest.raises(PhotoError, match=r"640 x 240 pixels.* \(640 x 480\)"):
         align(five, photo[:240])
+
+
+def test_aligning_some_objects_again_moves_nothing_else(displaced, five, photo):
+    again = align_again(displaced, photo, ("box", "can"))
+    assert set(again.objects) == {"box", "can"}
+    assert again.scene.camera == displaced.camera
+    for name in ("desk", "brick", "ball", "tower"):
+        assert again.scene.object(name) == displaced.object(name)
+    before, after = (desk.distances(scene, five) for scene in (displaced, again.scene))
+    assert max(after[name] for name in ("box", "can")) < 3 < before["box"]
+
+
+def test_aligning_again_leaves_open_joints_alone(displaced, photo):
+    options = AlignOptions(joints=True, camera=True)
+    again = align_again(displaced, photo, ("box",), options)
+    assert again.fitted is not None and again.fitted.unknowns.joints == ()
+    assert again.pitch_deg == again.fovy_deg == again.height_m == 0.0
