@@ -63,7 +63,9 @@ def refine_layout(context: StepContext) -> None:
             began = time.perf_counter()
             final = _align_final(context, composed, refined.scene)
             seconds["align"] = time.perf_counter() - began
-            if final is not None:
+            if final.failure:
+                run.fallback("refine", "no object is aligned again", final.failure)
+            if final.measure is not None:
                 scene, measure = final.scene, final.measure
                 count = "1 object" if len(final.aligned) == 1 else f"{len(final.aligned)} objects"
                 why = f"the refinement had moved them in the image: {', '.join(final.aligned)}"
@@ -106,9 +108,7 @@ def refine_layout(context: StepContext) -> None:
                 )
 
 
-def _align_final(
-    context: StepContext, composed: SceneSpec, refined: SceneSpec
-) -> "FinalAlignment | None":
+def _align_final(context: StepContext, composed: SceneSpec, refined: SceneSpec) -> "FinalAlignment":
     """Align the objects again that the refinement moved, except those that a person placed."""
     from ..compose.layout_patch import read_layout_patch
     from ..refinement.final_alignment import align_final

@@ -33,13 +33,16 @@ FEW_SAMPLES = 8
 
 @dataclass(frozen=True)
 class FinalAlignment:
-    """Scene after the final alignment, which passes the final check."""
+    """Result of `align_final`."""
 
     scene: SceneSpec
-    measure: SceneMeasure
-    """Measures of the final check."""
-    aligned: tuple[str, ...]
+    """The new scene, which passes the final check; the refined scene if no object was aligned."""
+    measure: SceneMeasure | None = None
+    """Measures of the new scene's final check; None if no object was aligned."""
+    aligned: tuple[str, ...] = ()
     """Names of the objects that were aligned again."""
+    failure: str = ""
+    """Reason why the solver failed; empty if it did not."""
 
 
 def align_final(
@@ -50,7 +53,7 @@ def align_final(
     options: AlignOptions | None = None,
     *,
     keep: Collection[str] = (),
-) -> FinalAlignment | None:
+) -> FinalAlignment:
     """Align the objects again that the refinement moved in the image.
 
     The camera and all other objects keep their poses until the scene settles. An object keeps its
@@ -70,26 +73,27 @@ def align_final(
         keep: names of objects that are not aligned again.
 
     Returns:
-        The new scene; None if no object moved in the image or none can be aligned again. It is also
-        None without settling or without a camera.
+        The new scene, or the refined scene if no object moved in the image, if none can be aligned
+        again, without settling, or without a camera.
 
     Raises:
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
     o, camera = o or RefineOptions(), refined.camera
+    unchanged = FinalAlignment(refined)
     if camera is None or not o.settle.enabled:
-        return None
+        return unchanged
     moved = moved_in_image(composed, refined).difference(keep)
     if not moved:
-        return None
+        return unchanged
     again = align_again(refined, photo, moved, options)
     accepted = {name for name, change in again.objects.items() if change.evidence == "pixels"}
+    if not accepted:
+        return FinalAlignment(refined, failure=again.failure)
     bins = LabImage.of(photo, FINE_PX, height_of(camera, FINE_PX)).bins
     owner = draw_scene(refined, camera, FINE_PX).owner
     model = compile_scene(refined, samples=FEW_SAMPLES)
     for _ in range(TRIES):
-        if not accepted:
-            break
         finished = _settled(model, _mixed(refined, again.scene, accepted), o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
         faulty = [
@@ -99,8 +103,10 @@ def align_final(
         if finished.passed and not worse:
             names = tuple(item.name for item in refined.objects if item.name in accepted)
             return FinalAlignment(finished.scene, finished.measure, names)
-        accepted = accepted - worse if worse else set()
-    return None
+        accepted -= worse
+        if not (worse and accepted):
+            break
+    return unchanged
 
 
 def moved_in_image(before: SceneSpec, after: SceneSpec) -> set[str]:

@@ -8,7 +8,7 @@ from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.measure import passes
 from neoworld_mjx.refinement import final_alignment
-from neoworld_mjx.refinement.final_alignment import align_final, moved_in_image
+from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final, moved_in_image
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.align import desk
@@ -66,15 +66,15 @@ def test_only_displacements_that_show_in_the_image_count(five):
 
 def test_nothing_is_aligned_if_nothing_moved(five, photo, monkeypatch):
     monkeypatch.setattr(final_alignment, "align_again", None)  # It is not called.
-    assert align_final(five, five, photo) is None
+    assert align_final(five, five, photo) == FinalAlignment(five)
 
 
 def test_objects_to_keep_are_not_aligned(five, refined, photo):
     found = align_final(five, refined, photo, keep=("can",))
-    assert found is not None and found.aligned == ("box",)
+    assert found.aligned == ("box",)
     can = world_poses(found.scene)["can"].pos - world_poses(refined)["can"].pos
     assert np.linalg.norm(can) < 5e-4
-    assert align_final(five, refined, photo, keep=MOVED) is None
+    assert align_final(five, refined, photo, keep=MOVED) == FinalAlignment(refined)
 
 
 @pytest.mark.parametrize("case", ["no camera", "no settling", "no contours", "black"])
@@ -88,7 +88,7 @@ def test_without_evidence_or_settling_the_refined_scene_stays(case, five, refine
         align = AlignOptions(contours=False)
     else:
         photo = np.zeros_like(photo)
-    assert align_final(five, refined, photo, options, align) is None
+    assert align_final(five, refined, photo, options, align) == FinalAlignment(refined)
 
 
 def test_a_photograph_of_another_shape_is_refused(five, refined, photo):
@@ -113,7 +113,7 @@ def test_an_object_that_agrees_less_with_the_photograph_keeps_its_pose(
     worse = desk.displaced(right.scene, can=(-30.0, 20.0, 0.0, 0.0))
     returning(monkeypatch, worse, right)
     found = align_final(five, refined, photo)
-    assert found is not None and found.aligned == ("box",)
+    assert found.aligned == ("box",)
     can = world_poses(found.scene)["can"].pos - world_poses(refined)["can"].pos
     assert np.linalg.norm(can) < 5e-4
 
@@ -124,7 +124,7 @@ def test_an_object_that_does_not_rest_keeps_its_pose(monkeypatch, five, refined,
     objects = [falls if item.name == "can" else item for item in right.scene.objects]
     returning(monkeypatch, right.scene.model_copy(update={"objects": tuple(objects)}), right)
     found = align_final(five, refined, photo)
-    assert found is not None and found.aligned == ("box",)
+    assert found.aligned == ("box",)
 
 
 def test_an_object_keeps_its_pose_if_what_it_carries_would_fall(monkeypatch):
@@ -144,18 +144,19 @@ def test_an_object_keeps_its_pose_if_what_it_carries_would_fall(monkeypatch):
     # The cube falls off a smaller board, whether or not it is itself aligned again.
     for keep in ((), ("cube",)):
         found = align_final(start, refined, photo, keep=keep)
-        assert found is not None and "brick" in found.aligned and "board" not in found.aligned
+        assert "brick" in found.aligned and "board" not in found.aligned
         assert world_poses(found.scene)["cube"].pos[2] > 0.015
 
 
 def test_a_scene_that_fails_its_check_is_not_used(monkeypatch, five, refined, photo):
     strict = RefineOptions(max_drift_m=1e-9)
-    assert align_final(five, refined, photo, strict) is None
+    assert align_final(five, refined, photo, strict) == FinalAlignment(refined)
     # The check decides, not the options of the alignment.
-    assert align_final(five, refined, photo, RefineOptions()) is not None
+    assert align_final(five, refined, photo, RefineOptions()).aligned
 
 
 def test_an_alignment_that_fails_changes_nothing(monkeypatch, five, refined, photo):
     failed = Alignment(refined, failure="the solver failed: singular matrix")
     monkeypatch.setattr(final_alignment, "align_again", lambda *args: failed)
-    assert align_final(five, refined, photo) is None
+    found = align_final(five, refined, photo)
+    assert found == FinalAlignment(refined, failure="the solver failed: singular matrix")

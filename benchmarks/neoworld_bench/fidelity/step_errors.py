@@ -124,10 +124,10 @@ def photo_rows(
             stages["aligned"] = start
         if runner is not None:
             refined = refine(start, o, seed=seed, engine=runner)
-            final = None
+            stages["refined"] = refined.scene
             if refined.passed and c.align.aligns_again:
                 final = align_final(start, refined.scene, photograph(scene), o, c.align)
-            stages["refined"] = refined.scene if final is None else final.scene
+                stages["refined"] = final.scene
         checks = {
             step: measured(at if step == "refined" else snap_exactly(at), o)
             for step, at in stages.items()

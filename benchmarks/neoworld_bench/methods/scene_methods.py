@@ -320,7 +320,7 @@ def outcomes_of(
             began = time.perf_counter()
             final = align_final(start, result.scene, picture(), o, used)
             times["seconds"] += time.perf_counter() - began
-            if final is not None:
+            if final.measure is not None:
                 result = dataclasses.replace(result, scene=final.scene, measure=final.measure)
         yield method, dataclasses.replace(result, **times)
 
