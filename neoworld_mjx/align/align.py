@@ -117,7 +117,7 @@ def align_again(
         options: as for `align`. Joints keep their positions.
 
     Returns:
-        As `align`. The uncertainties do not include that of the camera.
+        The alignment. Its uncertainties do not include that of the camera.
 
     Raises:
         PhotoError: the photograph does not have the camera's aspect ratio.

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 import jax
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from ..config import SettleOptions
 from ..spec import SceneObject, SceneSpec, support_frame, world_poses
@@ -23,7 +22,6 @@ from .exact import start_state
 from .guidance import INTERVAL_S, Guidance, GuidedBodies, free_bodies, springs
 from .layout import Poses
 from .model import FREE, SceneModel, StaticScene, is_rotational
-from .placed import settling_displacement
 from .recorder import DIVERGED
 
 HOLD_RATE = 1e5
@@ -176,32 +174,3 @@ def _with_support_pose(item: SceneObject, rest: Pose) -> SceneObject:
             "base_tilt": tuple(tilt.tolist()),
         }
     )
-
-
-def moved_away(
-    model: SceneModel,
-    start: SceneSpec,
-    end: SceneSpec,
-    log_scale: Float[np.ndarray, " object"],
-) -> tuple[str, ...]:
-    """Return the names of the objects that settled farther than `settling_displacement` allows.
-
-    Args:
-        model: the compiled scene.
-        start: the placed scene.
-        end: the settled scene.
-        log_scale: log scales of the objects in the layout; shape [object].
-    """
-    size = np.exp(log_scale)[None]
-    far = (
-        settling_displacement(model, resting_poses(start, size), resting_poses(end, size), np)[0]
-        > 1.0
-    )
-    return tuple(model.names[n] for n in np.flatnonzero(far))
-
-
-def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Poses:
-    """Return the poses of a scene's objects as a single candidate."""
-    poses = list(world_poses(scene).values())
-    pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
-    return Poses(pos, quat, scale, pos[..., 2])

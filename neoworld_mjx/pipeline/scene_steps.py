@@ -61,7 +61,7 @@ def refine_layout(context: StepContext) -> None:
         scene, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
         if aligns_again and refined.passed:
             began = time.perf_counter()
-            final = _align_final(context, composed, refined.scene)
+            final = _align_final(context, composed, refined.scene, photo)
             seconds["align"] = time.perf_counter() - began
             if final.failure:
                 run.fallback("refine", "no object is aligned again", final.failure)
@@ -108,7 +108,9 @@ def refine_layout(context: StepContext) -> None:
                 )
 
 
-def _align_final(context: StepContext, composed: SceneSpec, refined: SceneSpec) -> "FinalAlignment":
+def _align_final(
+    context: StepContext, composed: SceneSpec, refined: SceneSpec, photo: Picture | None
+) -> "FinalAlignment":
     """Align the objects again that the refinement moved, except those that a person placed."""
     from ..compose.layout_patch import read_layout_patch
     from ..refinement.final_alignment import align_final
@@ -117,7 +119,7 @@ def _align_final(context: StepContext, composed: SceneSpec, refined: SceneSpec) 
     return align_final(
         composed,
         refined,
-        load_photo(run.path / "photo.png").rgb,
+        load_photo(run.path / "photo.png").rgb if photo is None else photo.rgb,
         config.refine,
         config.compose.align,
         keep=read_layout_patch(run.path).objects,

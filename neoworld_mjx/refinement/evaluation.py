@@ -19,10 +19,10 @@ from ..physics.placed import (
     place_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays, pad_objects
-from ..physics.settling import resting_poses
 from ..spec import SceneSpec
 from ..traces import computes_on_cpu
 from .batching import concatenate_candidates, map_runs, pad_rollout, roll_out, settle_candidates
+from .finishing import resting_poses
 from .objective import Scores, evaluate
 from .rounds import Round
 from .search_run import SearchResult

@@ -16,12 +16,12 @@ from ..align.align import FINE_PX, align_again
 from ..align.colors import LabImage
 from ..align.rasterize import draw_scene, height_of, pixels_of
 from ..config import AlignOptions, RefineOptions
-from ..measure import SceneMeasure, measured, passes
-from ..physics.model import SceneModel, compile_scene
-from ..physics.settling import moved_away, settle_scene
+from ..measure import SceneMeasure
+from ..physics.model import compile_scene
+from ..physics.settling import settle_scene
 from ..render import visible_surface
 from ..spec import SceneSpec, world_poses
-from .finishing import Finished
+from .finishing import check_settled
 
 TRIES = 3
 """Largest number of times that the aligned scene is settled and checked. After each time, some
@@ -93,8 +93,10 @@ def align_final(
     bins = LabImage.of(photo, FINE_PX, height_of(camera, FINE_PX)).bins
     owner = draw_scene(refined, camera, FINE_PX).owner
     model = compile_scene(refined, samples=FEW_SAMPLES)
+    as_compiled = np.zeros(len(model.names))
     for _ in range(TRIES):
-        finished = _settled(model, _mixed(refined, again.scene, accepted), o)
+        placed = _mixed(refined, again.scene, accepted)
+        finished = check_settled(model, placed, settle_scene(placed, o.settle), as_compiled, o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
         faulty = [
             k for k in range(len(rests)) if not rests[k] or gain(shown == k, owner == k, bins) < 0
@@ -151,11 +153,3 @@ def _with_supports(scene: SceneSpec, objects: Iterable[int]) -> set[str]:
             names.add(name)
             name = scene.object(name).parent
     return names
-
-
-def _settled(model: SceneModel, placed: SceneSpec, o: RefineOptions) -> Finished:
-    """Settle and check a scene, which differs from the compiled scene only in poses and sizes."""
-    settled = settle_scene(placed, o.settle)
-    measure = measured(settled, o)
-    away = moved_away(model, placed, settled, np.zeros(len(model.names)))
-    return Finished(settled, measure, away, passes(measure, o) and not away)

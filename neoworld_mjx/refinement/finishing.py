@@ -10,7 +10,8 @@ from ..measure import SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from ..physics.settling import moved_away, settle_scene, with_world_poses
+from ..physics.placed import settling_displacement
+from ..physics.settling import settle_scene, with_world_poses
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import pose
 
@@ -101,22 +102,31 @@ def finish(
         return Finished(scene, measure, (), passes(measure, o))
     start = placed if rest is None else _at_poses(model, placed, rest, k)
     size = np.asarray(layouts.log_scale)[k, : len(model.names)]
-    finished = _check(model, placed, settle_scene(start, o.settle), size, o)
+    finished = check_settled(model, placed, settle_scene(start, o.settle), size, o)
     for _ in range(RELEASES):
         if passes(finished.measure, o) or finished.measure.diverged:
             break
         released = _release_failing(finished, o)
-        finished = _check(model, placed, settle_scene(released, o.settle), size, o)
+        finished = check_settled(model, placed, settle_scene(released, o.settle), size, o)
     return finished
 
 
-def _check(
+def check_settled(
     model: SceneModel,
     placed: SceneSpec,
     scene: SceneSpec,
     log_scale: Float[np.ndarray, " object"],
     o: RefineOptions,
 ) -> Finished:
+    """Return a settled scene with its final check.
+
+    Args:
+        model: the compiled scene.
+        placed: the placed scene, before it settled.
+        scene: the settled scene.
+        log_scale: log scales of the objects in `placed`, relative to `model`; shape [object].
+        o: options of the check.
+    """
     measure = measured(scene, o)
     away = moved_away(model, placed, scene, log_scale)
     return Finished(scene, measure, away, passes(measure, o) and not away)
@@ -145,6 +155,28 @@ def _at_poses(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> Scen
     return with_world_poses(placed, ends)
 
 
+def moved_away(
+    model: SceneModel,
+    start: SceneSpec,
+    end: SceneSpec,
+    log_scale: Float[np.ndarray, " object"],
+) -> tuple[str, ...]:
+    """Return the names of the objects that settled farther than `settling_displacement` allows.
+
+    Args:
+        model: the compiled scene.
+        start: the placed scene.
+        end: the settled scene.
+        log_scale: log scales of the objects in the layout; shape [object].
+    """
+    size = np.exp(log_scale)[None]
+    far = (
+        settling_displacement(model, resting_poses(start, size), resting_poses(end, size), np)[0]
+        > 1.0
+    )
+    return tuple(model.names[n] for n in np.flatnonzero(far))
+
+
 def free_to_move(
     scene: SceneSpec, rests: Bool[np.ndarray, " object"]
 ) -> Bool[np.ndarray, " object"]:
@@ -171,3 +203,10 @@ def with_resting_fixed(composed: SceneSpec, initial: Finished, o: RefineOptions)
         for item, end, is_free in zip(composed.objects, initial.scene.objects, free, strict=True)
     ]
     return composed.model_copy(update={"objects": tuple(objects)})
+
+
+def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Poses:
+    """Return the poses of a scene's objects as a single candidate."""
+    poses = list(world_poses(scene).values())
+    pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
+    return Poses(pos, quat, scale, pos[..., 2])

@@ -14,7 +14,7 @@ from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.align import desk
 
 MOVED = {"box": (8.0, -6.0, 4.0, 2.0), "can": (-6.0, 6.0, 0.0, 0.0)}
-"""What the refinement did to a composed scene that is right: in mm, degrees and percent."""
+"""Displacements of a correct composed scene by the refinement: dx, dy [mm], yaw [deg], size [%]."""
 KNOWN = PoseUncertainty(along=0.01, across=0.004, yaw=0.02, log_scale=0.01)
 
 
@@ -119,8 +119,9 @@ def test_an_object_that_agrees_less_with_the_photograph_keeps_its_pose(
 
 
 def test_an_object_that_does_not_rest_keeps_its_pose(monkeypatch, five, refined, photo, right):
-    tower = right.scene.object("can")
-    falls = tower.model_copy(update={"base_tilt": (np.cos(0.3), np.sin(0.3), 0.0, 0.0)})
+    falls = right.scene.object("can").model_copy(
+        update={"base_tilt": (np.cos(0.3), np.sin(0.3), 0.0, 0.0)}
+    )
     objects = [falls if item.name == "can" else item for item in right.scene.objects]
     returning(monkeypatch, right.scene.model_copy(update={"objects": tuple(objects)}), right)
     found = align_final(five, refined, photo)
@@ -148,7 +149,7 @@ def test_an_object_keeps_its_pose_if_what_it_carries_would_fall(monkeypatch):
         assert world_poses(found.scene)["cube"].pos[2] > 0.015
 
 
-def test_a_scene_that_fails_its_check_is_not_used(monkeypatch, five, refined, photo):
+def test_a_scene_that_fails_its_check_is_not_used(five, refined, photo):
     strict = RefineOptions(max_drift_m=1e-9)
     assert align_final(five, refined, photo, strict) == FinalAlignment(refined)
     # The check decides, not the options of the alignment.

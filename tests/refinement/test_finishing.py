@@ -7,9 +7,8 @@ from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.measure import passes
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.settling import moved_away
 from neoworld_mjx.refinement import finishing
-from neoworld_mjx.refinement.finishing import finish, free_to_move, with_resting_fixed
+from neoworld_mjx.refinement.finishing import finish, free_to_move, moved_away, with_resting_fixed
 from neoworld_mjx.spec import Box, Ellipsoid, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
