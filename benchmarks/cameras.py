@@ -14,7 +14,8 @@ from neoworld_bench.machine import machine
 from neoworld_bench.noise.parse_noise import NoiseLog, with_misjudged_view
 
 from benchmarks.suites import Cameras
-from neoworld_mjx.parse.camera_checks import LEAST_DEVIATION, UprightEdges, upright_edges
+from neoworld_mjx.fit.vertical_edges import VerticalEdges
+from neoworld_mjx.parse.camera_checks import LEAST_DEVIATION, contradicts, deviation, edges_of
 from neoworld_mjx.spec import SceneSpec, SceneTree
 
 log = logging.getLogger(__name__)
@@ -26,12 +27,12 @@ SIGMAS = (2.5, 3.5, 5.0)
 
 
 def run_suite(options: Cameras) -> dict[str, Any]:
-    """Count the cameras that contradict the upright edges of their pictures, by set and kind."""
-    found: dict[tuple[str, str], list[UprightEdges | None]] = {}
+    """Count the cameras that contradict the vertical edges of their pictures, by set and kind."""
+    found: dict[tuple[str, str], list[VerticalEdges | None]] = {}
     for group, scene in _scenes(options):
         truth, picture = exact_response(scene), photograph(scene)
         for kind, tree in _responses(truth, options.responses):
-            found.setdefault((group, kind), []).append(upright_edges(picture, tree))
+            found.setdefault((group, kind), []).append(edges_of(picture, tree))
         log.info("%s %s", group, scene.name)
     table = [
         {
@@ -39,7 +40,7 @@ def run_suite(options: Cameras) -> dict[str, Any]:
             "camera": kind,
             "cameras": len(results),
             "with_edges": sum(edges is not None for edges in results),
-            "noticed": sum(edges is not None and bool(edges.contradicts) for edges in results),
+            "noticed": sum(edges is not None and contradicts(edges) for edges in results),
             **{f"at_{sigma:g}": sum(_at(sigma, edges) for edges in results) for sigma in SIGMAS},
         }
         for (group, kind), results in found.items()
@@ -47,9 +48,9 @@ def run_suite(options: Cameras) -> dict[str, Any]:
     return {"machine": machine(), "table": table}
 
 
-def _at(sigma: float, edges: UprightEdges | None) -> bool:
+def _at(sigma: float, edges: VerticalEdges | None) -> bool:
     """Return whether edges exclude a camera with another significance than the parse's."""
-    return edges is not None and bool(edges.sigma > sigma and edges.deviation > LEAST_DEVIATION)
+    return edges is not None and edges.sigma > sigma and deviation(edges) > LEAST_DEVIATION
 
 
 def _scenes(options: Cameras) -> Iterator[tuple[str, SceneSpec]]:

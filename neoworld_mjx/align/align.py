@@ -6,6 +6,7 @@ from overlapping. An object without contour evidence stays near its composed pos
 keeps it in place in the image if the camera moves.
 """
 
+import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from jaxtyping import Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
+from ..fit.vertical_edges import VerticalEdges
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
@@ -26,6 +28,7 @@ from .alignment_prior import (
     opening_deviation,
     prior_precision,
 )
+from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage
 from .contacts import SceneGeoms, contacts
 from .linear_evidence import box_evidence, contour_evidence
@@ -153,13 +156,16 @@ def _aligned(
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
     problem = _Problem(unknowns, o, measured, colliders)
     try:
-        return _solution(problem, images, stages)
+        return _solution(problem, photo, images, stages)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=f"the solver failed: {str(error).splitlines()[0]}")
 
 
 def _solution(
-    problem: "_Problem", images: dict[int, LabImage], stages: Sequence[AlignmentStage]
+    problem: "_Problem",
+    photo: UInt8[np.ndarray, "row column 3"],
+    images: dict[int, LabImage],
+    stages: Sequence[AlignmentStage],
 ) -> Alignment:
     unknowns, scene = problem.unknowns, problem.unknowns.scene
     reasons = {
@@ -169,14 +175,18 @@ def _solution(
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = np.zeros(unknowns.size)
     misjudged = True
-    for stage in stages:
-        problem = replace(problem, misjudged=misjudged or stage.open_focal)
-        for _ in range(stage.steps):
-            equations, _ = problem.linearized(x, images[stage.width], stage, reasons)
-            x = problem.solved(equations)
-            if stage.open_focal:
-                deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
-                misjudged = is_misjudged(float(x[FOCAL]), deviation)
+    for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
+        if problem.uses_edges:
+            # Only edges that are almost vertical for the current camera count.
+            problem = replace(problem, edges=edges_of_photo(unknowns, x, photo))
+        for stage in of_width:
+            problem = replace(problem, misjudged=misjudged or stage.open_focal)
+            for _ in range(stage.steps):
+                equations, _ = problem.linearized(x, images[width], stage, reasons)
+                x = problem.solved(equations)
+                if stage.open_focal:
+                    deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
+                    misjudged = is_misjudged(float(x[FOCAL]), deviation)
     last = stages[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
@@ -208,8 +218,15 @@ class _Problem:
     """Collision geoms of the scene; None if objects may overlap."""
     misjudged: bool = True
     """True if the field of view is or may be misjudged."""
+    edges: VerticalEdges | None = None
+    """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
     held: frozenset[int] = frozenset()
     """Indices of the open joints that keep their composed positions."""
+
+    @property
+    def uses_edges(self) -> bool:
+        """True if vertical edges are evidence about the camera."""
+        return self.options.camera and self.options.contours and self.options.edges
 
     def linearized(
         self,
@@ -233,6 +250,8 @@ class _Problem:
         if not self.options.camera:
             deviations = np.full(CAMERA, 1e-9)
         equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)
+        if self.edges is not None:
+            equations.add_camera(*linearized_edges(self.edges, unknowns, x))
         if self.colliders is not None:
             equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
         for k in unknowns.free.tolist():

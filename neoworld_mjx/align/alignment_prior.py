@@ -2,7 +2,7 @@
 
 Most standard deviations are those of the fit (`fit.priors`), which placed the objects. The priors
 of objects and joints are Student's t distributions, because most objects are almost right and some
-are far off.
+are far off. So is that of the camera's pitch, which vertical edges can contradict.
 """
 
 import math
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from .open_joints import OpenJoint
 from .placement import Placement
-from .unknowns import CAMERA, EACH, STRETCH, Unknowns
+from .unknowns import CAMERA, EACH, STRETCH, TILT, Unknowns
 
 FREEDOM = 4.0
 """Degrees of freedom of the t distributions."""
@@ -104,6 +104,7 @@ def prior_precision(
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
     precision[camera, camera] = 1 / deviations**2
+    precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
     of_parts = stretches[STRETCH * len(unknowns.free) :]

@@ -44,6 +44,14 @@ class NormalEquations:
         self._boxes.add(k)
         self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
 
+    def add_camera(
+        self, residual: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n 4"]
+    ) -> None:
+        """Add evidence about the camera; residuals and Jacobian are in standard deviations."""
+        camera = np.arange(jacobian.shape[1])
+        block = _Block(camera, jacobian.T @ jacobian, jacobian.T @ residual)
+        self._add(block, 1.0, self._precision, self._gradient)
+
     def add_contacts(self, contacts: ContactGaps) -> None:
         """Set the gaps between objects; `solved` penalizes steps that would make a gap negative."""
         self._contacts = contacts

@@ -40,8 +40,8 @@ from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined
 
 CAMERA = 4
 """Number of unknowns of the camera."""
-FOCAL = 2
-"""Index of the logarithm of the focal length."""
+TILT, ROLL, FOCAL = 0, 1, 2
+"""Indices of the camera's pitch, its roll, and the logarithm of its focal length."""
 EACH = 4
 """Number of unknowns of a free object, without its joints."""
 STRETCH = 3

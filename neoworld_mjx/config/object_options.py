@@ -278,6 +278,11 @@ class AlignOptions(Options):
         True,
         "Also use the creases of objects, where two faces of an object meet. Requires `contours`.",
     )
+    edges: bool = option(
+        True,
+        "Also use the vertical edges in the photograph as evidence about the camera. Requires "
+        "`camera` and `contours`.",
+    )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
     joints: bool = option(
         False,

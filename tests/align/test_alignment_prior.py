@@ -12,8 +12,8 @@ from neoworld_mjx.align.alignment_prior import (
     is_misjudged,
     prior_precision,
 )
-from neoworld_mjx.align.unknowns import CAMERA, EACH, FOCAL, STRETCH
-from neoworld_mjx.fit.priors import ACROSS, DEPTH, LOG_SIZE, YAW
+from neoworld_mjx.align.unknowns import CAMERA, EACH, FOCAL, STRETCH, TILT
+from neoworld_mjx.fit.priors import ACROSS, DEPTH, LOG_SIZE, PITCH, YAW
 from neoworld_mjx.spec import HollowBox
 from tests.align import desk
 
@@ -55,7 +55,7 @@ def test_places_deviate_by_their_distance_along_and_across_the_view():
 
 
 def test_tails_are_heavy():
-    """Two deviations away, the prior is half as precise; the camera's other angles are certain."""
+    """Two deviations away, the prior is half as precise; that of the focal length is a Gaussian."""
     scene = desk.five()
     unknowns = desk.unknowns_of(scene)
     own, other = unknowns.columns(1), unknowns.columns(2)
@@ -63,7 +63,7 @@ def test_tails_are_heavy():
     now, before = precision(unknowns, x)
     along = unknowns.view_axes(now, 1)[0]
     x[own] = (*(2 * DEPTH * np.linalg.norm(now.pos[1] - now.camera.position()) * along), 2 * YAW, 0)
-    x[0], x[FOCAL] = 0.1, 0.08
+    x[TILT], x[FOCAL] = 2 * PITCH, 0.08
     # At the old placement, so that only the weights change.
     camera = camera_deviations((), misjudged=False)
     after = prior_precision(unknowns, now, x, camera)
@@ -71,7 +71,7 @@ def test_tails_are_heavy():
     assert after[own, own][2, 2] == pytest.approx(before[own, own][2, 2] / 2)
     assert after[own, own][3, 3] == before[own, own][3, 3]
     assert np.array_equal(after[other, other], before[other, other])
-    assert after[0, 0] == before[0, 0]
+    assert after[TILT, TILT] == pytest.approx(before[TILT, TILT] / 2)
     assert after[FOCAL, FOCAL] == pytest.approx(1 / camera[FOCAL] ** 2)
 
 

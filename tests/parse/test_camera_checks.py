@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from neoworld_mjx.parse.camera_checks import CAMERA, camera_issue, upright_edges
+from neoworld_mjx.parse.camera_checks import CAMERA, camera_issue, edges_of
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.parse.test_parse import GOOD, run
@@ -75,9 +75,9 @@ def placed_by_pixels(data, photo):
 
 
 @pytest.mark.parametrize("noise", [0.0, 8.0])
-def test_upright_edges_measure_pitch_and_roll(noise):
+def test_vertical_edges_measure_pitch_and_roll(noise):
     data, photo = picture(table(), noise=noise)
-    found = upright_edges(photo.rgb, tree_of(data, photo, **STATED, measured=[]))
+    found = edges_of(photo.rgb, tree_of(data, photo, **STATED, measured=[]))
     assert found is not None
     # At the stated field of view the point at f / tan(pitch) has another pitch.
     same_point = math.tan(math.radians(35.7)) * math.tan(math.radians(25.3 / 2))
@@ -115,15 +115,15 @@ def test_a_right_camera_is_none(change):
 
 def test_edges_of_tilted_and_of_tapered_things_do_not_vote():
     leaning, photo = picture(table(tilt={"towards": "forward", "degrees": 12.0}))
-    assert upright_edges(photo.rgb, tree_of(leaning, photo)) is None
+    assert edges_of(photo.rgb, tree_of(leaning, photo)) is None
     cups, photo = picture(table(label="bowl"))
-    assert upright_edges(photo.rgb, tree_of(cups, photo, **STATED)) is None
+    assert edges_of(photo.rgb, tree_of(cups, photo, **STATED)) is None
 
 
 def test_a_picture_without_edges_says_nothing():
     data, photo = picture(table())
     blank = np.full_like(photo.rgb, 128)
-    assert upright_edges(blank, tree_of(data, photo, **STATED)) is None
+    assert edges_of(blank, tree_of(data, photo, **STATED)) is None
 
 
 def test_the_model_is_asked_once():

@@ -81,6 +81,7 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
     "without_creases": AlignOptions(creases=False),
+    "without_edges": AlignOptions(edges=False),
     "without_contacts": AlignOptions(contacts=False),
     "without_final": AlignOptions(final=False),
     "without_camera": AlignOptions(camera=False),
