@@ -50,7 +50,7 @@ def run_suite(options: Cameras) -> dict[str, Any]:
 
 def _at(sigma: float, edges: VerticalEdges | None) -> bool:
     """Return whether edges exclude a camera with another significance than the parse's."""
-    return edges is not None and edges.sigma > sigma and deviation(edges) > LEAST_DEVIATION
+    return edges is not None and bool(edges.sigma > sigma) and deviation(edges) > LEAST_DEVIATION
 
 
 def _scenes(options: Cameras) -> Iterator[tuple[str, SceneSpec]]:

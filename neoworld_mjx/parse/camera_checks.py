@@ -95,7 +95,8 @@ def deviation(edges: VerticalEdges) -> float:
     """
     off = [(edges.pitch - edges.camera.pitch, edges.pitch_sd)]
     off.append((edges.roll - edges.camera.roll, edges.roll_sd))
-    return max((abs(value) for value, sd in off if abs(value) > CERTAIN * sd), default=0.0)
+    certain = [abs(value) for value, sd in off if abs(value) > CERTAIN * sd]
+    return float(max(certain, default=0.0))
 
 
 def contradicts(edges: VerticalEdges) -> bool:
