@@ -52,7 +52,7 @@ def edges(five, photo):
     ],
 )
 def test_upright_boxes_and_cylinders_have_vertical_edges(shape, tilt_deg, expected):
-    vertices, triangles = visible_surface(desk.colored("thing", shape, "red"))
+    vertices, triangles = visible_surface(desk.colored("solid", shape, "red"))
     turn = matrix(from_axis_angle((0.0, 1.0, 0.0), math.radians(tilt_deg)))
     yaw = matrix(from_axis_angle((0.0, 0.0, 1.0), 0.4))
     assert has_vertical_edges(WorldMesh(vertices @ (yaw @ turn).T, triangles)) is expected
@@ -60,7 +60,7 @@ def test_upright_boxes_and_cylinders_have_vertical_edges(shape, tilt_deg, expect
 
 def test_tables_are_flat_and_walls_are_not():
     table, wall = (
-        WorldMesh(*visible_surface(desk.block("thing", *size, "red")))
+        WorldMesh(*visible_surface(desk.block("solid", *size, "red")))
         for size in ((1.0, 0.8, 0.05), (0.1, 3.0, 2.5))
     )
     assert is_flat(table) and not is_flat(wall)
