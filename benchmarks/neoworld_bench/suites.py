@@ -32,6 +32,7 @@ MethodName = Literal[
     "without_photo",
     "without_contours",
     "without_creases",
+    "without_edges",
     "without_contacts",
     "without_camera",
     "without_final",
