@@ -1,9 +1,9 @@
 """Align a composed scene with the photograph: camera and layout together, by Gauss-Newton steps.
 
-The evidence consists of the contours and creases of all objects in the photograph, from coarse to
-fine resolution, and of the parsed 2D boxes. The prior is the composed scene. Contacts keep objects
-from overlapping. An object without contour evidence stays near its composed pose, and its 2D box
-keeps it in place in the image if the camera moves.
+The evidence consists of the contours of all objects in the photograph, from coarse to fine
+resolution, of its vertical edges, and of the parsed 2D boxes. The prior is the composed scene.
+Contacts keep objects from overlapping. An object without contour evidence stays near its composed
+pose, and its 2D box keeps it in place in the image if the camera moves.
 """
 
 import itertools
@@ -269,7 +269,6 @@ class _Problem:
                 k,
                 reach=stage.reach,
                 step=stage.spacing,
-                with_creases=self.options.creases,
             )
             if contour is not None:
                 equations.add_contour(k, contour)

@@ -33,8 +33,6 @@ LEAST_PIXELS = 60
 RING = 0.25
 """Width of the ring around an object, relative to the square root of its area."""
 LEAST_RING_PX = 6
-LEAST_SPREAD = 2.0
-"""Least standard deviation of the colors of a face [CIE Lab], due to noise and compression."""
 BAND = 6
 """Width of the band inside a contour whose colors are used, in multiples of the margin."""
 
@@ -134,36 +132,6 @@ class ColorModels(NamedTuple):
             rows = behind == neighbor
             outside[rows] = self.background(neighbor)[bins[rows]]
         return log_likelihood_ratio(self.inside[bins], outside)
-
-
-class FaceColors(NamedTuple):
-    """Gaussian color models of two faces of an object, which may differ by less than a bin."""
-
-    inside: Float[np.ndarray, " 3"]
-    outside: Float[np.ndarray, " 3"]
-    spread: float
-    """Standard deviation of both Gaussians [CIE Lab]."""
-
-    @classmethod
-    def of(
-        cls, inside: Float[np.ndarray, "n 3"], outside: Float[np.ndarray, "m 3"]
-    ) -> "FaceColors":
-        """Estimate the color models of two faces robustly from the colors of their pixels."""
-        first, second = np.median(inside, axis=0), np.median(outside, axis=0)
-        spreads = [
-            1.48 * np.median(np.abs(lab - median), axis=0)
-            for lab, median in ((inside, first), (outside, second))
-        ]
-        spread = float(np.sqrt(LEAST_SPREAD**2 + np.mean(np.square(spreads))))
-        return cls(first, second, spread)
-
-    def log_ratio(
-        self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "n m"]:
-        """Return the log likelihood ratio of each color: the first face versus the second."""
-        del behind
-        first, second = (np.sum((lab - mean) ** 2, axis=-1) for mean in (self.inside, self.outside))
-        return np.clip((second - first) / (2 * self.spread**2), -LARGEST, LARGEST)
 
 
 def color_models(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from .colors import ColorModels, FaceColors
+from .colors import ColorModels
 from .rasterize import DrawnObjects, window_of
 
 MOST_POINTS = 300
@@ -55,7 +55,7 @@ class Displacements(NamedTuple):
 
 
 def contour(drawn: DrawnObjects, k: int) -> Contour | None:
-    """Return the contour of an object, or None if no contour is visible."""
+    """Return evenly spaced points of an object's contour, or None if no contour is visible."""
     mask = drawn.owner == k
     if not mask.any():
         return None
@@ -77,39 +77,14 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
         y, x = y + here[0].start, x + here[1].start
         pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
         found.append((pixel, depth[y, x], -gradient[y, x], behind, body))
-    parts = (np.concatenate(part) for part in zip(*found, strict=True))
-    return sampled_contour(*parts, shape=(height, width), most=MOST_POINTS)
-
-
-def sampled_contour(
-    pixel: Float[np.ndarray, "n 2"],
-    depth: Float[np.ndarray, " n"],
-    slope: Float[np.ndarray, "n 2"],
-    behind: Int[np.ndarray, " n"],
-    body: Int[np.ndarray, " n"],
-    *,
-    shape: tuple[int, int],
-    most: int,
-) -> Contour | None:
-    """Return evenly spaced points of a contour, or None if no point has a normal within the image.
-
-    Args:
-        pixel: points between neighboring pixels.
-        depth: depth of the object at each point [m].
-        slope: negative gradient of the object's smoothed mask at each point.
-        behind: index of the object behind the contour at each point.
-        body: index of the body that is visible at each point.
-        shape: height and width of the image [px].
-        most: largest number of points.
-    """
-    height, width = shape
+    pixel, depth, slope, behind, body = (np.concatenate(part) for part in zip(*found, strict=True))
     steep = np.linalg.norm(slope, axis=1)
     inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
     rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
     if not len(rows):
         return None
-    share = max(len(rows) / most, 1.0)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    share = max(len(rows) / MOST_POINTS, 1.0)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_POINTS)).astype(int)]
     normal = slope[rows] / steep[rows, None]
     # A path along the pixel grid is longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
@@ -127,7 +102,7 @@ def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:
 def displacements(
     lab: Float[np.ndarray, "row column 3"],
     points: Contour,
-    models: ColorModels | FaceColors,
+    models: ColorModels,
     *,
     reach: float,
     step: float,
@@ -138,7 +113,7 @@ def displacements(
 
     Args:
         lab: the photograph [CIE Lab].
-        points: points of a contour or crease.
+        points: points of a contour.
         models: color models of the two sides.
         reach: largest displacement [px].
         step: distance between samples along a normal [px].

@@ -1,14 +1,12 @@
-"""Evidence from an object's contour, creases and 2D box, linearized in the unknowns."""
+"""Evidence from an object's contour and 2D box, linearized in the unknowns."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .colors import ColorModels, FaceColors, LabImage, color_models
-from .contours import Contour, contour, displacements
-from .creases import creases
+from .colors import LabImage, color_models
+from .contours import contour, displacements
 from .image_jacobian import image_jacobian
 from .placement import Placement
 from .rasterize import DrawnObjects, pixels_of, window_of
@@ -66,9 +64,8 @@ def contour_evidence(
     *,
     reach: float,
     step: float,
-    with_creases: bool = True,
 ) -> LinearEvidence | None:
-    """Return the evidence of an object's contour and creases, or None if there is no evidence.
+    """Return the evidence of an object's contour, or None if there is no evidence.
 
     Args:
         unknowns: the unknowns.
@@ -79,91 +76,39 @@ def contour_evidence(
         k: index of the object.
         reach: largest displacement, in pixels of an image REFERENCE_PX wide.
         step: distance between samples along normals, in pixels of an image REFERENCE_PX wide.
-        with_creases: if True, use creases, too.
     """
     points = contour(drawn, k)
     if points is None:
         return None
     width = image.lab.shape[1]
     unit = width / REFERENCE_PX
-    margin = max(1, round(MARGIN_PX * unit))
-    models = color_models(drawn.owner, image.bins, k, margin)
+    models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
     if models is None:
         return None
     length = float(points.length.sum())
-    lines: list[tuple[Contour, ColorModels | FaceColors]] = [(points, models)]
-    if with_creases:
-        lines += creases(drawn, image.lab, k, margin)
-    located = [
-        _located(*line, image, length, unknowns.mover, reach=reach, step=step) for line in lines
-    ]
-    if not any(part is not None for part in located):
-        return None
-    pixel, depth, normal, body, value, weight = (
-        np.concatenate(values) for values in zip(*filter(None, located), strict=True)
-    )
-    world = _unprojected(now, pixel, depth, width)
-    local = now.local(k if (body == k).all() else body, world)
-    jacobian = image_jacobian(unknowns, now, neighbors, k, local, normal, width, body)
-    return LinearEvidence(jacobian / unit, value / unit, weight * unit**2)
-
-
-class _Located(NamedTuple):
-    """Points of a contour or crease with their displacements in the photograph."""
-
-    pixel: Float[np.ndarray, "n 2"]
-    depth: Float[np.ndarray, " n"]
-    normal: Float[np.ndarray, "n 2"]
-    body: Int[np.ndarray, " n"]
-    """Index of the body that is visible at each point, as defined in `open_joints`."""
-    value: Float[np.ndarray, " n"]
-    """Displacement along the normal [px]."""
-    weight: Float[np.ndarray, " n"]
-    """[1/px^2]"""
-
-
-def _located(
-    points: Contour,
-    models: ColorModels | FaceColors,
-    image: LabImage,
-    length: float,
-    mover: Int[np.ndarray, " body"],
-    *,
-    reach: float,
-    step: float,
-) -> _Located | None:
-    """Locate a contour or crease in the photograph; return None if the colors do not show it.
-
-    Args:
-        points: points of the contour or crease.
-        models: color models of its two sides.
-        image: the photograph.
-        length: length of the object's contour [px].
-        mover: index of what moves each body, as in `Unknowns.mover`.
-        reach: as for `contour_evidence`.
-        step: as for `contour_evidence`.
-    """
-    unit = image.lab.shape[1] / REFERENCE_PX
-    noise = float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi))
     moved = displacements(
         image.lab,
         points,
         models,
         reach=reach * unit,
         step=step * unit,
-        noise=noise,
+        noise=float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi)),
         unit=unit,
     )
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():
         return None
-    spread = _spreads(moved.value, informed, mover[points.body], LEAST_SPREAD * unit)
+    body = points.body
+    spread = _spreads(moved.value, informed, unknowns.mover[body], LEAST_SPREAD * unit)
     robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
     # A contour with contradictory displacements is less certain than its colors suggest.
     precision = moved.precision / (1 + moved.precision * spread**2)
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
-    return _Located(points.pixel, points.depth, points.normal, points.body, moved.value, weight)
+    world = _unprojected(now, points.pixel, points.depth, width)
+    local = now.local(k if (body == k).all() else body, world)
+    jacobian = image_jacobian(unknowns, now, neighbors, k, local, points.normal, width, body)
+    return LinearEvidence(jacobian / unit, moved.value / unit, weight * unit**2)
 
 
 def _spreads(

@@ -29,8 +29,6 @@ class WorldMesh(NamedTuple):
     vertices: Float[np.ndarray, "v 3"]
     """[m]"""
     triangles: Int[np.ndarray, "t 3"]
-    face: Int[np.ndarray, " t"] | None = None
-    """Index of the smooth face of each triangle, see `creases`; if None, there is a single face."""
 
 
 def joined(meshes: Sequence[WorldMesh]) -> WorldMesh:
@@ -52,8 +50,6 @@ class DrawnObjects(NamedTuple):
     body: Int[np.ndarray, "row column"] | None = None
     """Index of the nearest body, as defined in `open_joints`; -1 for none. If None, bodies are not
     distinguished."""
-    face: Int[np.ndarray, "row column"] | None = None
-    """Index of the nearest smooth face, see `creases`; -1 for none."""
 
 
 def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:
@@ -94,7 +90,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         width: width of the image [px]; the height follows from the camera's aspect ratio.
     """
     height = height_of(camera, width)
-    corners, owners, faces = [], [], []
+    corners, owners = [], []
     for k, mesh in enumerate(meshes):
         pixels, depth = pixels_of(camera, mesh.vertices, width)
         ahead = (depth > NEAR_M)[mesh.triangles].all(axis=1)
@@ -102,8 +98,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
         inverse = 1.0 / np.maximum(depth, NEAR_M)
         corners.append(np.concatenate([pixels, inverse[:, None]], axis=1)[rows].reshape(-1, 3, 3))
         owners.append(np.full(len(rows), k))
-        faces.append(np.zeros(len(rows), int) if mesh.face is None else mesh.face[ahead])
-    triangle, owner, face = (np.concatenate(part) for part in (corners, owners, faces))
+    triangle, owner = np.concatenate(corners), np.concatenate(owners)
     nearest = np.zeros(width * height)
     first = np.full(width * height, -1)
     spans = _spans(triangle, width, height)
@@ -118,8 +113,7 @@ def draw_objects(meshes: Sequence[WorldMesh], camera: Camera, width: int) -> Dra
     with np.errstate(divide="ignore"):
         depth = np.where(first >= 0, 1.0 / nearest, np.inf)
     # At pixels without a triangle, the index -1 selects the appended -1.
-    owner, face = (np.append(ids, -1)[first].reshape(shape) for ids in (owner, face))
-    return DrawnObjects(owner, depth.reshape(shape), face=face)
+    return DrawnObjects(np.append(owner, -1)[first].reshape(shape), depth.reshape(shape))
 
 
 class _Spans(NamedTuple):

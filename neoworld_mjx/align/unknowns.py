@@ -26,7 +26,6 @@ from ..physics.support import link_frame
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
 from ..spec.pose import Pose, matrix, yaw_of
-from .creases import smooth_faces
 from .open_joints import (
     MovingPart,
     OpenJoint,
@@ -155,7 +154,7 @@ class Unknowns:
 
     @cached_property
     def surfaces(self) -> list[WorldMesh]:
-        """Visible surface of each body; the indices of smooth faces are unique in the scene."""
+        """Visible surface of each body."""
         moving = {(p.object, p.part) for p in self.parts}
         shown = []
         for k, item in enumerate(self.scene.objects):
@@ -165,12 +164,7 @@ class Unknowns:
         for k, part, _ in self.parts:
             item = self.scene.objects[k]
             shown.append(visible_surface(item.spec, item.joint_state, {part}))
-        surfaces, first = [], 0
-        for vertices, triangles in shown:
-            face = smooth_faces(vertices, triangles) + first
-            surfaces.append(WorldMesh(vertices, triangles, face))
-            first = int(face.max(initial=first - 1)) + 1
-        return surfaces
+        return [WorldMesh(*surface) for surface in shown]
 
     def body_mesh(self, place: Placement, body: int) -> WorldMesh:
         """Return the visible surface of a body in the world."""
@@ -178,7 +172,7 @@ class Unknowns:
         return surface._replace(vertices=place.world(body, surface.vertices))
 
     def mesh(self, place: Placement, k: int) -> WorldMesh:
-        """Return an object's visible surface in the world, without indices of smooth faces."""
+        """Return an object's visible surface in the world."""
         bodies = np.flatnonzero(self.object_of == k).tolist()
         return joined([self.body_mesh(place, b) for b in bodies])
 
@@ -189,11 +183,11 @@ class Unknowns:
         return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
 
     def draw(self, place: Placement, width: int) -> DrawnObjects:
-        """Render the scene in a placement, with the body and the smooth face at each pixel."""
+        """Render the scene in a placement, with the body at each pixel."""
         meshes = [self.body_mesh(place, b) for b in range(len(self.surfaces))]
         drawn = draw_objects(meshes, place.camera, width)
         owner = np.append(self.object_of, -1)[drawn.owner]
-        return DrawnObjects(owner, drawn.depth, drawn.owner, drawn.face)
+        return DrawnObjects(owner, drawn.depth, drawn.owner)
 
     def columns(self, k: int) -> slice:
         """Return the indices of the unknowns of a free object's pose and size."""

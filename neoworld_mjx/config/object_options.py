@@ -274,10 +274,6 @@ class AlignOptions(Options):
         True,
         "Use the contours of objects in the photograph. If false, use only the parsed 2D boxes.",
     )
-    creases: bool = option(
-        True,
-        "Also use the creases of objects, where two faces of an object meet. Requires `contours`.",
-    )
     edges: bool = option(
         True,
         "Also use the vertical edges in the photograph as evidence about the camera. Requires "

@@ -109,12 +109,18 @@ def test_a_longer_focal_length_explains_a_larger_pitch(five, edges):
     assert abs(linearized_edges(seen, unknowns, x)[0][0]) > 2
 
 
-def test_alignment_with_edges_brings_a_wrong_camera_nearer(five, photo):
-    wrong = with_camera(five, pitch=math.radians(3.0), roll=math.radians(2.0))
-    plain, result = align(wrong, photo, AlignOptions(edges=False)), align(wrong, photo)
-    off = lambda scene: abs(scene.camera.pitch - five.camera.pitch)
-    assert off(result.scene) < 0.8 * off(plain.scene)
-    assert abs(result.scene.camera.roll) < abs(plain.scene.camera.roll)
+def test_alignment_with_edges_corrects_the_roll(five, photo):
+    wrong = with_camera(five, pitch=math.radians(-3.0), roll=math.radians(2.0))
+    plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))
+    assert abs(result.scene.camera.roll) < 0.6 * abs(plain.scene.camera.roll)
+
+
+@pytest.mark.parametrize("fovy_deg", [12.0, -10.0])
+def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, fovy_deg):
+    wrong = with_camera(five, fovy=math.radians(fovy_deg))
+    plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))
+    off = lambda alignment: abs(math.degrees(alignment.scene.camera.fovy - five.camera.fovy))
+    assert off(result) < 0.25 * off(plain)
 
 
 @pytest.mark.parametrize("options", [{"camera": False}, {"contours": False}])

@@ -80,7 +80,6 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
-    "without_creases": AlignOptions(creases=False),
     "without_edges": AlignOptions(edges=False),
     "without_contacts": AlignOptions(contacts=False),
     "without_final": AlignOptions(final=False),
