@@ -11,6 +11,10 @@ from .unknowns import Unknowns
 
 SAME_PX = 0.5
 """Distance between two outlines [px] up to which they count as equal."""
+LEAST_GAIN = 0.02
+"""Least mean log likelihood ratio of the pixels in only one of two masks [nats] that counts as
+evidence for a mask. The colors of neighboring pixels are correlated, so a large sum of small ratios
+is no evidence."""
 
 
 def shown_at(
@@ -23,6 +27,19 @@ def shown_at(
     alone = draw_objects([unknowns.mesh(place, k)], place.camera, drawn.owner.shape[1])
     free = (drawn.owner == k) | (alone.depth <= drawn.depth)
     return (alone.owner == 0) & free
+
+
+def is_supported(
+    now: Bool[np.ndarray, "row column"],
+    other: Bool[np.ndarray, "row column"],
+    bins: Int[np.ndarray, "row column"],
+) -> bool:
+    """Return whether the photograph's colors support a mask of an object, versus another mask.
+
+    A mask that is almost equal to the other one is supported. Arguments are as for `gain`.
+    """
+    least = LEAST_GAIN * int((now != other).sum())
+    return _almost_equal(now, other) or gain(now, other, bins) >= least
 
 
 def gain(
@@ -50,8 +67,7 @@ def gain(
         return 0.0
     window = window_of(union, ring_width(int(union.sum())) + 2)
     now, other, union, bins = now[window], other[window], union[window], bins[window]
-    outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
-    if (now != other).sum() <= SAME_PX * max(outline.sum(), 1):
+    if _almost_equal(now, other):
         return 0.0
     common, ring = now & other, around(union, 1)
     if min(common.sum(), ring.sum()) < LEAST_PIXELS / 2:
@@ -60,3 +76,11 @@ def gain(
         color_model(bins[common])[bins], color_model(bins[ring])[bins]
     )
     return float(ratio[now & ~other].sum() - ratio[other & ~now].sum())
+
+
+def _almost_equal(
+    now: Bool[np.ndarray, "row column"], other: Bool[np.ndarray, "row column"]
+) -> bool:
+    """Return whether the outlines of two masks are at most SAME_PX apart on average."""
+    outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
+    return bool((now != other).sum() <= SAME_PX * max(outline.sum(), 1))

@@ -20,7 +20,7 @@ from ..fit.vertical_edges import VerticalEdges
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
-from .acceptance import gain, shown_at
+from .acceptance import is_supported, shown_at
 from .alignment import Alignment, Evidence, FittedUnknowns, JointAlignment, ObjectAlignment
 from .alignment_prior import (
     camera_deviations,
@@ -61,6 +61,8 @@ class AlignmentStage:
     boxes are used."""
     spacing: float = 0.0
     """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
+    local_colors: bool = False
+    """If True, use the colors near each point of a contour, too."""
     open_focal: bool = False
     """If True, use the wide prior of the focal length, and estimate after each step whether the
     field of view is misjudged."""
@@ -70,9 +72,12 @@ STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True),
     AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True),
     AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True),
-    AlignmentStage(2, FINE_PX, 6.0, 0.5),
+    AlignmentStage(2, FINE_PX, 6.0, 0.5, local_colors=True),
 )
-STAGES_AGAIN = (AlignmentStage(2, FINE_PX, 10.0, 1.0), AlignmentStage(1, FINE_PX, 6.0, 0.5))
+STAGES_AGAIN = (
+    AlignmentStage(2, FINE_PX, 10.0, 1.0),
+    AlignmentStage(1, FINE_PX, 6.0, 0.5, local_colors=True),
+)
 """Stages of an alignment that starts from an aligned scene."""
 
 
@@ -269,6 +274,7 @@ class _Problem:
                 k,
                 reach=stage.reach,
                 step=stage.spacing,
+                local=stage.local_colors,
             )
             if contour is not None:
                 equations.add_contour(k, contour)
@@ -311,7 +317,7 @@ class _Problem:
             moved, composed = (
                 shown_at(unknowns, place, drawn, joint.object) for place in (now, other)
             )
-            if gain(moved, composed, bins) < 0:
+            if not is_supported(moved, composed, bins):
                 refused.append(j)
         return frozenset(refused)
 
@@ -330,7 +336,7 @@ class _Problem:
             still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
             other = unknowns.place(equations.solved(without=(k,), held=still)[None])[0]
             with_contour, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            if gain(with_contour, without, bins) < 0:
+            if not is_supported(with_contour, without, bins):
                 refused.append(k)
         return tuple(refused)
 

@@ -100,6 +100,18 @@ class LabImage(NamedTuple):
         return cls(lab, bins_of(lab))
 
 
+class LocalColors(NamedTuple):
+    """Probabilities of colors on the two sides of a contour, near each of its points.
+
+    They refer to volumes of the size of a histogram bin, as those of `ColorModels` do.
+    """
+
+    inside: Float[np.ndarray, "n m"]
+    outside: Float[np.ndarray, "n m"]
+    known: Bool[np.ndarray, " n"]
+    """True for points with enough samples on both sides."""
+
+
 class ColorModels(NamedTuple):
     """Color models on the two sides of an object's contour in a layout."""
 
@@ -118,20 +130,30 @@ class ColorModels(NamedTuple):
         return self.around if behind is None else 0.5 * (behind + self.around)
 
     def log_ratio(
-        self, lab: Float[np.ndarray, "n m 3"], behind: Int[np.ndarray, " n"]
+        self,
+        lab: Float[np.ndarray, "n m 3"],
+        behind: Int[np.ndarray, " n"],
+        local: LocalColors | None = None,
     ) -> Float[np.ndarray, "n m"]:
         """Return the log likelihood ratio of each color: the object versus the background.
 
         Args:
             lab: colors [CIE Lab].
             behind: index of the neighbor behind the contour, for each row of `lab`.
+            local: probabilities of the colors near each point of the contour. Where they are known,
+                they are averaged with the probabilities of these models.
         """
         bins = bins_of(lab)
         outside = np.empty(bins.shape)
         for neighbor in np.unique(behind).tolist():
             rows = behind == neighbor
             outside[rows] = self.background(neighbor)[bins[rows]]
-        return log_likelihood_ratio(self.inside[bins], outside)
+        inside = self.inside[bins]
+        if local is not None:
+            share = np.where(local.known, 0.5, 0.0)[:, None]
+            inside = (1 - share) * inside + share * local.inside
+            outside = (1 - share) * outside + share * local.outside
+        return log_likelihood_ratio(inside, outside)
 
 
 def color_models(

@@ -9,10 +9,11 @@ front, the edge is a contour of the object in front, and is used for that object
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from .colors import ColorModels
+from .local_colors import local_colors
 from .rasterize import DrawnObjects, window_of
 
 MOST_POINTS = 300
@@ -108,6 +109,7 @@ def displacements(
     step: float,
     noise: float,
     unit: float,
+    mask: Bool[np.ndarray, "row column"] | None = None,
 ) -> Displacements:
     """Return the displacement of each contour point.
 
@@ -120,6 +122,8 @@ def displacements(
         noise: standard deviation of a contour with perfect color evidence [px], because shapes are
             approximate.
         unit: number of pixels that count as one independent observation of a color.
+        mask: pixels that show the object. If given, the colors near each point count, too; then the
+            contour must be right to a few pixels.
     """
     offset = np.arange(-reach, reach + step / 2, step)
     spot = points.pixel[:, None] + offset[None, :, None] * points.normal[:, None] - 0.5
@@ -127,7 +131,10 @@ def displacements(
         map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
         for c in range(3)
     ]
-    ratio = models.log_ratio(np.stack(sampled, axis=-1), points.behind) * (step / unit)
+    colors, near = np.stack(sampled, axis=-1), None
+    if mask is not None:
+        near = local_colors(lab, mask, points.pixel, points.normal, colors, unit)
+    ratio = models.log_ratio(colors, points.behind, near) * (step / unit)
     # If the contour is between two samples, all samples on its inner side show the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
     edge = np.append(offset - step / 2, offset[-1] + step / 2)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..align.acceptance import SAME_PX, gain
+from ..align.acceptance import SAME_PX, is_supported
 from ..align.align import FINE_PX, align_again
 from ..align.colors import LabImage
 from ..align.rasterize import draw_scene, height_of, pixels_of
@@ -99,7 +99,9 @@ def align_final(
         finished = check_settled(model, placed, settle_scene(placed, o.settle), as_compiled, o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
         faulty = [
-            k for k in range(len(rests)) if not rests[k] or gain(shown == k, owner == k, bins) < 0
+            k
+            for k in range(len(rests))
+            if not (rests[k] and is_supported(shown == k, owner == k, bins))
         ]
         worse = _with_supports(refined, faulty) & accepted
         if finished.passed and not worse:

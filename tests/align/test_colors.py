@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.acceptance import gain, shown_at
+from neoworld_mjx.align.acceptance import gain, is_supported, shown_at
 from neoworld_mjx.align.colors import (
     BINS,
     LARGEST,
@@ -172,6 +172,33 @@ def test_gain_without_evidence():
     # One color on all sides.
     plain = np.full(shape, bin_of(GRAY))
     assert gain(mask, disc(shape, (110, 120), 30), plain) == pytest.approx(0.0, abs=1e-6)
+    assert not is_supported(mask, disc(shape, (110, 120), 30), plain)
+
+
+def test_the_colors_support_the_mask_that_they_show():
+    shape = (240, 320)
+    right, wrong = disc(shape, (160, 120), 40), disc(shape, (168, 120), 40)
+    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320, 240).bins
+    assert is_supported(right, wrong, bins) and not is_supported(wrong, right, bins)
+    assert is_supported(wrong, wrong, bins)
+
+
+def test_many_pixels_with_little_evidence_support_no_mask():
+    """Masks differ in two halves; the colors of one are only slightly more those of the object."""
+    shape = (240, 320)
+    common, ours, other = (np.zeros(shape, bool) for _ in range(3))
+    common[100:140, 100:200] = ours[60:100, 100:200] = other[140:180, 100:200] = True
+    rng = np.random.default_rng(0)
+    bins = np.full(shape, bin_of(GRAY))
+    for mask, share in ((common, 1.0), (ours, 0.501), (other, 0.5)):
+        count = round(share * mask.sum())
+        shown = np.zeros(mask.sum(), bool)
+        shown[rng.permutation(mask.sum())[:count]] = True
+        bins[mask] = np.where(shown, bin_of(RED), bin_of(GRAY))
+    assert gain(common | ours, common | other, bins) > 10
+    assert not is_supported(common | ours, common | other, bins)
+    bins[ours] = bin_of(RED)
+    assert is_supported(common | ours, common | other, bins)
 
 
 def test_a_mask_at_another_place_is_hidden_by_what_is_in_front():
