@@ -274,7 +274,7 @@ class _Problem:
                 k,
                 reach=stage.reach,
                 step=stage.spacing,
-                local=stage.local_colors,
+                local_colors=stage.local_colors,
             )
             if contour is not None:
                 equations.add_contour(k, contour)

@@ -64,7 +64,7 @@ def contour_evidence(
     *,
     reach: float,
     step: float,
-    local: bool = False,
+    local_colors: bool = False,
 ) -> LinearEvidence | None:
     """Return the evidence of an object's contour, or None if there is no evidence.
 
@@ -77,7 +77,7 @@ def contour_evidence(
         k: index of the object.
         reach: largest displacement, in pixels of an image REFERENCE_PX wide.
         step: distance between samples along normals, in pixels of an image REFERENCE_PX wide.
-        local: if True, the colors near each point count, too; see `displacements`.
+        local_colors: if True, the colors near each point count, too; see `displacements`.
     """
     points = contour(drawn, k)
     if points is None:
@@ -96,7 +96,7 @@ def contour_evidence(
         step=step * unit,
         noise=float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi)),
         unit=unit,
-        mask=drawn.owner == k if local else None,
+        mask=drawn.owner == k if local_colors else None,
     )
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():

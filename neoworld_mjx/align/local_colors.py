@@ -8,7 +8,7 @@ Multiple Object Tracking", 2018). They assume that the contour is right to a few
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from .colors import BINS, CHROMA, LIGHTNESS, LocalColors
 
@@ -46,7 +46,7 @@ def local_colors(
         unit: number of pixels to which the constants in pixels refer.
     """
     count = min(POINTS, len(pixel))
-    adjacent = cKDTree(pixel).query(pixel, k=count)[1].reshape(-1, count)
+    adjacent = KDTree(pixel).query(pixel, k=count)[1].reshape(-1, count)
     distance = np.linspace(NEAREST_PX, FARTHEST_PX, SAMPLES) * unit
     sides = []
     for sign in (-1, 1):
