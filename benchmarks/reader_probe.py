@@ -188,14 +188,20 @@ def genesis_morph(gs: Any, path: str, *, fixed: bool, merged: bool = True) -> An
 
 
 def usd(path: str) -> Read:
-    from pxr import Usd, UsdPhysics, UsdValidation
+    from pxr import Usd, UsdValidation
 
     stage = Usd.Stage.Open(path)
     rules = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     faults = UsdValidation.ValidationContext(rules).Validate(stage)
     if faults:
         raise ValueError(faults[0].GetErrorAsString())
-    prims = list(stage.Traverse())
+    return _contents(list(stage.Traverse()))
+
+
+def _contents(prims: list[Any]) -> Read:
+    """Return the mass, and the numbers of movable joints and colliders, of prims of a USD stage."""
+    from pxr import UsdPhysics
+
     mass = sum(UsdPhysics.MassAPI(p).GetMassAttr().Get() or 0.0 for p in prims)
     moving = sum(p.IsA(UsdPhysics.Joint) and not p.IsA(UsdPhysics.FixedJoint) for p in prims)
     shapes = sum(p.HasAPI(UsdPhysics.CollisionAPI) for p in prims)
@@ -214,14 +220,10 @@ def nvidia(path: str) -> Read:
 
 def _converted(convert: Callable[[str, str], Any], path: str) -> Read:
     with tempfile.TemporaryDirectory() as folder:
-        from pxr import Usd, UsdPhysics
+        from pxr import Usd
 
         stage = Usd.Stage.Open(str(convert(path, folder).path))
-        prims = list(stage.Traverse(Usd.TraverseInstanceProxies()))
-        mass = sum(UsdPhysics.MassAPI(p).GetMassAttr().Get() or 0.0 for p in prims)
-        moving = sum(p.IsA(UsdPhysics.Joint) and not p.IsA(UsdPhysics.FixedJoint) for p in prims)
-        shapes = sum(p.HasAPI(UsdPhysics.CollisionAPI) for p in prims)
-    return {"links": {}, "mass": mass, "joints": moving, "shapes": shapes}
+        return _contents(list(stage.Traverse(Usd.TraverseInstanceProxies())))
 
 
 def mujoco_usd_converter(path: str) -> Read:

@@ -22,6 +22,7 @@ from neoworld_mjx.sweeps.plan import (
     point_of,
     read_plan,
     shared_config,
+    value_at,
 )
 from neoworld_mjx.sweeps.run_rows import Row, read_runs
 from neoworld_mjx.sweeps.table import TABLE_COLUMNS, differences, summary, table_cell
@@ -207,7 +208,7 @@ def _factors(plan: Plan | Ablation, rows: Sequence[Row]) -> list[Factor]:
     complete, refine = config.model_dump(mode="json"), {"refine": config.refine.model_dump()}
     factors = []
     for group in groups:
-        values = {path: _value_at(refine, path) for path in group}
+        values = {path: value_at(refine, path) for path in group}
         base = point_of(complete, values).values
         name = ", ".join(f"`{path.removeprefix('refine.')}`" for path in group)
         factors.append(Factor(name, _label(base, group), [_label(row, group) for row in rows]))
@@ -245,10 +246,3 @@ def _label(values: Mapping[str, Any], group: Sequence[str]) -> str:
         f"{value:g}" if isinstance(value, float) else str(plain_value(value))
         for value in (values[path] for path in group)
     )
-
-
-def _value_at(tree: Mapping[str, Any], path: str) -> Any:
-    value: Any = tree
-    for name in path.split("."):
-        value = value[name]
-    return value

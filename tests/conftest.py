@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -41,6 +42,14 @@ QUICK = {
     "render": {"width": 96, "supersample": 1},
 }
 """Options with which the example takes seconds."""
+
+
+class Ended(NamedTuple):
+    """How a command line ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -88,6 +97,19 @@ def _no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep every test from reaching a server with the key of whoever runs it."""
     for name in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def neoworld(capfd):
+    """Run the command line in this process."""
+    from neoworld_mjx import cli
+
+    def run(*words) -> Ended:
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(word) for word in words])
+        return Ended(ended.value.code, *capfd.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ import sys
 import time
 import tomllib
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from PIL import Image
@@ -25,24 +24,6 @@ from neoworld_mjx.mllm import PROVIDERS
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.templates import templates
-
-
-class Ended(NamedTuple):
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def neoworld(capfd):
-    """Run the command line in this process."""
-
-    def run(*words):
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(word) for word in words])
-        return Ended(ended.value.code, *capfd.readouterr())
-
-    return run
 
 
 def assert_refused(ended, *expected):

@@ -129,18 +129,18 @@ def test_the_readme_gives_the_command_that_ci_runs():
 
 def test_annotations_are_checked_at_every_call():
     import jax.numpy as jnp
+    import numpy as np
     from beartype.roar import BeartypeCallHintViolation
-    from neoworld_kernels.convex_pieces import PieceGroup, signed_distance
+    from neoworld_kernels import sorted_samples
 
     from neoworld_mjx.cache import free_memory_maps
     from neoworld_mjx.physics.layout import Layout
     from neoworld_mjx.spec.convex import Piece
 
-    rows = jnp.zeros((1, 3))
     wrong: dict[str, Callable[[], object]] = {
         "type": lambda: free_memory_maps("half"),  # pyright: ignore[reportArgumentType]
         "type of a field": lambda: Piece("ball"),  # pyright: ignore[reportArgumentType]
-        "shape": lambda: signed_distance("box", jnp.zeros((4, 2)), PieceGroup(*[rows] * 6)),
+        "shape": lambda: sorted_samples(np.zeros((4, 2))),
         "shape of a field": lambda: Layout(jnp.zeros((2, 3, 2)), jnp.zeros((2, 3)), jnp.zeros(2)),
         "named axis": lambda: Layout(jnp.zeros((2, 3, 2)), jnp.zeros((2, 3)), jnp.zeros((2, 4))),
     }

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from neoworld_mjx import cli, progress
+from neoworld_mjx import progress
 from neoworld_mjx.commands.result_lines import run_lines
 from neoworld_mjx.commands.status_line import StatusLine
 from neoworld_mjx.config import Config, ProgramOptions
@@ -29,16 +29,6 @@ q.add(box((0.1, 0.02, 0.1)), at=(0, {y}, 0.05))
 o.revolute("hinge", p, q, at=(-0.05, -0.051, 0), axis=(0, 0, -1), range=(0, {most}))
 """
 )
-
-
-@pytest.fixture
-def neoworld(capfd):
-    def run(*words):
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(word) for word in words])
-        return (ended.value.code, *capfd.readouterr())
-
-    return run
 
 
 @pytest.mark.parametrize(

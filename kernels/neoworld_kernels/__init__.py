@@ -1,7 +1,7 @@
 """Array kernels of neoworld_mjx for penetration depths, with a reference implementation in jnp."""
 
 from .blocks import sorted_samples
-from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance
+from .convex_pieces import SPARE, Colliders, PieceGroup
 from .penetration_depth import (
     PairDepthTuning,
     pair_depth,
@@ -19,6 +19,5 @@ __all__ = [
     "pair_depth_culled",
     "pair_depth_reference",
     "pair_gap",
-    "signed_distance",
     "sorted_samples",
 ]

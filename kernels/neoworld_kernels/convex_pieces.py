@@ -42,25 +42,21 @@ class Colliders(NamedTuple):
     rotated into this range of angles before their distance is computed."""
 
 
-def signed_distance(
-    kind: str, x: Float[Array, "*batch 3"], piece: PieceGroup
-) -> Float[Array, "*batch"]:
+def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Array:
     """Return the signed distance of points to a piece [m], negative inside.
 
     Distances to boxes, capsules and cylinders are exact. Distances to ellipsoids are accurate to
     first order. For polytopes and sectors, the result is the largest signed distance to a plane,
-    which is exact inside and a lower bound outside.
+    which is exact inside and a lower bound outside. The coordinates are separate, because XLA then
+    fuses the computation into one pass.
 
     Args:
         kind: a field name of `Colliders`.
-        x: points in the piece's frame [m].
+        x: coordinates of the points in the piece's frame [m]; y and z likewise.
+        y: see x.
+        z: see x.
         piece: one piece of a group, without the leading axis.
     """
-    return distance(kind, x[..., 0], x[..., 1], x[..., 2], piece)
-
-
-def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Array:
-    """Compute `signed_distance` from separate coordinates, which XLA fuses into one pass."""
     size = piece.size
     if kind == "box":
         a, b, c = jnp.abs(x) - size[0], jnp.abs(y) - size[1], jnp.abs(z) - size[2]

@@ -49,7 +49,6 @@ def run_object_tests(
     *,
     fixed_base: bool = False,
     tilt: Quat = IDENTITY,
-    joint_state: dict[str, float] | None = None,
     allowed: Sequence[Allowance] = (),
     threads: int = 0,
 ) -> ObjectTests:
@@ -64,7 +63,6 @@ def run_object_tests(
         options: durations, impulses and thresholds.
         fixed_base: if True, the base is fixed, and only the scenarios of joints are simulated.
         tilt: orientation in which the object rests, for example lying on its side.
-        joint_state: positions of the joints [rad or m] in scenarios that do not set them.
         allowed: overlaps that the object's program declares.
         threads: number of threads of the rollout; if 0, use all cores.
     """
@@ -79,7 +77,7 @@ def run_object_tests(
         joint_checks = check_joints(spec, options, allowed)
         checks += joint_checks.checks
     with _record_error("free_fall", checks):
-        simulation = Simulation(without_bad_inertia(spec, checks), options, tilt, joint_state)
+        simulation = Simulation(without_bad_inertia(spec, checks), options, tilt)
         scenarios = list_scenarios(
             simulation.groups, simulation.joints, options, fixed_base=fixed_base
         )

@@ -58,18 +58,10 @@ class Simulation:
         spec: the object.
         options: time step and duration.
         tilt: orientation in which the object rests; scenarios can add a tilt.
-        joint_state: positions [rad or m] of the joints that a scenario does not set.
     """
 
-    def __init__(
-        self,
-        spec: ObjectSpec,
-        options: VerifyOptions,
-        tilt: Quat = IDENTITY,
-        joint_state: dict[str, float] | None = None,
-    ) -> None:
+    def __init__(self, spec: ObjectSpec, options: VerifyOptions, tilt: Quat = IDENTITY) -> None:
         self.spec, self.options, self.tilt = spec, options, np.array(tilt)
-        self.state = dict(joint_state or {})
         mjspec = to_mjspec(spec, timestep=options.timestep_s)
         floor = mjspec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE)
         floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
@@ -86,7 +78,7 @@ class Simulation:
         self.root = free.body(spec.name).id
         self.floor = free.geom(FLOOR).id
         self.mass = float(free.body_subtreemass[self.root])
-        low, high = bounds(spec, self.state, tilt)
+        low, high = bounds(spec, {}, tilt)
         self.size = high - low
         self.models = self._worlds(free)
         self.joints = [
@@ -159,15 +151,14 @@ class Simulation:
         about_x, about_y = scenario.tilt
         lean = quat_mul(from_axis_angle((1, 0, 0), about_x), from_axis_angle((0, 1, 0), about_y))
         quat = quat_mul(lean, self.tilt)
-        state = {**self.state, **scenario.joints}
-        low, _ = bounds(self.spec, state, tuple(quat.tolist()))
+        low, _ = bounds(self.spec, scenario.joints, tuple(quat.tolist()))
         data.qpos[:3] = [0.0, 0.0, scenario.height - low[2]]
         data.qpos[3:7] = quat
         for joint in self.spec.joints:
             if joint.type not in SINGLE_DOF_TYPES:
                 continue
             position, dof = self.address(joint.name)
-            value = joint_value(self.spec, joint, state)
+            value = joint_value(self.spec, joint, scenario.joints)
             if joint.type != "continuous" and joint.mimic is None:
                 # A joint that starts beyond its limit would jerk.
                 value = float(np.clip(value, joint.lower, joint.upper))

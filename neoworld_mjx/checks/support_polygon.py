@@ -30,7 +30,7 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
         border of the polygon [m], which is positive inside the polygon.
     """
     spec, tilt = simulation.spec, pose((0, 0, 0), simulation.tilt)
-    links = link_poses(spec, simulation.state)
+    links = link_poses(spec, {})
     posed_pieces = [
         (piece, tilt.then(links[p.name]).then(piece_pose))
         for p in spec.parts
@@ -48,8 +48,6 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
     data, model = simulation.data, simulation.model
     mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
     data.qpos[:3], data.qpos[3:7] = 0.0, simulation.tilt
-    for joint, value in simulation.state.items():
-        data.qpos[simulation.address(joint)[0]] = value
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     centre = data.subtree_com[simulation.root][:2]
@@ -105,7 +103,7 @@ def on_wheels(simulation: Simulation) -> bool:
     """Return True if a part on a continuous joint touches the floor."""
     data, model = simulation.data, simulation.model
     data.qpos[:], data.qvel[:] = model.key_qpos[0], 0.0
-    low, _ = bounds(simulation.spec, simulation.state, tuple(simulation.tilt.tolist()))
+    low, _ = bounds(simulation.spec, {}, tuple(simulation.tilt.tolist()))
     data.qpos[:7] = [0, 0, -low[2] - 1e-4, *simulation.tilt]
     mujoco.mj_forward(model, data)
     pairs = data.contact.geom[: data.ncon]

@@ -13,7 +13,7 @@ from ..io import file_bounds
 from ..io.files import MIB, read_bytes
 
 MAX_ELEMENTS = 200_000
-_DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
+DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
 _NOT_FINITE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
 MAX_VALUES = {
@@ -53,7 +53,7 @@ def read_xml(path: Path) -> ET.Element:
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
     for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 has a zero byte per letter.
-        if _DECLARED.search(text):
+        if DECLARED.search(text):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
     parser, depth, count = ET.XMLPullParser(("start", "end")), 0, 0
     root: ET.Element | None = None

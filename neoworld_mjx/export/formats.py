@@ -34,22 +34,6 @@ LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
 
 
-def format_files(
-    described: SceneOrObject, kind: Format, *, mjx: bool = False, floor: bool = False
-) -> dict[str, bytes]:
-    """Return the files of a scene or an object in a format, as contents by relative path.
-
-    The files of a scene's objects are in objects/<name>/.
-
-    Args:
-        described: the scene or object.
-        kind: the format; USD is written in its binary form.
-        mjx: if True, MJCF contains only colliders that MJX supports.
-        floor: if True, MJCF contains an infinite floor at the height of the lowest collider.
-    """
-    return _Writer(described, mjx, floor).files(kind)
-
-
 def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
     """Return descriptions of the data of a scene or an object that a format cannot store."""
     objects = _objects(described)

@@ -29,8 +29,8 @@ from ..spec.base import Vec3
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.mesh import HELPER, UNKNOWN
-from ..spec.pose import from_matrix
-from .mechanism import Link, LinkShape, Mechanism, Triangles, triple
+from ..spec.pose import from_matrix, triple
+from .mechanism import Link, LinkShape, Mechanism, Triangles
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
 from .read_usd import read_usd

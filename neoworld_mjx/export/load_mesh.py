@@ -14,10 +14,9 @@ from ..errors import SpecError
 from ..io import file_bounds
 from ..io.files import MIB, read_bytes
 from ..spec.mesh import MAX_VERTICES
-from .checked_xml import inside
+from .checked_xml import DECLARED, inside
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
-_DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _MAX_INSTANCES = 16
 """Maximum number of node instances in a DAE file; each could double the size of the mesh."""
 _MAX_LINE, _MAX_GROUPS = 1 << 16, 10_000
@@ -90,7 +89,7 @@ def mesh_bytes(path: Path) -> bytes:
 def check_claims(path: Path, kind: str, data: bytes) -> None:
     """Refuse a file that declares more data than it contains, or repeats its data too often."""
     if kind == ".dae":
-        if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
+        if DECLARED.search(data) or DECLARED.search(data[:4096].replace(b"\0", b"")):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
         if data.count(b"instance_node") > _MAX_INSTANCES:
             raise SpecError(f"{path} has more than {_MAX_INSTANCES} node instances")

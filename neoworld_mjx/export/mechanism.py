@@ -18,7 +18,7 @@ from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
-from ..spec.pose import ArrayLike
+from ..spec.pose import ArrayLike, triple
 from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
@@ -207,9 +207,3 @@ def unchecked_joint(**fields: Any) -> JointSpec:
 def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
     """Return an unvalidated site. Its names are as in the file; `importing` replaces them."""
     return Site.model_construct(name=name, part=part, pos=triple(pos))
-
-
-def triple(values: NDArray) -> tuple[float, float, float]:
-    """Convert an array of three numbers to a tuple of floats."""
-    x, y, z = (float(v) for v in values)
-    return x, y, z

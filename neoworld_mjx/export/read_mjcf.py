@@ -18,6 +18,7 @@ from ..errors import SpecError
 from ..physics.mjcf import START
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Sphere
 from ..spec.base_shape import BaseShape
+from ..spec.pose import triple
 from .compiled_mjcf import checked_roots, compiled_mjcf
 from .mechanism import (
     Assembly,
@@ -27,7 +28,6 @@ from .mechanism import (
     Triangles,
     check_tree,
     transformed,
-    triple,
     unchecked_joint,
     unchecked_mimic,
     unchecked_site,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError
 from ..spec import Box, Cylinder, JointSpec, Site, Sphere
 from ..spec.base_shape import BaseShape
+from ..spec.pose import triple
 from .checked_xml import inside, read_xml
 from .drake_contact import DRAKE
 from .load_mesh import load_mesh
@@ -21,7 +22,6 @@ from .mechanism import (
     Mechanism,
     Triangles,
     check_tree,
-    triple,
     unchecked_joint,
     unchecked_mimic,
     unchecked_site,

@@ -15,9 +15,10 @@ from pxr import Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from ..errors import SpecError
 from ..spec.base import Vec3
+from ..spec.pose import triple
 from .checked_usd import open_usd
 from .link_frames import unused
-from .mechanism import Assembly, Link, Mechanism, triple, unchecked_site
+from .mechanism import Assembly, Link, Mechanism, unchecked_site
 from .read_usd_joints import JointReader, StageJoint, is_joint, rotation_matrix, state_of
 from .read_usd_shapes import shapes_of, unscaled
 

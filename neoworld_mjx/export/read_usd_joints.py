@@ -16,8 +16,8 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from ..errors import SpecError
 from ..spec import JointSpec, Mimic
-from ..spec.pose import angle_between, from_matrix
-from .mechanism import triple, unchecked_joint, unchecked_mimic
+from ..spec.pose import angle_between, from_matrix, triple
+from .mechanism import unchecked_joint, unchecked_mimic
 
 _FREEDOMS = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 

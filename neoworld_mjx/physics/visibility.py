@@ -2,7 +2,7 @@
 
 Objects occlude one another, and the image border cuts them. Each object has a window, which is its
 image box, clipped at the image border. Rays are cast through this window, so that small objects are
-resolved as finely as large objects. The function `raster` uses the whole image as a single window.
+resolved as finely as large objects.
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 from neoworld_kernels.culled import ObjectPoses, dot, true_indices
 from neoworld_kernels.first_hits import (
     ConvexRows,
@@ -312,39 +312,3 @@ def _least_inverse_depth(camera_scene: _CameraScene, count: int) -> Float[Array,
         inverse = jnp.where(rows.used[:, None], 1.0 / jnp.maximum(depth, LEAST_DEPTH_M), jnp.inf)
         least = least.at[rows.owner].min(inverse)
     return least
-
-
-def raster(
-    scene: SceneArrays, poses: Poses, *, columns: int = 96, rows: int = 72
-) -> tuple[Int[Array, "pop row column"], Float[Array, "pop row column"]]:
-    """Return the object that is visible in each cell of the image, and its depth [m].
-
-    Environment supports count as objects. If a cell shows no object, the object is -1 and the depth
-    is inf. `columns` and `rows` must be multiples of WINDOW_TILE.
-    """
-    camera_scene = _in_camera_frame(scene, poses)
-    half = scene.photo.half_size / scene.photo.focal
-    pop = poses.scale.shape[0]
-    row, column = np.mgrid[:rows, :columns]
-
-    def slopes(index: np.ndarray, number: int, axis: int) -> Array:
-        """Return the slopes of the rays through the cells, ordered by tiles."""
-        tiles = index.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE).swapaxes(1, 2)
-        middle = (tiles.reshape(-1, WINDOW_TILE**2) + 0.5) / number * 2 - 1
-        return jnp.repeat(middle[..., None] * half[axis], pop, axis=-1)
-
-    window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
-    rays = Rays(slopes(column, columns, 0), slopes(row, rows, 1))
-    near = _rows_in_window(camera_scene, window, 0.0)
-    layer = jnp.arange(scene.count, dtype=jnp.int32)
-    hits = first_hits(camera_scene.placed, camera_scene.families, near, rays, layer, scene.count)
-    nearest = jnp.max(hits, axis=0)
-    owner = jnp.where(nearest > 0, jnp.argmax(hits, axis=0).astype(jnp.int32), -1)
-    unfold = lambda v: (
-        jnp.moveaxis(v, -1, 0)
-        .reshape(pop, rows // WINDOW_TILE, columns // WINDOW_TILE, WINDOW_TILE, WINDOW_TILE)
-        .swapaxes(2, 3)
-        .reshape(pop, rows, columns)
-    )
-    depth = jnp.where(owner >= 0, 1.0 / jnp.maximum(nearest, 1e-9), jnp.inf)
-    return unfold(owner), unfold(depth)

@@ -103,11 +103,6 @@ def current() -> Session:
     return _current.get() or Session()
 
 
-def running() -> Session | None:
-    """Return the current session, or None."""
-    return _current.get()
-
-
 @contextmanager
 def use_session(session: Session) -> Iterator[None]:
     """Make a session the current session in the block."""

@@ -45,6 +45,12 @@ def pose(pos: ArrayLike = (0.0, 0.0, 0.0), quat: ArrayLike = IDENTITY) -> Pose:
     return Pose(np.asarray(pos, float), q / np.linalg.norm(q))
 
 
+def triple(values: NDArray) -> tuple[float, float, float]:
+    """Convert an array of three numbers to a tuple of floats."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
 def quat_mul(a: Any, b: Any, xp: Any = np) -> Any:
     """Multiply quaternions [..., 4]; the product applies the rotation `b` first.
 

@@ -203,7 +203,7 @@ def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
     options = _with_values(base, chosen, "axes")
     # Validated values make 1 and 1.0 the same point.
     dump = {ROOT: options.model_dump(mode="json")}
-    values = {path: _value_at(dump, path) for path in chosen}
+    values = {path: value_at(dump, path) for path in chosen}
     label = ", ".join(
         f"{path.removeprefix(ROOT + '.')} {_format_value(values[path])}" for path in chosen
     )
@@ -259,7 +259,8 @@ def _annotation(path: str, where: str) -> Any:
     return group
 
 
-def _value_at(tree: dict[str, Any], path: str) -> Any:
+def value_at(tree: Mapping[str, Any], path: str) -> Any:
+    """Return the value at a dotted path in nested mappings."""
     value: Any = tree
     for name in path.split("."):
         value = value[name]

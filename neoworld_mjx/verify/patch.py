@@ -24,13 +24,13 @@ from ..spec import (
     JointSpec,
     Material,
     Name,
+    Number,
     ObjectSpec,
     PartSpec,
     Site,
     Vec3,
 )
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, le=1e6)]
 Movable = TypeVar("Movable", AuthoredInertia, GeomSpec, Site)
 SUFFIX = ".patch.json"
@@ -60,9 +60,9 @@ class PartEdit(Edit):
 class JointEdit(Edit):
     """Edit of a joint."""
 
-    lower: Finite | None = None
+    lower: Number | None = None
     """Lower limit [rad or m]."""
-    upper: Finite | None = None
+    upper: Number | None = None
     """Upper limit [rad or m]."""
     damping: Annotated[float, Field(ge=0, le=1e6)] | None = None
     """Damping [N m s/rad or N s/m]."""

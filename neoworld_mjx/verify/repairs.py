@@ -22,7 +22,8 @@ from ..checks.verdict import Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
 from ..program.attempt import SynthesisResult
 from ..program.joint_losses import SETTLING_S, default_losses
-from ..spec import JointSpec, ObjectSpec, PartSpec, Vec3, inertial, part_bounds
+from ..spec import JointSpec, ObjectSpec, PartSpec, inertial, part_bounds
+from ..spec.pose import triple
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
 
 GAP_M = 0.0005
@@ -254,7 +255,7 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
         positions.append(middle)
     for position in positions[:4]:
         axial_offset = ((pivot - position) @ axis) * axis
-        yield _edited(joint, JointEdit(origin=_vec3(position + axial_offset)))
+        yield _edited(joint, JointEdit(origin=triple(position + axial_offset)))
 
 
 def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
@@ -319,7 +320,7 @@ def _gap(spec: ObjectSpec, part: str, other: str, shift: NDArray) -> tuple[float
 
 
 def _shifted(part: str, shift: NDArray) -> Patch:
-    return Patch(parts={part: PartEdit(shift=_vec3(shift))})
+    return Patch(parts={part: PartEdit(shift=triple(shift))})
 
 
 def _edited(joint: JointSpec, edit: JointEdit) -> Patch:
@@ -330,12 +331,6 @@ def _losses(tests: ObjectTests, joint: JointSpec) -> tuple[float, float]:
     """Return the default damping and dry friction of a joint."""
     child = tests.spec.part(joint.child)
     return default_losses(joint, inertial(tests.spec, child))
-
-
-def _vec3(values: NDArray) -> Vec3:
-    """Convert an array [3] to a tuple of floats."""
-    x, y, z = (float(v) for v in values)
-    return x, y, z
 
 
 _PART_REPAIRS: dict[Fault | None, Callable[[ObjectTests, PartSpec], Iterator[Patch]]] = {

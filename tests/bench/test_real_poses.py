@@ -32,6 +32,7 @@ from tests.support.bop_sample import (
     write_depth_folder,
 )
 from tests.support.mesh_scenes import write_poses
+from tests.support.scenes import changed, without
 
 QUICK = RefineOptions(check_duration_s=0.1)
 NAMES = {"block": "obj_000001", "carton": "obj_000002", "can": "obj_000003"}
@@ -44,16 +45,6 @@ def sample(tmp_path_factory) -> Path:
     """Two images of the desk, one by a camera with its principal point off the center."""
     folder = tmp_path_factory.mktemp("bop")
     return write_bop(folder / "desk", [desk(), desk(OTHER)], cameras={4: OFF_CENTER})
-
-
-def changed(scene: SceneSpec, name: str, /, **update) -> SceneSpec:
-    objects = (o.model_copy(update=update) if o.name == name else o for o in scene.objects)
-    return scene.model_copy(update={"objects": tuple(objects)})
-
-
-def without(scene: SceneSpec, name: str) -> SceneSpec:
-    objects = tuple(o for o in scene.objects if o.name != name)
-    return scene.model_copy(update={"objects": objects})
 
 
 def view_of(sample: Path, name: str = "000007_000003"):
@@ -184,13 +175,19 @@ def test_objects_are_matched_in_the_image_and_by_name(sample):
         scored(view, scene, matches={"block": "obj_000001", "can": "obj_000001"})
 
 
+def into_camera(camera: Camera) -> np.ndarray:
+    """Return the transform [4, 4] from the world's frame to a camera's."""
+    into = np.eye(4)
+    into[:3, :3] = camera.axes().T
+    into[:3, 3] = -into[:3, :3] @ camera.position()
+    return into
+
+
 def test_meshes_in_the_views_camera_frame_are_scored(sample, tmp_path):
     """The off-center camera of the second image draws it."""
     view = view_of(sample, "000007_000004")
     scene = desk(OTHER)
-    axes = scene.camera.axes()
-    into = np.eye(4)
-    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ scene.camera.position()
+    into = into_camera(scene.camera)
     file = write_poses(tmp_path, scene, into=into, names=list(NAMES), frame="camera")
     read = import_file(file)
     assert isinstance(read, ImportedScene)
@@ -204,10 +201,8 @@ def test_leveled_meshes_in_the_views_camera_frame_are_scored(sample, tmp_path):
     """With its vertical, the scene stands level, and is where the view sees it."""
     view = view_of(sample, "000007_000004")
     scene = desk(OTHER)
-    axes = scene.camera.axes()
-    into = np.eye(4)
-    into[:3, :3], into[:3, 3] = axes.T, -axes.T @ scene.camera.position()
-    up = (axes.T @ [0, 0, 1]).tolist()
+    into = into_camera(scene.camera)
+    up = into[:3, 2].tolist()
     names = [*NAMES, "table"]
     write_poses(tmp_path / view.name, scene, into=into, names=names, frame="camera", up=up)
     (tmp_path / view.name / "matches.json").write_text(json.dumps({"matches": NAMES}))

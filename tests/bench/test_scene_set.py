@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import replace
+from typing import get_args
 
 import jax
 import numpy as np
 import pytest
-from neoworld_bench.dataset.declaration import ROOMS, declarations, read_declaration
+from neoworld_bench.dataset.declaration import Room, declarations, read_declaration
 from neoworld_bench.dataset.make_dataset import make_dataset, rounded
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
@@ -15,9 +16,10 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_bench.methods.method_runs import RunSettings
-from neoworld_bench.methods.scene_methods import DEFAULT_METHODS, METHODS, SingleCandidateEngine
+from neoworld_bench.methods.scene_methods import METHODS, SingleCandidateEngine
 from neoworld_bench.methods.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
 from neoworld_bench.noise.initial_scenes import noise_number
+from neoworld_bench.suites import SceneSet
 from neoworld_bench.tables.scene_summary import BOUNDS, interval, summarise
 from neoworld_bench.tables.scene_table import latex, markdown, table_records
 
@@ -31,14 +33,14 @@ from neoworld_mjx.physics.settling import with_world_poses
 from neoworld_mjx.physics.support import underside_points
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
-from tests.support.scenes import compile_scene
+from tests.support.scenes import changed, compile_scene
 
 CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")
 
 
 def test_thirty_scenes_of_every_room():
     every = declarations()
-    assert len(every) == 30 and {d.room for d in every.values()} == set(ROOMS)
+    assert len(every) == 30 and {d.room for d in every.values()} == set(get_args(Room))
     assert sum(d.tabletop for d in every.values()) == 11
     counts = sorted(len(d.movable()) for d in every.values())
     assert counts[0] >= 3 and counts[-3] <= 10 and counts[-2:] == [20, 40]
@@ -114,17 +116,15 @@ def test_each_error_affects_its_own_figure():
     assert zero == dict.fromkeys(names, 0.0)
     objects = [i for i in scene.objects if not i.static]
     first = objects[0]
-    shifted = first.model_copy(update={"xy": (first.xy[0] + 0.03, first.xy[1])})
-    pushed = layout_errors(_with(scene, shifted), scene)
+    shifted = changed(scene, first.name, xy=(first.xy[0] + 0.03, first.xy[1]))
+    pushed = layout_errors(shifted, scene)
     assert pushed["xy_error_m"] == pytest.approx(0.03 / len(objects))
     assert pushed["yaw_error_deg"] == 0.0
-    turned = layout_errors(_with(scene, first.model_copy(update={"yaw": first.yaw + 0.2})), scene)
+    turned = layout_errors(changed(scene, first.name, yaw=first.yaw + 0.2), scene)
     assert turned["yaw_error_deg"] > 0.5 and turned["xy_error_m"] < 1e-6
     # What a wrong camera does to all of them alike is no error of the layout.
     table = scene.objects[0]
-    alike = layout_errors(
-        _with(scene, table.model_copy(update={"xy": (table.xy[0] + 0.05, 0.0)})), scene
-    )
+    alike = layout_errors(changed(scene, table.name, xy=(table.xy[0] + 0.05, 0.0)), scene)
     assert alike["xy_error_m"] < 1e-9
 
 
@@ -140,44 +140,37 @@ def test_toppled_and_fallen_objects_are_displaced():
     scene = truth_scene(declarations()["overhang_stack"])
     assert displaced(scene, scene) == []
     tin, cup = scene.object("tin"), scene.object("cup")
-    assert displaced(_with(scene, tin.model_copy(update={"z": tin.z - 0.1})), scene) == ["tin"]
+    assert displaced(changed(scene, "tin", z=tin.z - 0.1), scene) == ["tin"]
     lying = (0.7071068, 0.7071068, 0.0, 0.0)
-    assert displaced(_with(scene, cup.model_copy(update={"base_tilt": lying})), scene) == ["cup"]
+    assert displaced(changed(scene, "cup", base_tilt=lying), scene) == ["cup"]
     # Shifted aside it is in the wrong place, but stands as it should.
-    aside = cup.model_copy(update={"xy": (cup.xy[0] + 0.1, cup.xy[1]), "yaw": 1.0})
-    assert displaced(_with(scene, aside), scene) == []
+    aside = changed(scene, "cup", xy=(cup.xy[0] + 0.1, cup.xy[1]), yaw=1.0)
+    assert displaced(aside, scene) == []
 
 
 def test_size_and_heading_do_not_count_as_displacement():
     scene = truth_scene(declarations()["overhang_stack"])
     tin = scene.object("tin")
     below = scene.object(tin.parent)
-    assert displaced(_with(scene, _scaled(scene.object("cup"), 1.6)), scene) == []
+    assert displaced(_scaled(scene, "cup", 1.6), scene) == []
     # What stands on something too high is too high as well, and stands; what floats there does not.
-    tall = _scaled(below, 3.0)
-    high = float(bounds(tall.spec)[1][2] - bounds(below.spec)[1][2])
+    tall = _scaled(scene, below.name, 3.0)
+    high = float(bounds(tall.object(below.name).spec)[1][2] - bounds(below.spec)[1][2])
     assert high > 0.03
-    risen = tin.model_copy(update={"z": tin.z + high})
-    assert "tin" not in displaced(_with(_with(scene, tall), risen), scene)
-    assert "tin" in displaced(_with(scene, tall), scene)
-    assert displaced(_with(scene, risen), scene) == ["tin"]
+    assert "tin" not in displaced(changed(tall, "tin", z=tin.z + high), scene)
+    assert "tin" in displaced(tall, scene)
+    assert displaced(changed(scene, "tin", z=tin.z + high), scene) == ["tin"]
     pencils = truth_scene(declarations()["pencils_in_cup"])
     pencil = next(i for i in pencils.objects if i.name == "pencil_0")
     leans = tuple(quat_mul(from_yaw(2.0), pencil.base_tilt).tolist())
-    turned = pencil.model_copy(update={"base_tilt": leans})
     assert tilt_deg(pencil, pose((0, 0, 0), leans), pose((0, 0, 0), pencil.base_tilt)) < 0.01
-    assert displaced(_with(pencils, turned), pencils) == []
+    assert displaced(changed(pencils, "pencil_0", base_tilt=leans), pencils) == []
     further = quat_mul(from_axis_angle([0, 1, 0], math.radians(80.0)), pencil.base_tilt)
     assert tilt_deg(pencil, pose((0, 0, 0), further), pose((0, 0, 0), pencil.base_tilt)) > 15.0
 
 
-def _scaled(item, by):
-    return item.model_copy(update={"spec": item.spec.scaled(by)})
-
-
-def _with(scene, item):
-    objects = [item if other.name == item.name else other for other in scene.objects]
-    return scene.model_copy(update={"objects": tuple(objects)})
+def _scaled(scene, name, by):
+    return changed(scene, name, spec=scene.object(name).spec.scaled(by))
 
 
 def test_moved_objects_have_their_new_poses():
@@ -269,7 +262,7 @@ def test_summary_counts_results_and_rates_difficulty():
     assert not answer["difficulty"]["open_loop"]["hard_enough"]
     assert answer["difficulty"]["gravity"]["hard_enough"]
     assert answer["difficulty"]["gravity_xy_error_m"]["hard_enough"]
-    assert set(BOUNDS) <= set(DEFAULT_METHODS) <= set(METHODS)
+    assert set(BOUNDS) <= set(SceneSet.method) <= set(METHODS)
 
 
 def test_tables_mark_the_papers_figures():

@@ -23,6 +23,7 @@ from neoworld_mjx.export import export_scene
 from neoworld_mjx.spec import SceneSpec
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import write_glb, write_poses
+from tests.support.scenes import changed, without
 
 QUICK = RefineOptions(check_duration_s=0.2)
 DOCS = Path("docs/benchmark-scenes.md")
@@ -38,16 +39,6 @@ def write(folder: Path, scene: SceneSpec) -> Path:
     place.mkdir(parents=True, exist_ok=True)
     (place / "scene.json").write_text(scene.to_json())
     return folder
-
-
-def changed(scene: SceneSpec, name: str, /, **update: object) -> SceneSpec:
-    objects = (o.model_copy(update=update) if o.name == name else o for o in scene.objects)
-    return scene.model_copy(update={"objects": tuple(objects)})
-
-
-def without(scene: SceneSpec, name: str) -> SceneSpec:
-    objects = tuple(o for o in scene.objects if o.name != name)
-    return scene.model_copy(update={"objects": objects})
 
 
 def test_ground_truth_as_json_and_mjcf_scores_perfectly(tmp_path, truth: SceneSpec):

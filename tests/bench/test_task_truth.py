@@ -4,12 +4,10 @@ from pathlib import Path
 
 import pytest
 from neoworld_bench.dataset.make_dataset import VERSION, dataset_hash
+from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.tasks import all_tasks, find_task
 
 from neoworld_mjx.compose.on_supports import snap
-from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.measure import SceneCheck, measured, scene_checks
-from neoworld_mjx.spec import SceneSpec
 
 DOCUMENTED = Path(__file__).parents[2] / "docs" / "benchmark-scenes.md"
 FAILED_IN_VERSION_1 = (
@@ -17,11 +15,6 @@ FAILED_IN_VERSION_1 = (
     *("lying_peg", "lying_tube_into_rack", "bottle_on_tray", "block_into_tray", "block_into_box"),
     "third_ring",
 )
-
-
-def failures(scene: SceneSpec) -> list[SceneCheck]:
-    o = RefineOptions()
-    return [check for check in scene_checks(measured(scene, o), o) if not check.passed]
 
 
 # The slow run checks all tasks.

@@ -109,7 +109,7 @@ def test_a_wall_moves_up_to_what_leans_on_it():
 @pytest.mark.parametrize("relation", ["on", "leaning"])
 def test_a_wall_does_not_move_into_what_touches_it(relation):
     scene = leaning_scene(0.05)
-    before = with_object(scene, "block", xy=(0.5 - 0.0251, 0.5), relation=relation)
+    before = scenes.changed(scene, "block", xy=(0.5 - 0.0251, 0.5), relation=relation)
     after, brought = move_walls_into_contact(before)
     assert not brought
     assert after == before
@@ -117,10 +117,5 @@ def test_a_wall_does_not_move_into_what_touches_it(relation):
 
 def test_a_wall_that_supports_something_does_not_move():
     scene = leaning_scene(0.05)
-    before = with_object(scene, "block", parent="wall", xy=(0.0, 0.5), z=1.0)
+    before = scenes.changed(scene, "block", parent="wall", xy=(0.0, 0.5), z=1.0)
     assert move_walls_into_contact(before) == (before, {})
-
-
-def with_object(scene, name, **update):
-    objects = [o.model_copy(update=update) if o.name == name else o for o in scene.objects]
-    return scene.model_copy(update={"objects": tuple(objects)})

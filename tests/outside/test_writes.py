@@ -10,7 +10,6 @@ from contextlib import suppress
 
 import pytest
 
-from neoworld_mjx import cli
 from neoworld_mjx.errors import ExportError
 from neoworld_mjx.export import export_object
 from neoworld_mjx.io.files import write_atomic, write_inside
@@ -39,16 +38,6 @@ def program(tmp_path):
     return path
 
 
-@pytest.fixture
-def neoworld(capfd):
-    def run(*words):
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(word) for word in words])
-        return ended.value.code, capfd.readouterr().err
-
-    return run
-
-
 def test_an_existing_target_that_is_no_regular_file_is_refused(tmp_path):
     for name, make in (("pipe", os.mkfifo), ("folder", os.mkdir)):
         make(tmp_path / name)
@@ -69,7 +58,7 @@ def test_commands_refuse_a_pipe_or_device_as_target(tmp_path, program, neoworld)
         ("export", program, "--out", pipe),
         ("build", program, "--out", pipe),
     ):
-        code, said = neoworld(*words)
+        code, _, said = neoworld(*words)
         assert code == 2, (words, said)
         assert said.count("\n") == 1, said
     assert stat.S_ISFIFO(pipe.stat().st_mode)
@@ -82,7 +71,7 @@ def test_the_target_of_an_image_is_checked_before_rendering(tmp_path, program, n
     for out in ("/dev/full", pipe, tmp_path / "nowhere" / "a.png", tmp_path):
         # Each would be refused, had it begun.
         for words in (("--open", 7), ("--turntable", "--frames", 0)):
-            code, said = neoworld("render", program, "--out", out, *words)
+            code, _, said = neoworld("render", program, "--out", out, *words)
             assert code == 2, said
             assert said.startswith(f"error: cannot write {out}: "), said
 
@@ -113,7 +102,7 @@ def test_a_path_that_is_too_long(tmp_path, program, neoworld):
         ("report", long),
         ("check", long),
     ):
-        code, said = neoworld(*words)
+        code, _, said = neoworld(*words)
         assert code == 2, (words, said[-300:])
         assert "File name too long" in said
         assert said.count("\n") == 1
@@ -125,10 +114,10 @@ def test_numbers_that_no_command_can_use(program, neoworld):
         (("check", program, "--set", "verify.duration_s=1e-320"), "verify.duration_s"),
         (("check", program, "--set", "refine.check_duration_s=1e-320"), "check_duration_s"),
     ):
-        code, said = neoworld(*words)
+        code, _, said = neoworld(*words)
         assert code == 2, said
         assert expected in said
-    code, said = neoworld(
+    code, _, said = neoworld(
         *("check", program, "--set", "verify.duration_s=0.5"),
         *("--set", "verify.timestep_s=0.02", "--set", "verify.push_duration_s=0.25"),
     )

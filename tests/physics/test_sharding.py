@@ -1,15 +1,12 @@
 """Candidates that share devices are simulated as on one device, without communication."""
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.simulated_devices import run_with_devices
+
 SCRIPT = """
 import sys
 
@@ -67,16 +64,7 @@ np.savez(out, programs=[program.as_text() for program in programs.values()], **s
 def rollouts(kind, folder):
     """Simulate on one and on four devices, in a process that has four."""
     out = folder / "rollouts.npz"
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
-    process = subprocess.run(
-        [sys.executable, "-c", SCRIPT, kind, str(out)],
-        env=os.environ | {"XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert process.returncode == 0, process.stderr[-2000:]
+    run_with_devices(4, SCRIPT, kind, str(out))
     return np.load(out)
 
 

@@ -1,14 +1,10 @@
 """Eight simulated devices give the winners of one, whether they share runs or candidates."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.simulated_devices import run_with_devices
+
 SCRIPT = """
 import sys
 
@@ -67,16 +63,7 @@ np.savez(sys.argv[1], **saved)
 def search(shared, folder):
     """Search on one and on all devices of a process that has eight."""
     out = folder / "found.npz"
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
-    process = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(out), shared],
-        env=os.environ | {"XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert process.returncode == 0, process.stderr[-2000:]
+    run_with_devices(8, SCRIPT, str(out), shared)
     return np.load(out)
 
 

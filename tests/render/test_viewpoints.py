@@ -4,23 +4,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from neoworld_mjx import cli
 from neoworld_mjx.render import render, render_plain
 from neoworld_mjx.render.view import View
 from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
-
-
-@pytest.fixture
-def neoworld(capfd):
-    def run(*words):
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(word) for word in words])
-        return (ended.value.code, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -216,6 +216,18 @@ def lamp():
     return on_table((recentred(spec), (0, 0), 0.3, {"joint_state": state}), name="lit")
 
 
+def changed(scene: SceneSpec, name: str, /, **update: object) -> SceneSpec:
+    """Return a scene in which fields of one object are others."""
+    objects = (o.model_copy(update=update) if o.name == name else o for o in scene.objects)
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def without(scene: SceneSpec, name: str) -> SceneSpec:
+    """Return a scene that lacks one object."""
+    objects = tuple(o for o in scene.objects if o.name != name)
+    return scene.model_copy(update={"objects": objects})
+
+
 def random_layout(scene, pop, seed=0, spread=0.3):
     """Layouts with 1 cm and 17 degrees of noise, and scales up to exp(+-spread)."""
     rng = np.random.default_rng(seed)

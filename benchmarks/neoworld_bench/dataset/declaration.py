@@ -3,7 +3,7 @@
 import functools
 import math
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -22,7 +22,6 @@ SCENES, PROGRAMS = (Path(__file__).parent / name for name in ("scenes", "program
 Room = Literal[
     "tabletop", "kitchen", "desk", "workshop", "laboratory", "bathroom", "shelf", "floor"
 ]
-ROOMS: tuple[Room, ...] = get_args(Room)
 Value = float | int | str
 
 

@@ -60,9 +60,9 @@ def rewritten(text: str, declared: SceneDeclaration) -> str:
     return "\n".join(lines) + "\n"
 
 
-def failures(scene: SceneSpec, options: RefineOptions | None = None) -> list[SceneCheck]:
+def failures(scene: SceneSpec) -> list[SceneCheck]:
     """Return the bounds of the final check that a scene breaks."""
-    o = options or RefineOptions()
+    o = RefineOptions()
     return [check for check in scene_checks(measured(scene, o), o) if not check.passed]
 
 

@@ -39,6 +39,8 @@ DEEP = 0.005
 """Depth [m] above which sampling should not miss overlaps."""
 OVERLAP = 0.03
 """Largest overlap [m] along the direction in which two colliders are pushed together."""
+SAMPLES_OF_EACH = 256
+"""Surface samples of each solid."""
 
 FAR = np.float32(1e3)
 """Distance [m] to which pieces are moved that must not touch."""
@@ -103,7 +105,7 @@ def _row(first: str, second: str, pairs: Pairs, where: NDArray) -> AccuracyRow:
     )
 
 
-def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed: int = 0) -> Pairs:
+def random_pairs(count: int = 10_000, *, each: int = 8, seed: int = 0) -> Pairs:
     """Measure the depth of random pairs of overlapping colliders, exactly and by sampling.
 
     Two colliders of 2 to 10 cm get random orientations, and positions along a random direction such
@@ -111,7 +113,6 @@ def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed
 
     Args:
         count: number of pairs.
-        samples: surface samples of each solid.
         each: number of different colliders of each kind.
         seed: seed of colliders and poses.
     """
@@ -123,7 +124,7 @@ def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed
         )
         for k, kind in enumerate(np.repeat(KINDS, 2 * each).tolist())
     )
-    points = np.stack([np.asarray(surface_samples(obj, samples)) for obj in objects])
+    points = np.stack([np.asarray(surface_samples(obj, SAMPLES_OF_EACH)) for obj in objects])
     kinds = rng.integers(len(KINDS), size=(count, 2))
     pick = 2 * each * kinds + 2 * rng.integers(each, size=(count, 2)) + [0, 1]
     rot = Rotation.from_quat(rng.normal(size=(2 * count, 4))).as_matrix().reshape(count, 2, 3, 3)

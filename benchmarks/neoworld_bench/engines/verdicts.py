@@ -21,6 +21,8 @@ DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg
 NEAR = (0.5, 2.0)
 """Multiples of a bound between which a layout is borderline and counted separately, as a
 perturbation of 1e-13 can change its verdict."""
+RECORD_EVERY_S = 0.1
+"""Time between the poses on which the loop's verdicts are based [s]."""
 
 
 def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
@@ -62,7 +64,6 @@ def naive_loop(
     poses: Poses,
     *,
     duration: float = 1.0,
-    record_every: float = 0.1,
     budget: float = float("inf"),
 ) -> Loop:
     """Compile and step the model of each candidate in turn, on one thread.
@@ -74,11 +75,10 @@ def naive_loop(
         layouts: the candidates.
         poses: their poses in double precision.
         duration: simulated time [s].
-        record_every: time between the poses on which verdicts are based [s].
         budget: time after which no further candidate starts [s].
     """
     timestep = scene.static.mjm.opt.timestep
-    records, every = record_steps(timestep, duration, record_every)
+    records, every = record_steps(timestep, duration, RECORD_EVERY_S)
     moved: list[float] = []
     compiling, stepping, cpu = [], [], 0.0
     began = time.perf_counter()

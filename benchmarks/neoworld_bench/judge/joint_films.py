@@ -83,12 +83,12 @@ class JointedPair:
 
     def true_joint(self, name: str) -> JointSpec:
         """Return a ground-truth joint by name."""
-        return _joint(self.true, name)
+        return self.true.joint(name)
 
     def made_type(self, name: str) -> str:
         """Return the type of a reconstructed joint."""
         assert self.made is not None
-        return _joint(self.made, name).type
+        return self.made.joint(name).type
 
 
 def object_pairs(
@@ -148,9 +148,9 @@ def joint_frames(
     Returns:
         Frames uint8 [h, w, 3], all from one view that shows the whole object in each.
     """
-    joint = _joint(spec, name)
+    joint = spec.joint(name)
     while joint.mimic is not None:
-        joint = _joint(spec, joint.mimic.joint)
+        joint = spec.joint(joint.mimic.joint)
     share = WHOLE_TURN if joint.type == "continuous" else 1.0
     alone = SceneObject(name=spec.name, spec=spec)
     others = with_open_joints(SceneSpec(objects=(alone,)), 1.0).objects[0].joint_state
@@ -192,7 +192,3 @@ def _side(truth: ObjectTruth, joint: str) -> float:
 def _beside(frames: Sequence[NDArray]) -> NDArray:
     gap = np.full((HEIGHT, GAP, 3), 255, np.uint8)
     return np.concatenate([part for frame in frames for part in (frame, gap)][:-1], axis=1)
-
-
-def _joint(spec: ObjectSpec, name: str) -> JointSpec:
-    return next(joint for joint in spec.joints if joint.name == name)

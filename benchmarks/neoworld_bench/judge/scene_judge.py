@@ -91,9 +91,9 @@ class JudgedPictures:
         return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
 
 
-def judged_pictures(reconstruction: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
+def judged_pictures(reconstruction: MadeScene) -> JudgedPictures:
     """Render the images of a scene for the judge."""
-    photo, scene = reconstruction.whole(side)
+    photo, scene = reconstruction.whole(SHOWN_PX)
     height, width = photo.shape[:2]
     half_open = with_open_joints(reconstruction.scene, 0.5)
     view = _aside(reconstruction, half_open, width, height)

@@ -3,7 +3,6 @@
 from .joint_measure import JointMeasure, JointPair, joint_measure, pooled
 from .object_truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
 from .object_truth_mjcf import truth_of_mjcf
-from .parse_measure import ParseMeasure, parse_measure
 from .picture_similarity import PictureMeasure, PictureModels, picture_measure
 from .structural_similarity import ssim
 from .surface_measure import Closeness, GeometryMeasure, geometry_measure
@@ -14,14 +13,12 @@ __all__ = [
     "JointMeasure",
     "JointPair",
     "ObjectTruth",
-    "ParseMeasure",
     "PictureMeasure",
     "PictureModels",
     "TrueJoint",
     "canonical_points",
     "geometry_measure",
     "joint_measure",
-    "parse_measure",
     "picture_measure",
     "pooled",
     "read_truth",

@@ -50,12 +50,11 @@ class ColliderGap(NamedTuple):
         return max(self.protruding_m, self.short_m) <= limit
 
 
-def collider_gap(spec: ObjectSpec, *, seed: int = 0) -> ColliderGap | None:
+def collider_gap(spec: ObjectSpec) -> ColliderGap | None:
     """Compare the colliders of an object with its visual surface, with all joints at zero.
 
     Args:
         spec: the object.
-        seed: seed of the samples.
 
     Returns:
         The gaps; None if the object has no visual geometry or no colliders.
@@ -63,8 +62,8 @@ def collider_gap(spec: ObjectSpec, *, seed: int = 0) -> ColliderGap | None:
     visuals, solids = visual_meshes(spec), collision_solids(spec)
     if not visuals or not solids:
         return None
-    visual = sampled(visuals, VISUAL_SAMPLES, seed)
-    colliding = _union_surface(solids, seed)
+    visual = sampled(visuals, VISUAL_SAMPLES, seed=0)
+    colliding = _union_surface(solids)
     protruding = KDTree(visual).query(colliding)[0]
     short = np.maximum(distance_outside(visual, solids), 0.0)
     corners = np.vstack([mesh.bounds for mesh in visuals])
@@ -103,9 +102,9 @@ def collision_solids(spec: ObjectSpec) -> list[tuple[Piece, Pose]]:
     ]
 
 
-def _union_surface(solids: list[tuple[Piece, Pose]], seed: int) -> Points:
+def _union_surface(solids: list[tuple[Piece, Pose]]) -> Points:
     """Sample the surface of the union of convex solids."""
-    points = sampled([_mesh_of(*solid) for solid in solids], COLLIDER_SAMPLES, seed)
+    points = sampled([_mesh_of(*solid) for solid in solids], COLLIDER_SAMPLES, seed=0)
     buried: Bool[np.ndarray, " n"] = np.zeros(len(points), bool)
     for solid in solids:
         # Samples of this solid lie on its surface and therefore have no depth in it.

@@ -8,7 +8,7 @@ error is that of layout and shapes.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 TOLERANCE = 0.015
@@ -88,9 +88,7 @@ class DepthMeasure(NamedTuple):
     similarity: Similarity
     """Transform from the frame of the scene's camera to the frame of the sensor's camera [m]."""
     inliers: float
-    """Fraction of the compared pixels whose distance is within the tolerance."""
-    tolerance_m: float
-    """Distance at which a pixel's weight in the fit is a quarter [m]."""
+    """Fraction of the compared pixels whose distance is within TOLERANCE."""
     objects: dict[str, DepthError]
     """Errors by object. Objects without a visible pixel are omitted. Errors are NaN if the sensor
     has no depth at any pixel of the object."""
@@ -136,7 +134,7 @@ def depth_measure(
         visible = int((rendered_mask & (segmentation == index)).sum())
         if visible:
             objects[name] = _error(off[owner == index], distance[owner == index], visible)
-    return DepthMeasure(fitted, float((distance <= tolerance).mean()), tolerance, objects)
+    return DepthMeasure(fitted, float((distance <= tolerance).mean()), objects)
 
 
 def robust_similarity(source: Points, target: Points, tolerance: float) -> Similarity:
@@ -193,12 +191,9 @@ def _error(off: Points, distance: Float[np.ndarray, " n"], visible: int) -> Dept
 
 
 def measured_points(
-    depth: Float[np.ndarray, "h w"],
-    camera: Intrinsics,
-    valid: Bool[np.ndarray, "h w"] | None = None,
+    depth: Float[np.ndarray, "h w"], camera: Intrinsics
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the points of a depth image in the camera's frame [m]; 0 for pixels without depth."""
     height, width = depth.shape
     measured = np.isfinite(depth) & (depth > 0)
-    measured = measured if valid is None else measured & valid
     return camera.directions(width, height) * np.where(measured, depth, 0.0)[..., None]

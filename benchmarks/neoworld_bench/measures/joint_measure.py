@@ -16,8 +16,8 @@ from scipy.optimize import linear_sum_assignment
 
 from neoworld_mjx.spec import ObjectSpec, Spec
 
+from .mean import Mean, mean_of_known
 from .object_truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
-from .parse_measure import Mean
 
 MARGIN = 0.02
 """Margin on each side of the compared boxes, as a fraction of the diagonal, so that thin fronts
@@ -287,13 +287,8 @@ def _summed(
         miss=1 - hits / total if total else None,
         type_error=(wrong + len(missed)) / total if total else None,
         type_error_hits=wrong / hits if hits else None,
-        axis_deg=_mean([pair.axis_deg for pair in pairs]),
-        pivot=_mean([pair.pivot for pair in pairs]),
-        limits=_mean([pair.limits for pair in pairs]),
+        axis_deg=mean_of_known([pair.axis_deg for pair in pairs]),
+        pivot=mean_of_known([pair.pivot for pair in pairs]),
+        limits=mean_of_known([pair.limits for pair in pairs]),
         pairs=pairs,
     )
-
-
-def _mean(values: Sequence[float | None]) -> Mean:
-    known = [value for value in values if value is not None]
-    return Mean(value=float(np.mean(known)) if known else None, n=len(known))

@@ -22,6 +22,7 @@ from neoworld_mjx.errors import SpecError
 from neoworld_mjx.io import read_json
 from neoworld_mjx.spec import Number, ObjectSpec, Spec, Vec3, bounds, pieces
 from neoworld_mjx.spec.convex import box_around
+from neoworld_mjx.spec.pose import triple
 
 Front = Literal["+x", "-x", "+y", "-y"]
 Box = tuple[Vec3, Vec3]
@@ -117,7 +118,7 @@ def truth_of(spec: ObjectSpec) -> ObjectTruth:
                 moving_box=moving_box_of(spec, joint.child),
             )
         )
-    box: Box = (_vec3(low), _vec3(high))
+    box: Box = (triple(low), triple(high))
     return ObjectTruth(name=spec.name, box=box, joints=tuple(joints))
 
 
@@ -133,7 +134,7 @@ def moving_box_of(spec: ObjectSpec, child: str) -> Box:
             for _, piece, pose in pieces(spec.part(name), role):
                 lowest, highest = box_around(piece, pose)
                 low, high = np.minimum(low, lowest), np.maximum(high, highest)
-    return _vec3(low), _vec3(high)
+    return triple(low), triple(high)
 
 
 def canonical(truth: ObjectTruth) -> ObjectTruth:
@@ -144,8 +145,8 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
     joints = tuple(
         joint.model_copy(
             update={
-                "axis": _vec3(turn @ np.array(joint.axis)),
-                "pivot": _vec3(turn @ np.array(joint.pivot) - origin),
+                "axis": triple(turn @ np.array(joint.axis)),
+                "pivot": triple(turn @ np.array(joint.pivot) - origin),
                 "moving_box": _pair(_turned(joint.moving_box, turn) - origin),
             }
         )
@@ -184,12 +185,7 @@ def _turned(box: Box, turn: NDArray) -> NDArray:
 
 
 def _pair(box: NDArray) -> Box:
-    return _vec3(box[0]), _vec3(box[1])
-
-
-def _vec3(v: NDArray) -> Vec3:
-    x, y, z = v.tolist()
-    return x, y, z
+    return triple(box[0]), triple(box[1])
 
 
 def _ordered(box: Box, name: str) -> None:

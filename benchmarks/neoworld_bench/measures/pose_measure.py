@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 RECALL = 0.1
@@ -67,18 +66,13 @@ def add_s(predicted: Points, truth: TruePoints) -> float:
     return float(forth + back) / 2
 
 
-def recall(errors: list[float | None], threshold: float = RECALL) -> float | None:
-    """Return the fraction of errors below a threshold; None if there are no objects.
+def recall(errors: list[float | None]) -> float | None:
+    """Return the fraction of errors below RECALL; None if there are no objects.
 
-    A missed object has the error None, which is never below the threshold.
+    A missed object has the error None, which counts as an error above it.
     """
-    correct = [error is not None and error < threshold for error in errors]
+    correct = [error is not None and error < RECALL for error in errors]
     return float(np.mean(correct)) if correct else None
-
-
-def point_diameter(points: Points) -> float:
-    """Return the largest distance between two points [m]."""
-    return float(pdist(points).max()) if len(points) > 1 else 0.0
 
 
 def icp_rotation_deg(predicted: Points, truth: TruePoints) -> float:

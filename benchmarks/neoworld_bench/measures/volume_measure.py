@@ -39,20 +39,12 @@ class VolumeMeasure(NamedTuple):
     """Intersection over union of the filled voxels with edge length PITCH."""
 
 
-def volume_measure(
-    predicted: "trimesh.Trimesh",
-    truth: "trimesh.Trimesh",
-    *,
-    samples: int = VOLUME_SAMPLES,
-    seed: int = 0,
-) -> VolumeMeasure:
+def volume_measure(predicted: "trimesh.Trimesh", truth: "trimesh.Trimesh") -> VolumeMeasure:
     """Compare two posed meshes.
 
     Args:
         predicted: predicted mesh, in the frame of the true mesh.
         truth: true mesh, at any scale.
-        samples: number of samples of each mesh.
-        seed: seed of the samples.
 
     Raises:
         ValueError: a mesh has too many voxels.
@@ -60,7 +52,7 @@ def volume_measure(
     import trimesh
 
     a, b = normalized(predicted, truth), normalized(truth, truth)
-    points = [trimesh.sample.sample_surface(mesh, samples, seed=seed)[0] for mesh in (a, b)]
+    points = [trimesh.sample.sample_surface(mesh, VOLUME_SAMPLES, seed=0)[0] for mesh in (a, b)]
     distances = surface_distances(*points)
     return VolumeMeasure(
         float(distances[0].mean() + distances[1].mean()),

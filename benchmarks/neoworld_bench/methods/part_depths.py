@@ -19,19 +19,15 @@ def articulated(spec: ObjectSpec) -> bool:
     return any(joint.type != "fixed" for joint in spec.joints)
 
 
-def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> float:
+def part_depth(spec: ObjectSpec) -> float:
     """Return the deepest penetration of two parts of an object [m]; 0 if no parts overlap.
 
     Parts are measured with all joints at zero, over the range of every joint, and with all joints
     moved at once. In states with all joints moved, only penetrations over P_PEN_M count. Pairs of a
     parent and a child count, and so do overlaps that the object's program allows. Parts that are
     fixed to each other may overlap.
-
-    Args:
-        spec: the object.
-        options: number of steps over a range, and number of sampled states.
     """
-    o = options or JointSweepOptions()
+    o = JointSweepOptions()
     placeholders = [part.name for part in spec.parts if is_placeholder(part)]
     free = o.model_copy(update={"max_depth_m": _DEEPEST_M})
     sweep = sweep_joints(Probe(spec), free, ignored=placeholders)

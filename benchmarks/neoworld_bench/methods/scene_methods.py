@@ -110,8 +110,6 @@ METHODS = (
     *EQUAL_ROLLOUTS,
     "ours",
 )
-DEFAULT_METHODS = ("ours", "open_loop", "gravity", "guided", "no_simulation", "algorithm1")
-"""Default methods of a run."""
 
 
 def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:

@@ -14,8 +14,8 @@ from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.checking import object_of_file
 
 from ..measures import canonical_points, geometry_measure, joint_measure, read_truth
+from ..measures.mean import Mean
 from ..measures.object_truth import Front, ObjectTruth
-from ..measures.parse_measure import Mean
 from ..measures.surface_measure import SAMPLES
 from ..row_files import RowFile, stored_rows
 from ..rows import Row

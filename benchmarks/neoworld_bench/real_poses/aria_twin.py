@@ -47,9 +47,8 @@ TRIANGLES = np.array(
 
 
 class TimedNumbers(NamedTuple):
-    """A row of a table."""
+    """A row of a table of one object."""
 
-    uid: str
     time: int
     """[ns]; STATIC for objects that never move."""
     values: Float[np.ndarray, " n"]
@@ -110,7 +109,7 @@ def _table(file: Path, columns: tuple[str, ...]) -> dict[str, list[TimedNumbers]
         if not np.isfinite(values).all():
             raise SpecError(f"{file}, line {number}: a number is not finite")
         uid = row["object_uid"]
-        result.setdefault(uid, []).append(TimedNumbers(uid, time, values))
+        result.setdefault(uid, []).append(TimedNumbers(time, values))
     return result
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
 
-from ..measures.parse_measure import Mean
+from ..measures.mean import mean_of_known
 from ..measures.pose_measure import RECALL, recall
 from ..row_files import RowFile, stored_rows
 from ..rows import log
@@ -217,17 +217,15 @@ def real_figures(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow])
                 "missed": sum(not row.object for row in true),
                 "extra": sum(row.extra for row in stage_views),
                 f"add_s_recall_{RECALL:g}d": recall([row.add_s for row in true]),
-                **{name: _mean([getattr(row, name) for row in true]) for name in MEANS},
+                **{
+                    name: mean_of_known([getattr(row, name) for row in true]).model_dump()
+                    for name in MEANS
+                },
             }
         figure["check_passed"] = float(np.mean([row.check_passed for row in stage_views]))
         figure["collider_sound"] = float(np.mean(gaps)) if gaps else None
         figures[f"{method} {stage}"] = figure
     return figures
-
-
-def _mean(values: Sequence[float | None]) -> dict[str, Any]:
-    measured = [value for value in values if value is not None]
-    return Mean(value=float(np.mean(measured)) if measured else None, n=len(measured)).model_dump()
 
 
 def stored_real_rows(folder: Path) -> tuple[list[RealViewRow], list[RealObjectRow]]:

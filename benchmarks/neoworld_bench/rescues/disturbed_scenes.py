@@ -97,10 +97,10 @@ def disturbed(objects, seed: int):
     return result
 
 
-def scene_of_meshes(objects, name: str = "scene"):
+def scene_of_meshes(objects):
     """Return an imported scene of meshes at poses; none of them says that it is a support."""
     assemblies = [
         mesh_object(key, [(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
         for key, (mesh, pose) in objects.items()
     ]
-    return scene_of_assemblies(Path(name), assemblies, None)
+    return scene_of_assemblies(Path("scene"), assemblies, None)
