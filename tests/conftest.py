@@ -45,7 +45,7 @@ QUICK = {
 
 
 class Ended(NamedTuple):
-    """How a command line ended."""
+    """Exit code and output of a command line."""
 
     returncode: int
     stdout: str

@@ -182,7 +182,7 @@ class SceneSet(NoisyRuns):
     )
     """Methods: also random, cma_es, evosax:STRATEGY or package.module:function, which get as many
     rollouts as ours; without_s_sem, without_d_pen, without_d_drift, without_photo,
-    without_contours, without_camera and without_final; aligned and
+    without_contours, without_edges, without_contacts, without_camera and without_final; aligned and
     aligned_dimensions, the alignment without a search; and NAME=FILE, the search with the options
     of a YAML file.
     """

@@ -38,8 +38,8 @@ def is_supported(
 
     A mask that is almost equal to the other one is supported. Arguments are as for `gain`.
     """
-    least = LEAST_GAIN * int((now != other).sum())
-    return _almost_equal(now, other) or gain(now, other, bins) >= least
+    ratio = _log_ratio(now, other, bins)
+    return ratio is None or ratio >= LEAST_GAIN * int((now != other).sum())
 
 
 def gain(
@@ -62,13 +62,23 @@ def gain(
         better than `other`. It is 0 if the masks are almost equal, and minus infinity if too few
         pixels are in both masks or around them.
     """
+    return _log_ratio(now, other, bins) or 0.0
+
+
+def _log_ratio(
+    now: Bool[np.ndarray, "row column"],
+    other: Bool[np.ndarray, "row column"],
+    bins: Int[np.ndarray, "row column"],
+) -> float | None:
+    """Return the value of `gain`, or None if the masks are almost equal."""
     union = now | other
     if not union.any():
-        return 0.0
+        return None
     window = window_of(union, ring_width(int(union.sum())) + 2)
     now, other, union, bins = now[window], other[window], union[window], bins[window]
-    if _almost_equal(now, other):
-        return 0.0
+    outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
+    if (now != other).sum() <= SAME_PX * max(outline.sum(), 1):
+        return None
     common, ring = now & other, around(union, 1)
     if min(common.sum(), ring.sum()) < LEAST_PIXELS / 2:
         return -np.inf
@@ -76,11 +86,3 @@ def gain(
         color_model(bins[common])[bins], color_model(bins[ring])[bins]
     )
     return float(ratio[now & ~other].sum() - ratio[other & ~now].sum())
-
-
-def _almost_equal(
-    now: Bool[np.ndarray, "row column"], other: Bool[np.ndarray, "row column"]
-) -> bool:
-    """Return whether the outlines of two masks are at most SAME_PX apart on average."""
-    outline = now & ~np.asarray(binary_erosion(now, border_value=1), bool)
-    return bool((now != other).sum() <= SAME_PX * max(outline.sum(), 1))

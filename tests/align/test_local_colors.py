@@ -25,11 +25,11 @@ def photo_of_cans():
     return np.clip(image + 0.5, 0, 255).astype(np.uint8)
 
 
-def drawn_can(lower=0, narrower=0):
+def drawn_can(lower=0):
     """The second can, drawn `lower` by a number of pixels; the layout lacks the other two."""
     mask = np.zeros(SHAPE, bool)
     start, stop = CANS[1]
-    mask[LID_TOP + lower : FOOT + lower, start + narrower : stop - narrower] = True
+    mask[LID_TOP + lower : FOOT + lower, start:stop] = True
     return DrawnObjects(np.where(mask, 0, -1), np.where(mask, 1.0, np.inf))
 
 
