@@ -194,8 +194,11 @@ def earlier_options(
         config = load_config(None, merged(data, over))
     except ConfigError as error:
         raise ConfigError(f"{folder / 'run.json'}: {error}; give options by --config") from None
-    code_names = [name for name in config.refine.reward.terms if ":" in name]
-    code_names += [config.refine.optimizer] * (":" in config.refine.optimizer)
+    from ..refinement.objective import TERMS
+    from ..refinement.optimizer import OPTIMIZERS
+
+    code_names = [name for name in config.refine.reward.terms if name not in TERMS]
+    code_names += [config.refine.optimizer] * (config.refine.optimizer not in OPTIMIZERS)
     if code_names:
         raise ConfigError(
             f"{folder / 'run.json'} names code to run ({', '.join(code_names)}): if you "

@@ -197,6 +197,8 @@ def named_terms(options: RefineOptions) -> list[Term]:
 def import_function(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any]:
     """Import the function that an option names as "package.module:function".
 
+    A name of any other form is refused before anything is imported.
+
     Args:
         option: path of the option, which error messages name.
         path: value of the option.
@@ -206,10 +208,14 @@ def import_function(option: str, path: str, table: dict[str, Any]) -> Callable[.
         ConfigError: the path is malformed, or does not name a callable.
     """
     module, _, name = path.partition(":")
+    named = f", or name a built-in one: {choices(path, table)}" if table else ""
+    if not (module and name):
+        raise ConfigError(
+            f"{option}: {path!r} is unknown; write it as package.module:function{named}"
+        )
     try:
         value = getattr(importlib.import_module(module), name)
     except (Exception, SystemExit) as error:  # Importing a module may raise anything.
-        named = f", or name a built-in one: {choices(path, table)}" if table else ""
         raise ConfigError(
             f"{option}: cannot import {path!r} ({error}); "
             f"write it as package.module:function{named}"

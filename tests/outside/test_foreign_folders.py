@@ -11,6 +11,7 @@ from neoworld_mjx.config import Config
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
+from neoworld_mjx.refinement.objective import import_function
 from neoworld_mjx.run_folder import FORMAT, RunFolder, read_run
 from neoworld_mjx.view.report.run_report import write_report
 
@@ -148,6 +149,10 @@ def test_partial_files_of_a_killed_run_are_deleted(tmp_path):
     assert not left.exists()
 
 
+OPTIONS_OF_CODE = {
+    "optimizer": lambda name: {"optimizer": name},
+    "terms": lambda name: {"reward": {"terms": {name: 1.0}}},
+}
 DAMAGED = {
     "status": None,
     "photo": None,
@@ -208,6 +213,25 @@ def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options,
     (out / "compose" / "scene.json").write_text("{}")
     with pytest.raises(ConfigError, match=said):
         refine_again(out)
+
+
+@pytest.mark.parametrize("name", ["evilmod", "objects.evilmod", "evilmod:f", "objects.evilmod:"])
+@pytest.mark.parametrize("option", ["optimizer", "terms"])
+def test_no_module_of_a_foreign_run_is_imported(tmp_path, monkeypatch, option, name):
+    """Neither by `refine`, which refuses the folder, nor by whoever reads such an option."""
+    out = _run(tmp_path / "out", config={"refine": OPTIONS_OF_CODE[option](name)})
+    (out / "compose").mkdir()
+    (out / "compose" / "scene.json").write_text("{}")
+    for folder in (out, out / "objects"):
+        folder.mkdir(exist_ok=True)
+        (folder / "evilmod.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w')\nf = dict")
+    monkeypatch.syspath_prepend(out)
+    with pytest.raises(ConfigError, match=f"names code to run .{name}"):
+        refine_again(out)
+    if not name.endswith(":f"):
+        with pytest.raises(ConfigError, match=f"{name}' is unknown; write it as package.module"):
+            import_function("refine.optimizer", name, {})
+    assert not (tmp_path / "imported").exists()
 
 
 def test_a_refinement_of_a_foreign_run_touches_nothing_outside(tmp_path, outside):
