@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
@@ -15,7 +15,8 @@ from neoworld_mjx.commands.base_command import Command, CommandResult, Configure
 from neoworld_mjx.commands.listing_lines import bench_lines
 from neoworld_mjx.errors import ConfigError
 
-from .suites import DEVELOPER_SUITES, SUITES, Suite
+from .machine import machine
+from .suites import SUITES, Suite
 
 MAY_BE_ZERO = ("delay_s", "directions", "failing", "pairs", "rounds", "scenes")
 """Options that may be zero although their default is not."""
@@ -109,7 +110,7 @@ class SuiteCommand:
     suite_name: ClassVar[str]
 
     def run(self) -> CommandResult:
-        """Run the suite, and add its name, the command, the date and the commit to the result."""
+        """Run the suite, and add its name, command, date, commit, machine and n to the result."""
         from neoworld_mjx.cache import keep_compilations
         from neoworld_mjx.refinement.optimizer import optimizer_factory
         from neoworld_mjx.sweeps.result import commit
@@ -125,13 +126,14 @@ class SuiteCommand:
             result = function(self, config)
         else:
             result = function(self)
-        in_package = self.suite.function.startswith("neoworld_bench.")
-        program = "neoworld bench run" if in_package else "python -m benchmarks"
+        rows = result.get("rows")
         return {
             "suite": self.suite_name,
-            "command": " ".join([program, self.suite_name, *self._changed_options()]),
+            "command": " ".join(["neoworld bench run", self.suite_name, *self._changed_options()]),
             "date": datetime.date.today().isoformat(),
             "commit": commit() or "",
+            "machine": machine(),
+            **({} if rows is None else {"n": len(rows)}),
             **result,
         }
 
@@ -189,16 +191,6 @@ class BenchCommand:
         | Annotated[BenchTableCommand, subcommand("table")]
         | Annotated[BenchChartCommand, subcommand("chart")]
     )
-
-    @staticmethod
-    def refusal(args: Sequence[str]) -> str | None:
-        """Return how to run a developer suite; None leaves the arguments to the parser."""
-        if len(args) < 2 or args[0] != "run" or args[1] not in DEVELOPER_SUITES:
-            return None
-        return (
-            f"the suite {args[1]} needs a clone of the repository; there, run: "
-            f"uv run python -m benchmarks {' '.join(args[1:])}"
-        )
 
     @property
     def inner(self) -> Any:

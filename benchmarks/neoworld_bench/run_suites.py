@@ -73,7 +73,7 @@ def run_devices(o: suites.Devices) -> dict[str, Any]:
         seed=o.seed,
     )
     rows = scaling(tasks, lambda task: in_a_process(task, o.budget))
-    return {"machine": machine(), "rows": plain(collect(rows))}
+    return {"rows": plain(collect(rows))}
 
 
 def run_agreement(o: suites.Agreement) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def run_agreement(o: suites.Agreement) -> dict[str, Any]:
         rows = KeptRows(folder).all(jobs)
     return {
         **agreed(rows),
-        "machine": machine(),
+        "n": len(rows),
         "models": plain([row for row in rows if isinstance(row, ModelRow)]),
         "verdicts": plain([row for row in rows if isinstance(row, VerdictRow)]),
     }
@@ -103,7 +103,7 @@ def run_examples(o: suites.Examples, config: Config) -> dict[str, Any]:
         rows = KeptRows(folder).all(jobs)
     for line in difference_lines(rows):
         log.info(line)
-    return {"machine": machine(), "differences": differences(rows), "rows": plain(rows)}
+    return {"differences": differences(rows), "rows": plain(rows)}
 
 
 def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
     }
     with unfinished(o, config) as folder:
         rows = KeptRows(folder).all(jobs)
-    return {"machine": machine(), "scenes": plain(rows)}
+    return {"rows": plain(rows)}
 
 
 def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
@@ -140,7 +140,6 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
         return {
             "lower_mean": sum(lower) / len(lower),
             "lower_least": min(lower),
-            "machine": machine(),
             "rows": plain(rows),
         }
     steps = partial(
@@ -156,7 +155,7 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
     summary = photo_summary(rows)
     for line in lines(summary):
         log.info(line)
-    return {**summary, "machine": machine(), "rows": plain(rows)}
+    return {**summary, "rows": plain(rows)}
 
 
 def run_openings(o: suites.Openings) -> dict[str, Any]:
@@ -170,7 +169,18 @@ def run_openings(o: suites.Openings) -> dict[str, Any]:
     }
     with unfinished(o) as folder:
         rows = KeptRows(folder).all(jobs)
-    return {**opening_summary(rows), "machine": machine(), "rows": plain(rows)}
+    return {**opening_summary(rows), "rows": plain(rows)}
+
+
+def run_coverage(o: suites.Coverage) -> dict[str, Any]:
+    """Count the intervals of the alignment that hold the truth."""
+    from .methods.interval_coverage import interval_coverage, interval_rows
+    from .methods.scene_runs import chosen_scenes
+
+    jobs = {name: partial(interval_rows, name, o.starts) for name in chosen_scenes(o.scenes)}
+    with unfinished(o) as folder:
+        rows = KeptRows(folder).all(jobs)
+    return {"n": len(rows), "table": interval_coverage(rows)}
 
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
@@ -193,7 +203,7 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
             out=o.out or folder,
             submission=o.submission,
         )
-    return {**summarise(rows), **scene_figure_table(rows, methods), "machine": machine()}
+    return {**summarise(rows), **scene_figure_table(rows, methods)}
 
 
 def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
@@ -226,7 +236,7 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
             )
         result |= {"figures": real_figures(views, objects), "views": plain(views)}
         result |= {"rows": plain(objects), **real_figure_table(views, objects)}
-    return {**result, "machine": machine()}
+    return result
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
@@ -250,7 +260,7 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         )
         rows = list(scored)
     paper = {"joints": PAPER, "note": NOTE}
-    figures = {**score_figures(rows), **joint_figure_table(rows), "machine": machine()}
+    figures = {**score_figures(rows), **joint_figure_table(rows)}
     return {**figures, "paper": paper, "rows": plain(rows)}
 
 
@@ -264,7 +274,7 @@ def run_rescue(o: suites.Rescues) -> dict[str, Any]:
     jobs = {str(seed): partial(rescue_rows, seed, photo=o.photo) for seed in range(o.scenes)}
     with unfinished(o) as folder:
         rows = KeptRows(folder).all(jobs)
-    return {**rescue_figures(rows), "machine": machine(), "rows": plain(rows)}
+    return {**rescue_figures(rows), "rows": plain(rows)}
 
 
 def run_tasks(o: suites.Tasks) -> dict[str, Any]:
@@ -277,7 +287,7 @@ def run_tasks(o: suites.Tasks) -> dict[str, Any]:
     jobs = {task.name: partial(check_tasks, [task], o.directions) for task in find_tasks(o.task)}
     with unfinished(o) as folder:
         rows = KeptRows(folder).all(jobs)
-    return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
+    return {**summarised(rows), "rows": plain(rows)}
 
 
 def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
@@ -297,7 +307,7 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
             place=o.place,
             out=o.out or folder,
         )
-    return {**success_summary(rows), **task_figure_table(rows, o.method), "machine": machine()}
+    return {**success_summary(rows), **task_figure_table(rows, o.method)}
 
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
@@ -327,7 +337,7 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
             settings=RunSettings(o.seed, config.refine, config.compose, o.noise),
         )
         rows = KeptRows(folder).all({task.name: partial(plan, [task]) for task in tasks})
-    return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}
+    return {**plan_figures(rows), "rows": plain(rows)}
 
 
 def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:

@@ -1,34 +1,28 @@
 """Share of the 90 % intervals of aligned objects that hold the truth, over rendered scenes."""
 
-import logging
 import math
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from neoworld_bench.dataset.declaration import declaration, declarations
-from neoworld_bench.dataset.truth_scene import photographed
-from neoworld_bench.fidelity.rendered_responses import exact_response
-from neoworld_bench.fidelity.rendered_scenes import photograph
-from neoworld_bench.machine import machine
-from neoworld_bench.methods.layout_errors import heading_deg, offsets
-from neoworld_bench.noise.initial_scenes import initial_scene, is_evaluation, noise_number
 
-from benchmarks.suites import Coverage
 from neoworld_mjx.align.align import align
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.sweeps.intervals import ratio_interval
 
-log = logging.getLogger(__name__)
+from ..dataset.declaration import declaration
+from ..dataset.truth_scene import photographed
+from ..fidelity.rendered_responses import exact_response
+from ..fidelity.rendered_scenes import photograph
+from ..noise.initial_scenes import initial_scene, is_evaluation, noise_number
+from ..rows import Row
+from .layout_errors import heading_deg, offsets
 
 LEVEL, Z = 0.9, 1.645
 """Probability of an interval, and its half-width in standard deviations of a Gaussian."""
 
 
-class Error(NamedTuple):
+class IntervalRow(Row):
     """Error of one number of an aligned object."""
 
     scene: str
@@ -40,50 +34,40 @@ class Error(NamedTuple):
     """Absolute error in stated standard deviations."""
 
 
-def run_suite(options: Coverage) -> dict[str, Any]:
-    """Align initial scenes, and count the intervals that hold the truth."""
-    names = list(declarations())[: options.scenes]
-    work = partial(_errors_of_scene, starts=options.starts)
-    errors: list[Error] = []
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for name, found in zip(names, pool.map(work, names), strict=True):
-            errors += found
-            log.info("%s: %d numbers", name, len(found))
-    groups = [(half, quantity) for half in (False, True) for quantity in ("along", "across", "yaw")]
-    groups += [(half, "log_scale") for half in (False, True)]
-    return {"machine": machine(), "table": [_row(errors, *group) for group in sorted(groups)]}
+def interval_rows(name: str, starts: int) -> Iterator[IntervalRow]:
+    """Yield the errors of a scene's aligned objects from all its initial scenes."""
+    truth = photographed(declaration(name))
+    photo, response = photograph(truth), exact_response(truth)
+    for start in range(starts):
+        composed = initial_scene(truth, response, noise_number(name, 0, start)).scene
+        for quantity, value in object_errors(align(composed, photo).scene, truth):
+            yield IntervalRow(
+                scene=name, quantity=quantity, evaluation=is_evaluation(start), deviations=value
+            )
 
 
-def _row(errors: list[Error], evaluation: bool, quantity: str) -> dict[str, Any]:
-    some = [e for e in errors if (e.quantity, e.evaluation) == (quantity, evaluation)]
+def interval_coverage(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
+    """Return the coverage for each half and quantity, with its 95 % interval over scenes.
+
+    `factor` is the factor on the stated deviations at which exactly 90 % would be covered.
+    """
+    groups = sorted({(row.evaluation, row.quantity) for row in rows})
+    return [_coverage([r for r in rows if (r.evaluation, r.quantity) == g], *g) for g in groups]
+
+
+def _coverage(rows: list[IntervalRow], evaluation: bool, quantity: str) -> dict[str, Any]:
     held, low, high = ratio_interval(
-        ((e.scene, float(e.deviations <= Z), 1.0) for e in some), share=True
+        ((row.scene, float(row.deviations <= Z), 1.0) for row in rows), share=True
     )
-    deviations = [e.deviations for e in some]
     return {
         "half": "evaluation" if evaluation else "development",
         "quantity": quantity,
-        "n": len(some),
+        "n": len(rows),
         "held": held,
         "low": low,
         "high": high,
-        "factor": float(np.quantile(deviations, LEVEL) / Z) if some else math.nan,
+        "factor": float(np.quantile([row.deviations for row in rows], LEVEL) / Z),
     }
-
-
-def _errors_of_scene(name: str, starts: int) -> list[Error]:
-    """Return the errors of a scene's aligned objects from all its initial scenes."""
-    truth = photographed(declaration(name))
-    photo, response = photograph(truth), exact_response(truth)
-    found = []
-    for start in range(starts):
-        composed = initial_scene(truth, response, noise_number(name, 0, start)).scene
-        aligned = align(composed, photo).scene
-        found += [
-            Error(name, quantity, is_evaluation(start), value)
-            for quantity, value in object_errors(aligned, truth)
-        ]
-    return found
 
 
 def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, float]]:
