@@ -88,13 +88,12 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables of the results of `bench run` scenes, joints, task-success and real-poses with
-    --out, in Markdown, CSV and LaTeX: table.*, joints.*, tasks.* and real.*, and curves over
-    thresholds of scenes.
+    """Write tables of the results of `bench run` scenes and task-success with --out, in Markdown,
+    CSV and LaTeX: table.* and tasks.*, and curves over thresholds of scenes.
     """
 
     folder: Positional[Path]
-    """Folder with results.parquet, joints.parquet, tasks.parquet or real_objects.parquet."""
+    """Folder with results.parquet or tasks.parquet."""
 
     def run(self) -> CommandResult:
         """Write the tables."""

@@ -120,42 +120,21 @@ def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
 
 
 def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
-    """Measure each step's errors, or how often S_sem prefers the ground truth."""
-    from .fidelity.semantic_ranking import semantic_rows
-    from .fidelity.step_errors import (
-        QUICK,
-        chosen_numbers,
-        lines,
-        photo_rows,
-        photo_summary,
-        searching_little,
-    )
+    """Measure each step's errors."""
+    from .fidelity.step_errors import chosen_numbers, photo_rows, photo_summary
 
-    scenes = chosen_numbers(o.scenes or (QUICK if o.quick else ()))
-    if o.semantic:
-        jobs = {str(n): partial(semantic_rows, (n,), draws=o.draws) for n in scenes}
-        with unfinished(o, config) as folder:
-            rows = KeptRows(folder).all(jobs)
-        lower = [row.lower for row in rows]
-        return {
-            "lower_mean": sum(lower) / len(lower),
-            "lower_least": min(lower),
-            "rows": plain(rows),
-        }
     steps = partial(
         photo_rows,
         search=not o.no_search,
         seed=o.seed,
         compose_options=config.compose,
-        refine_options=searching_little(config.refine) if o.quick else config.refine,
+        refine_options=config.refine,
         engine=o.engine,
     )
+    jobs = {str(n): partial(steps, (n,)) for n in chosen_numbers(o.scenes)}
     with unfinished(o, config) as folder:
-        rows = KeptRows(folder).all({str(n): partial(steps, (n,)) for n in scenes})
-    summary = photo_summary(rows)
-    for line in lines(summary):
-        log.info(line)
-    return {**summary, "rows": plain(rows)}
+        rows = KeptRows(folder).all(jobs)
+    return {**photo_summary(rows), "rows": plain(rows)}
 
 
 def run_openings(o: suites.Openings) -> dict[str, Any]:
@@ -208,60 +187,36 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
 
 def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     """Score reconstructions of real photographs."""
-    from .real_poses.pose_estimates import estimate_figures, estimate_rows
     from .real_poses.real_views import real_figures, score_real_views
-    from .tables.figure_tables import real_figure_table
 
     if o.data is None:
         raise ConfigError("real-poses needs DATA, the folder of the data set")
-    result: dict[str, Any] = {}
-    if o.poses is not None:
-        estimates = list(estimate_rows(o.data, o.poses))
-        result |= {"pose_figures": estimate_figures(estimates), "poses": plain(estimates)}
-    if o.poses is None or o.runs or o.submission is not None:
-        with unfinished(o, config) as folder:
-            views, objects = score_real_views(
-                o.data,
-                runs=o.runs,
-                submission=o.submission,
-                kind=o.format,
-                views=o.view,
-                align=o.align,
-                intrinsics=o.intrinsics,
-                depth_scale=o.depth_scale,
-                volumes=not o.no_volumes,
-                options=config.refine,
-                out=o.out,
-                kept=KeptRows(folder),
-            )
-        result |= {"figures": real_figures(views, objects), "views": plain(views)}
-        result |= {"rows": plain(objects), **real_figure_table(views, objects)}
-    return result
+    with unfinished(o, config) as folder:
+        views, objects = score_real_views(
+            o.data,
+            o.runs,
+            views=o.view,
+            intrinsics=o.intrinsics,
+            depth_scale=o.depth_scale,
+            options=config.refine,
+            kept=KeptRows(folder),
+        )
+    return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
-    from .objects.object_scores import score_figures, score_objects
-    from .tables.figure_tables import joint_figure_table
-    from .tables.joint_table import NOTE, PAPER
+    from .objects.object_scores import object_names, score_figures, score_object
+    from .paper_figures import PAPER_JOINTS, PAPER_SURFACES
 
-    if o.made is None:
-        raise ConfigError("joints needs --made DIR, the objects, and --partnet PATH or --truth DIR")
+    if o.made is None or o.truth is None:
+        raise ConfigError("joints needs --made DIR and --truth DIR, folders of objects")
+    score = partial(score_object, made=o.made, truth=o.truth, front=o.front, options=config.program)
+    jobs = {name: partial(score, name) for name in object_names(o.made, o.truth, o.object)}
     with unfinished(o, config) as folder:
-        scored = score_objects(
-            o.made,
-            partnet=o.partnet,
-            truth=o.truth,
-            objects=o.object,
-            front=o.front,
-            options=config.program,
-            out=o.out,
-            kept=KeptRows(folder),
-        )
-        rows = list(scored)
-    paper = {"joints": PAPER, "note": NOTE}
-    figures = {**score_figures(rows), **joint_figure_table(rows)}
-    return {**figures, "paper": paper, "rows": plain(rows)}
+        rows = KeptRows(folder).all(jobs)
+    paper = {"joints": PAPER_JOINTS, "surfaces": PAPER_SURFACES}
+    return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
 
 def run_rescue(o: suites.Rescues) -> dict[str, Any]:
@@ -346,11 +301,11 @@ def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
     from .judge.picture_rows import picture_figures, picture_rows
     from .measures.picture_similarity import PictureModels
 
-    models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    compare = partial(picture_rows, models=models, side=o.size, objects=not o.no_objects, out=o.out)
-    scenes = made_scenes(o.folders, o.data)
+    models = PictureModels(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
+    compare = partial(picture_rows, models=models, side=o.size)
+    jobs = {each.numbered: partial(compare, each) for each in made_scenes(o.folders, o.data)}
     with unfinished(o) as folder:
-        rows = KeptRows(folder).all({scene.numbered: partial(compare, [scene]) for scene in scenes})
+        rows = KeptRows(folder).all(jobs)
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
@@ -362,19 +317,8 @@ def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
     scenes = made_scenes(o.folders, o.data)
     # Responses are kept on a tape, from which an interrupted run takes them.
     with unfinished(o, config) as folder, _panel(o, config, folder) as models:
-        rows = collect(rating_rows(models, scenes, repeats=o.repeats, out=o.out))
+        rows = collect(rating_rows(models, scenes, repeats=o.repeats))
     return {**rating_figures(rows), "rows": plain(rows)}
-
-
-def run_joint_videos(o: suites.JointVideos, config: Config) -> dict[str, Any]:
-    """Let a model compare the motions of joints."""
-    from .judge.joint_films import object_pairs
-    from .judge.joint_hits import joint_hit_figures, joint_hit_rows
-
-    pairs = object_pairs(o.made, o.truth, config.program, front=o.front)
-    with unfinished(o, config) as folder, _panel(o, config, folder) as models:
-        rows = collect(joint_hit_rows(models, pairs, repeats=o.repeats, out=o.out))
-    return {**joint_hit_figures(rows, pairs), "rows": plain(rows)}
 
 
 def _panel(o: suites.ModelRequests, config: Config, folder: Path | None) -> Panel:

@@ -1,19 +1,16 @@
 """Tables of results as text, with sizes: `table` and `n` of what a suite prints.
 
-`python -m benchmarks.page --record` makes the tables of the documentation from them, so their
-columns are those that readers see. Intervals are clustered by scene, task, photograph or object.
+Intervals are clustered by scene or task.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.sweeps.intervals import Interval, ratio_interval
+from neoworld_mjx.sweeps.intervals import Interval
 
 from ..methods.scene_runs import SceneRow
-from ..objects.object_scores import ObjectScoreRow, score_figures
-from ..real_poses.pose_rows import RealObjectRow, RealViewRow
 from ..tasks.success_runs import SuccessRow
 from ..tasks.success_summary import SHARES, success_interval
 from .scene_summary import figures, interval
@@ -31,8 +28,6 @@ SCENE_COLUMNS: dict[str, str] = {
 """Shares of `scene_summary.MEASURES` by column."""
 TASK_COLUMNS = ("task success", "in the layout", "unaligned", "valid")
 """Columns of `success_summary.SHARES`."""
-NEAR_MM = 10.0
-"""Distance below which an object of a real photograph counts as near."""
 
 
 def scene_figure_table(rows: Sequence[SceneRow], methods: Sequence[str]) -> Table:
@@ -90,112 +85,10 @@ def task_figure_table(rows: Sequence[SuccessRow], methods: Sequence[str]) -> Tab
     return {"n": f"{n}{half} of them of the evaluation half", "table": table}
 
 
-def real_figure_table(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]) -> Table:
-    """Return a row for each object of each photograph, a column for each stage, and for all objects
-    of a method's stage the median and the share within NEAR_MM, clustered by photograph."""
-    stages = list(dict.fromkeys((row.method, row.stage) for row in views))
-    methods = {method for method, _ in stages}
-    title = lambda stage: stage[1] if len(methods) == 1 else " ".join(stage)
-    table = []
-    for view in dict.fromkeys(row.view for row in views):
-        fits = {(row.method, row.stage): row for row in views if row.view == view}
-        table.append(
-            {
-                "photograph": view,
-                "object": "all: scale, rotation, pixels within 1.5 %",
-                "pixels": "",
-            }
-            | {title(stage): _fit(fits.get(stage)) for stage in stages}
-        )
-        view_rows = [row for row in objects if row.view == view and row.object]
-        for name in dict.fromkeys(row.object for row in view_rows):
-            rows_by_stage = {
-                (row.method, row.stage): row for row in view_rows if row.object == name
-            }
-            pixels = dict.fromkeys(str(row.measured_px) for row in rows_by_stage.values())
-            table.append(
-                {"photograph": "", "object": name, "pixels": " to ".join(pixels)}
-                | {title(stage): _distance(rows_by_stage.get(stage)) for stage in stages}
-            )
-    errors = {
-        stage: [
-            (row.view, row.error_mm)
-            for row in objects
-            if (row.method, row.stage) == stage and row.error_mm is not None
-        ]
-        for stage in stages
-    }
-    count = len({row.view for row in views})
-    every = {"photograph": f"{count} photographs", "object": "median of all objects", "pixels": ""}
-    near = every | {"object": f"objects within {NEAR_MM:g} mm"}
-    for stage, view_rows in errors.items():
-        every[title(stage)] = (
-            f"{np.median([error for _, error in view_rows]):.1f}" if view_rows else ""
-        )
-        parts = [(view, float(error < NEAR_MM), 1.0) for view, error in view_rows]
-        near[title(stage)] = _share(ratio_interval(parts, share=True))
-    shown = len({(row.view, row.object) for row in objects if row.object})
-    return {"n": f"{count} photographs, {shown} objects", "table": [*table, every, near]}
-
-
-def joint_figure_table(rows: Sequence[ObjectScoreRow]) -> Table:
-    """Return a row for each object and one for all, with intervals over objects."""
-    table = [_joint_cells(row.object, [row]) for row in rows]
-    table.append(_joint_cells("all", rows))
-    n = f"{len(rows)} objects, {sum(row.total for row in rows)} joints; in parentheses intervals, "
-    return {"n": f"{n}or the number of joints that a mean is taken over", "table": table}
-
-
-def _joint_cells(name: str, rows: Sequence[ObjectScoreRow]) -> dict[str, str]:
-    scores = score_figures(rows)
-
-    def share(count: Callable[[ObjectScoreRow], int]) -> str:
-        return _share(
-            ratio_interval([(row.object, count(row), row.total) for row in rows], share=True)
-        )
-
-    def mean(key: str, digits: int, *, counted: bool = False) -> str:
-        value, n = scores[key]["value"], scores[key]["n"]
-        return "" if value is None else f"{value:.{digits}f}" + (f" ({n})" if counted else "")
-
-    return {
-        "object": name,
-        "true": str(scores["total"]),
-        "made": str(scores["predicted"]),
-        "hits": str(scores["hits"]),
-        "extra": str(scores["predicted"] - scores["hits"]),
-        "miss": share(lambda row: row.total - row.hits),
-        "wrong type": share(lambda row: row.total - row.hits + row.wrong_type),
-        "axis°": mean("axis_deg", 2, counted=True),
-        "pivot": mean("pivot", 3, counted=True),
-        "limits": mean("limits", 2, counted=True),
-        "CD ×10": mean("chamfer_x10", 3),
-        "F .01": mean("f_01", 1),
-        "F .05": mean("f_05", 1),
-        "CD ×10 raw": mean("raw_chamfer_x10", 3),
-        "F .05 raw": mean("raw_f_05", 1),
-        "scale": mean("scale", 2),
-    }
-
-
 def _by_method(rows: Sequence[Any], methods: Sequence[str]) -> dict[str, list[Any]]:
     names = dict.fromkeys([*methods, *(row.method for row in rows)])
     by_method = {name: [row for row in rows if row.method == name] for name in names}
     return {name: method_rows for name, method_rows in by_method.items() if method_rows}
-
-
-def _fit(row: RealViewRow | None) -> str:
-    if row is None:
-        return ""
-    inliers = "" if row.inliers is None else f", {100 * row.inliers:.0f} %"
-    return f"{row.scale:.3f}, {row.rotation_deg:.1f}°{inliers}"
-
-
-def _distance(row: RealObjectRow | None) -> str:
-    if row is None or row.error_mm is None:
-        return ""
-    bias = "" if row.bias_mm is None else f" ({row.bias_mm:+.1f})"
-    return f"{row.error_mm:.1f}{bias}"
 
 
 def _share(estimate: Interval) -> str:
