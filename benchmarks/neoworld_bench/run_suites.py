@@ -189,18 +189,10 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     """Score reconstructions of real photographs."""
     from .real_poses.real_views import real_figures, score_real_views
 
-    if o.data is None:
-        raise ConfigError("real-poses needs DATA, the folder of the data set")
+    if o.data is None or o.runs is None:
+        raise ConfigError("real-poses needs DATA, the folder of the data set, and --runs DIR")
     with unfinished(o, config) as folder:
-        views, objects = score_real_views(
-            o.data,
-            o.runs,
-            views=o.view,
-            intrinsics=o.intrinsics,
-            depth_scale=o.depth_scale,
-            options=config.refine,
-            kept=KeptRows(folder),
-        )
+        views, objects = score_real_views(o.data, o.runs, config.refine, KeptRows(folder))
     return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 

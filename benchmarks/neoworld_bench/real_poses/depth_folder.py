@@ -23,41 +23,26 @@ def is_depth_folder(path: Path) -> bool:
     return any(path.glob(f"*{ENDING}"))
 
 
-def depth_views(
-    path: Path,
-    names: Collection[str],
-    *,
-    intrinsics: tuple[float, float, float, float] | None = None,
-    depth_scale: float | None = None,
-) -> Iterator[TrueView]:
+def depth_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
     """Read the depth images of a folder.
 
     Args:
         path: the folder.
         names: of the photographs to read, as far as there are any.
-        intrinsics: fx, fy, cx and cy [px], in place of those of camera.json.
-        depth_scale: millimeters of a unit, in place of that of camera.json.
 
     Raises:
-        SpecError: a file is missing or broken, or the camera is nowhere stated.
+        SpecError: a file is missing or broken.
     """
-    files = {file.name.removesuffix(ENDING): file for file in sorted(path.glob(f"*{ENDING}"))}
-    if intrinsics is None or depth_scale is None:
-        if not (path / CAMERA).is_file():
-            raise SpecError(
-                f"{path} has no {CAMERA} with fx, fy, cx, cy and depth_scale; or give them as "
-                "--intrinsics FX FY CX CY --depth-scale MM"
-            )
-        stated = read_object(path / CAMERA, SpecError)
-        read = lambda key: float(numbers(stated, key, 1, str(path / CAMERA))[0])
-        if intrinsics is None:
-            intrinsics = read("fx"), read("fy"), read("cx"), read("cy")
-        if depth_scale is None:
-            depth_scale = read("depth_scale")
-    camera = Intrinsics(*intrinsics)
-    if min(camera.fx, camera.fy, depth_scale) <= 0:
-        raise SpecError(f"{path}: focal lengths and the depth scale must be above 0")
-    for name, file in files.items():
+    stated = read_object(path / CAMERA, SpecError)
+    fx, fy, cx, cy, mm = (
+        float(numbers(stated, key, 1, str(path / CAMERA))[0])
+        for key in ("fx", "fy", "cx", "cy", "depth_scale")
+    )
+    if min(fx, fy, mm) <= 0:
+        raise SpecError(f"{path / CAMERA}: focal lengths and the depth scale must be above 0")
+    for file in sorted(path.glob(f"*{ENDING}")):
+        name = file.name.removesuffix(ENDING)
         if name in names:
-            depth = read_depth(file, depth_scale)
-            yield TrueView(name, (), camera, (depth.shape[1], depth.shape[0]), depth)
+            depth = read_depth(file, mm)
+            size = depth.shape[1], depth.shape[0]
+            yield TrueView(name, (), Intrinsics(fx, fy, cx, cy), size, depth)
