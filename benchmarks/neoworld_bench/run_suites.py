@@ -198,7 +198,7 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
-    from .objects.object_scores import object_names, score_figures, score_object
+    from .measures.object_scores import object_names, score_figures, score_object
     from .paper_figures import PAPER_JOINTS, PAPER_SURFACES
 
     if o.made is None or o.truth is None:

@@ -63,7 +63,6 @@ def test_objects_that_a_step_made_worse_are_listed_unless_invalid_before():
         return PhotoRow(
             scene=3,
             name=name,
-            occluded=False,
             unsound={"as_answered": False, "composed": unsound},
             valid={"composed": True, "refined": True},
             box_iou={"composed": 0.8, "refined": 0.7},

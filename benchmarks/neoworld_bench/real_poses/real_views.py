@@ -19,9 +19,8 @@ from ..measures.mean import mean_of_known
 from ..measures.pose_measure import RECALL, recall
 from ..unfinished_runs import KeptRows
 from .bop import bop_views, is_bop
-from .depth_folder import depth_views, is_depth_folder
 from .pose_rows import MadeView, RealObjectRow, RealViewRow, real_rows
-from .true_views import TrueView
+from .true_views import TrueView, depth_views, is_depth_folder
 
 STAGES = (
     ("composed", "composed.json"),
