@@ -128,15 +128,16 @@ class SweepFolder:
         Raises:
             RunError: a file cannot be written.
         """
-        types = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
-        types |= COLUMNS | dict.fromkeys(term_columns(rows), float)
-        _write_parquet(self.path / RESULTS, rows, types)
         iterations = [
             {name: row[name] for name in KEYS} | step for row in rows for step in row["history"]
         ]
         further = (name for step in iterations for name in step if name not in ITERATION_COLUMNS)
         types = ITERATION_COLUMNS | dict.fromkeys(further, float)
         _write_parquet(self.path / HISTORIES, iterations, types)
+        types = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
+        types |= COLUMNS | dict.fromkeys(term_columns(rows), float)
+        # The runs are written last, so that each of them has its iterations.
+        _write_parquet(self.path / RESULTS, rows, types)
 
     def write_about(self, about: Mapping[str, Any]) -> None:
         """Write sweep.json.
@@ -178,11 +179,9 @@ def read_rows(path: Path | str) -> list[Row]:
         return []
     rows = parquet_files.read_rows(runs, (*KEYS, "fingerprint"), RunError)
     steps: dict[Key, list[Row]] = {row_key(row): [] for row in rows}
-    # The two files are written one after the other, so a run may lack its iterations.
-    if histories.exists():
-        for step in parquet_files.read_rows(histories, tuple(ITERATION_COLUMNS), RunError):
-            columns = {name: value for name, value in step.items() if name not in KEYS}
-            steps.setdefault(row_key(step), []).append(columns)
+    for step in parquet_files.read_rows(histories, tuple(ITERATION_COLUMNS), RunError):
+        columns = {name: value for name, value in step.items() if name not in KEYS}
+        steps.setdefault(row_key(step), []).append(columns)
     return [row | {"history": steps[row_key(row)]} for row in rows]
 
 

@@ -76,7 +76,7 @@ def test_shards_of_which_one_was_killed_equal_one_sweep(plan, tmp_path):
     command("merge", *shards, "--out", tmp_path / "merged")
     whole = without_times(tmp_path / "whole")
     assert len(whole) == 48 and without_times(tmp_path / "merged") == whole
-    assert len({row["reward"] for row in whole}) > 12
+    assert len({row["reward"] for row in whole}) > 4
 
 
 @pytest.mark.slow
