@@ -175,6 +175,8 @@ def _run_in_processes(
 def _open_ray() -> Any:
     # Silence Ray's warning about a future default, which does not affect tasks.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    # Below `uv run`, Ray would start workers by `uv run` in a copy of the working directory.
+    os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
