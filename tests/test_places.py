@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,10 @@ import pytest
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
 from neoworld_mjx.places import Place, check_place, run_in_worker, run_tasks
 from neoworld_mjx.run_folder import versions
+
+
+# Without an import: `places` sets Ray's environment before it imports Ray.
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra ray")
 
 
 def squares(number: int):
@@ -80,6 +85,7 @@ def test_several_processes():
         list(run_tasks(dying, [3, 4], Place(workers=2)))
 
 
+@needs_ray
 @pytest.mark.parametrize(
     ("address", "error", "message"),
     [
@@ -89,7 +95,6 @@ def test_several_processes():
     ],
 )
 def test_a_dead_ray_address_is_one_message(address, error, message):
-    pytest.importorskip("ray")
     with pytest.raises(error, match=message):
         check_place(Place(ray=address))
 
@@ -97,8 +102,8 @@ def test_a_dead_ray_address_is_one_message(address, error, message):
 # Ray forks; JAX warns of that where an earlier test has imported it.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.slow
+@needs_ray
 def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
-    pytest.importorskip("ray")
     place = Place(ray="local", workers=2)
     assert sorted(run_tasks(squares, [2, 3], place)) == [2, 3, 4, 9]
     markers = [str(tmp_path / name) for name in "ab"]

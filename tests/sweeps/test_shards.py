@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 
 import pytest
 import yaml
@@ -80,8 +81,8 @@ def test_shards_of_which_one_was_killed_equal_one_sweep(plan, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra ray")
 def test_a_sweep_on_ray_that_was_killed_equals_one_sweep(plan, tmp_path):
-    pytest.importorskip("ray")
     command(plan, "--out", tmp_path / "whole")
     on_ray = ("--out", tmp_path / "ray", "--ray", "local", "--workers", 2)
     assert 0 < kill(start(plan, *on_ray), tmp_path / "ray", 1) < 48
