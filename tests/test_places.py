@@ -12,7 +12,6 @@ from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
 from neoworld_mjx.places import Place, check_place, run_in_worker, run_tasks
 from neoworld_mjx.run_folder import versions
 
-
 # Without an import: `places` sets Ray's environment before it imports Ray.
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra ray")
 
