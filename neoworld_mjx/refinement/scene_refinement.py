@@ -23,7 +23,7 @@ from .compiling import compile_for_search, with_evidence
 from .delivery import final_scene_scores
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
-from .outcome import Refined, outcome
+from .outcome import Iteration, Refined, outcome
 from .rewards import Term
 from .rounds import Round, rank_candidates, stack_padded
 from .scorer import ScoreSource, SemanticScorer
@@ -49,6 +49,7 @@ def refine(
     scores: Path | None = None,
     recorded: Path | None = None,
     progress: Callable[[str], None] | None = None,
+    on_iteration: Callable[[Iteration], bool | None] | None = None,
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
@@ -77,6 +78,8 @@ def refine(
         recorded: file of the scores of an earlier run. Each score is used in the iteration in which
             that run first used it, and no requests are sent.
         progress: called with one line per iteration.
+        on_iteration: called with a summary of each iteration as soon as it is complete. The search
+            ends if it returns True.
 
     Raises:
         ConfigError: two options contradict each other, a reward term is invalid, or the options
@@ -109,6 +112,7 @@ def refine(
                 scorer=scorer,
                 clock=clock,
                 progress=progress,
+                on_iteration=on_iteration,
             )
             rounds, score_sources = result.rounds, result.score_sources
             began = time.perf_counter()
