@@ -12,7 +12,6 @@ import numpy as np
 from ..config import RefineOptions
 from ..engines import EngineChoice
 from ..mllm import Panel, Picture
-from ..physics.automatic import AutomaticEngine
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
@@ -149,8 +148,7 @@ def refine(
             delivered=values,
             semantic=None if scorer is None else stack_padded(score_sources, 0),
             scoring=None if scorer is None else scorer.summary(),
-            fallbacks=(tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
-            + (() if scorer is None else scorer.fallbacks),
+            fallbacks=() if scorer is None else scorer.fallbacks,
         )
 
 
