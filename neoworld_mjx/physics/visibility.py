@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
-from neoworld_kernels.culled import ObjectPoses, dot, true_indices
+from neoworld_kernels.convex_pieces import ObjectPoses, dot, true_indices
 from neoworld_kernels.first_hits import (
     ConvexRows,
     Rays,
