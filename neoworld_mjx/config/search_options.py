@@ -39,11 +39,6 @@ class CEMOptions(Options):
     sigma_log_scale: float = traced(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
-    photo_sigma: bool = option(
-        False,
-        "Limit the initial standard deviations of aligned objects to the standard deviations that "
-        "the alignment with the photograph estimated.",
-    )
     hold_resting: bool = option(
         True,
         "Fix the objects that rest in the settled initial layout, so that only the other objects, "
@@ -196,9 +191,8 @@ class RewardOptions(Options):
     )
     terms: dict[str, float] = traced(
         {},
-        "Further reward terms and their weights. Name a built-in term by its name, and a "
-        'user-defined term by its import path "package.module:function". Weights are traced; a '
-        "change of the terms recompiles.",
+        'Further reward terms by their import paths "package.module:function", and their weights. '
+        "Weights are traced; a change of the terms recompiles.",
     )
 
 

@@ -144,8 +144,7 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
 
     `sigma_xy` is a fraction of each object's horizontal bounding-box diagonal. The standard
     deviations of environment supports are zero. Objects attached to an upright plate, such as a
-    wall, move only along the plate and do not turn. With `photo_sigma`, no standard deviation
-    exceeds the one that the alignment with the photograph estimated.
+    wall, move only along the plate and do not turn.
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
@@ -155,10 +154,6 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
         (np.radians(options.sigma_yaw_deg) * moves * ~fixed.any(axis=1))[None],
         (options.sigma_log_scale * moves)[None],
     )
-    if options.photo_sigma:
-        aligned_sigma = np.asarray(scene.photo_sigma, np.float32)[None]
-        aligned_sigma = Layout(aligned_sigma[..., :2], aligned_sigma[..., 2], aligned_sigma[..., 3])
-        sigma = jax.tree.map(np.minimum, sigma, aligned_sigma)
     return on_device(sigma)
 
 

@@ -1,6 +1,6 @@
 """Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-`d_pen`, `d_drift`, `s_sem` and `s_photo` are compiled at the first call with given array shapes.
+`d_pen`, `d_drift` and `s_sem` are compiled at the first call with given array shapes.
 You can call them inside `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` adds such a function,
 built-in or user-defined, to the reward.
 """
@@ -31,7 +31,7 @@ from .semantic import semantic_score
 FIVE_DEGREES = float(np.radians(5.0))
 
 __all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "gaps"]
-__all__ += ["s_photo", "s_sem", "speeds"]
+__all__ += ["s_sem", "speeds"]
 
 
 class TermValue(eqx.Module):
@@ -144,17 +144,6 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
     visible = _visible(scene, layouts, rollout)
     scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
     return TermValue(scored.total, scored.total, scored.by_object)
-
-
-def photo_agreement(
-    scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
-) -> TermValue:
-    """Compute S_photo, and the contribution of each object; see `s_photo`."""
-    visible = _visible(scene, layouts, rollout)
-    informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
-    by_object = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
-    total = jnp.sum(by_object, axis=1)
-    return TermValue(total, total, by_object)
 
 
 class Drift(eqx.Module):
@@ -334,25 +323,6 @@ def s_sem(
         ValueError: an axis does not fit the scene.
     """
     return _call(semantics, "s_sem", scene, layouts, rollout)
-
-
-def s_photo(
-    scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
-) -> Float[Array, " pop"]:
-    """Compute S_photo, the agreement of the placed candidates with the colors of the photograph.
-
-    S_photo is the mean of a score over the objects whose colors differ from their surroundings. The
-    score is the sum of the log likelihood ratios (object against background) of the pixels that
-    show the object, divided by the sum of their absolute values in the composed scene. It is about
-    1 if all pixels have the object's colors, and 0 without a photograph (see `with_photo`).
-
-    `rollout` is unused. The function is compiled; it can be jitted and vmapped. It has no gradient.
-
-    Raises:
-        TypeError: an argument is of another type.
-        ValueError: an axis does not fit the scene.
-    """
-    return _call(photo_agreement, "s_photo", scene, layouts, rollout)
 
 
 def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:

@@ -18,7 +18,7 @@ from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
 from .choosing import choose_winner
-from .compiling import compile_for_search, with_evidence
+from .compiling import compile_for_search
 from .delivery import final_scene_scores
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
@@ -70,7 +70,7 @@ def refine(
         engine: physics engine or its name. If None, the options name the engine.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
-        photo: the photograph, for S_photo and for S_sem by a model.
+        photo: the photograph, for S_sem by a model.
         panel: models, of which the critic scores candidates.
         scores: file into which the scores by a model are written.
         recorded: file of the scores of an earlier run. Each score is used in the iteration in which
@@ -91,7 +91,6 @@ def refine(
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
         began = time.perf_counter()
         model = open_scene(scene, o)
-        model = with_evidence(model, o, None if photo is None else photo.rgb)
         clock["compile"] = time.perf_counter() - began
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:

@@ -1,4 +1,4 @@
-"""The engine that `auto` opens, by hardware and population, and the memory that JAX leaves to it."""
+"""The engine that `auto` opens, by hardware, and the memory that JAX leaves to it."""
 
 import importlib.util
 import os
@@ -6,11 +6,9 @@ import os
 import jax
 import pytest
 
-from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.engines import ENGINES, share_gpu_memory
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.simulate import open_engine
-from neoworld_mjx.refinement.scene_refinement import _open_engine
 
 
 @pytest.mark.parametrize(
@@ -39,16 +37,6 @@ def test_auto_is_native_on_a_cpu_else_warp_or_mjx(monkeypatch, backend, runs, op
     assert open_engine("auto").name == opened
     with pytest.raises(EngineError, match="did you mean 'native'"):
         open_engine("nativ")
-
-
-@pytest.mark.parametrize(
-    ("name", "population", "opened"),
-    [("auto", 64, "native"), ("auto", 256, "native"), ("auto", 257, "auto"), ("mjx", 64, "mjx")],
-)
-def test_few_candidates_run_on_the_cpu(monkeypatch, name, population, opened):
-    options = RefineOptions.model_validate({"cem": {"population": population}})
-    monkeypatch.setattr("neoworld_mjx.refinement.scene_refinement.open_engine", lambda name: name)
-    assert _open_engine(name, options) == opened
 
 
 @pytest.mark.parametrize(("installed", "expected"), [(True, "false"), (False, None)])

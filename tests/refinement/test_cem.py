@@ -10,7 +10,6 @@ from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import open_cem
 from neoworld_mjx.spec import Box
-from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -30,30 +29,6 @@ def test_initial_deviations_are_the_papers(scene):
     table = scene.names.index("table")
     assert not np.any(np.asarray(params.sigma.xy[0, table]))
     assert not np.any(np.asarray(params.sigma.log_scale[0, table]))
-
-
-def test_the_photograph_s_deviations_are_the_largest_to_start_with():
-    """An aligned block that is seen along y, and one that was not aligned."""
-    blocks = scenes.blocks()
-    known = PoseUncertainty(along=0.004, across=0.001, yaw=0.01, log_scale=0.2)
-    items = [
-        o.model_copy(update={"uncertainty": known, "xy": (-0.5, 0.5)}) if o.name == "low" else o
-        for o in blocks.objects
-    ]
-    assert blocks.object("table").yaw == 0 and blocks.object("table").xy == (0.5, 0.0)
-    scene = compile_scene(blocks.model_copy(update={"objects": tuple(items)}))
-    usual, narrow = (
-        open_cem(scene, CEMOptions(photo_sigma=on)).params.sigma for on in (False, True)
-    )
-    low = scene.names.index("low")
-    assert narrow.xy[0, low].tolist() == pytest.approx([0.001, 0.004], rel=1e-4)
-    assert narrow.yaw[0, low] == pytest.approx(0.01)
-    # The photograph leaves the size more open than the search does.
-    assert narrow.log_scale[0, low] == usual.log_scale[0, low] == pytest.approx(0.1)
-    others = [k for k in range(len(scene.names)) if k != low]
-    for name in ("xy", "yaw", "log_scale"):
-        values = [np.asarray(getattr(sigma, name))[0, others] for sigma in (usual, narrow)]
-        assert np.array_equal(*values)
 
 
 def test_an_object_on_a_wall_moves_along_it_and_does_not_rotate():

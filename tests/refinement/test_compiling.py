@@ -1,16 +1,12 @@
 """Which scenes share a compiled one, and which need the photograph."""
 
-import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.refinement.compiling import (
     LEAST_REACH,
-    S_PHOTO,
     compile_for_search,
     reach_of,
-    with_evidence,
 )
 from tests.support import scenes
 
@@ -41,18 +37,3 @@ def test_a_scene_is_compiled_once_for_all_draws_of_a_reach():
         assert compile_for_search(scene, other) is not model
     finer = options(rollout={"samples_per_object": 16, "timestep_s": 0.002})
     assert compile_for_search(scene, finer).static.mjm.opt.timestep == 0.002
-
-
-def test_the_photograph_is_read_only_by_a_search_that_rates_its_pixels():
-    model = compile_for_search(scenes.stored_scene("photo_1"), options())
-    photo = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    plain, rated = options(), options(reward={"terms": {S_PHOTO: 1.0}})
-    assert with_evidence(model, plain, photo) is model
-    assert with_evidence(model, plain, None) is model
-    with pytest.raises(ConfigError, match="s_photo needs the photograph; pass it as photo"):
-        with_evidence(model, rated, None)
-    evident = with_evidence(model, rated, photo)
-    assert evident is not model and np.any(evident.photo.evidence)
-    assert with_evidence(evident, rated, None) is evident, "it has the evidence already"
-    other = with_evidence(evident, rated, np.flip(photo, 0))
-    assert not np.array_equal(other.photo.evidence, evident.photo.evidence)

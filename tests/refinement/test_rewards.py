@@ -422,24 +422,6 @@ def test_what_cannot_move_has_a_drift_of_zero():
     assert np.asarray(found).tolist() == [[0.0, 0.0, 0.0]]
 
 
-def test_agreement_with_the_photograph_is_the_mean_over_objects_with_evidence():
-    scene = two_boxes(0.0)
-    zero, poses = Layout.zero(1, 3), scene.place(Layout.zero(1, 3))
-    visible = as_parsed(scene.photo, 1)
-    visible = eqx.tree_at(lambda v: v.evidence, visible, jnp.array([[0.9, 0.5, 0.7]]))
-    rollout = rewards.measured_rollout(
-        zero_duration_rollout(scene, poses),
-        np.zeros((1, 3, 3), np.float32),
-        visible,
-        np.zeros((1, 3), np.float32),
-    )
-    for informed, value in (((0, 1, 0), 0.5), ((0, 1, 1), 0.6), ((0, 0, 0), 0.0)):
-        evidence = np.reshape(np.float32(informed), (3, 1, 1))
-        there = eqx.tree_at(lambda s: s.photo.evidence, scene, evidence)
-        found = rewards.photo_agreement(there, zero, rollout)
-        assert float(found.value[0]) == pytest.approx(value)
-
-
 def test_the_rate_of_rotation_is_the_angle_over_the_interval():
     scene = two_boxes(0.0)
     still = still_rollout(scene, Layout.zero(1, 3), 3)
