@@ -335,16 +335,8 @@ class RefineOptions(Options):
         "cem",
         "Optimizer: cem, random, cma_es, evosax:STRATEGY such as evosax:SNES, or the import path "
         '"package.module:function" of a function that builds an optimizer from the scene and the '
-        "options `cem`. cma_es and evosax require the extra `baselines`.",
-    )
-    strategy: dict[str, float] = static(
-        _PROGRAM,
-        {},
-        "Parameters of evosax:STRATEGY by their names in evosax. `std_init` is in units of the "
-        "initial standard deviations. Two further parameters are defined here. `learning_rate` is "
-        "the learning rate of Adam in strategies that use a gradient optimizer. With "
-        "`restart_spread`, a distribution-based strategy restarts from the initial layout if the "
-        "absolute rewards of a population differ by less than this value.",
+        "options `cem`. STRATEGY is distribution-based. cma_es and evosax require the extra "
+        "`baselines`.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()

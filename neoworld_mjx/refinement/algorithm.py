@@ -41,9 +41,8 @@ from .batching import stack
 from .cem import elite_count, elite_rows
 from .objective import Objective, Scores, open_objective
 from .objective import evaluate as score
-from .optimizer import Optimizer, open_optimizer
+from .optimizer import Optimizer, optimizer_factory
 from .rewards import Term
-from .strategies import Strategy
 
 __all__ = [
     "Problem",
@@ -66,7 +65,7 @@ class Problem(eqx.Module):
     """
 
     objective: Objective
-    optimizer: Optimizer | Strategy
+    optimizer: Optimizer
     origin: Layout
     """Initial layout, with a population axis of length 1."""
     max_factor: Float[Array, ""]
@@ -132,7 +131,7 @@ def open_problem(
     origin = Layout.zero(1, scene.count) if origin is None else origin
     return Problem(
         objective=open_objective(o, origin, terms),
-        optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem, o.strategy),
+        optimizer=optimizer or optimizer_factory(o.optimizer)(scene, o.cem),
         origin=origin,
         max_factor=on_device(o.cem.widest),
         by_object=o.cem.credit == "object",
@@ -251,14 +250,14 @@ def update(
     current = jnp.where(problem.stop_by_best, best, elite_mean)
     previous = jnp.where(problem.stop_by_best, state.best, state.elite_mean)
     gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
-    if isinstance(problem.optimizer, Strategy):
-        updated = problem.optimizer.tell_with_key(
-            _key(state), state.optimizer, samples, scores.absolute
-        )
-    else:
-        updated = problem.optimizer.tell(
-            state.optimizer, samples, scores.reward, absolute=scores.absolute, credit=credit
-        )
+    updated = problem.optimizer.tell(
+        state.optimizer,
+        samples,
+        scores.reward,
+        key=_key(state),
+        absolute=scores.absolute,
+        credit=credit,
+    )
     return SearchState(
         optimizer=updated,
         seed=state.seed,

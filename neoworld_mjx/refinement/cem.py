@@ -70,6 +70,7 @@ class CEM(eqx.Module):
         layouts: Layout,
         reward: Float[AnyArray, " pop"],
         *,
+        key: Key[Array, ""] | None = None,
         absolute: Float[AnyArray, " pop"] | None = None,
         credit: Float[AnyArray, "pop object"] | None = None,
     ) -> CEMState:
@@ -80,12 +81,13 @@ class CEM(eqx.Module):
             layouts: the candidates.
             reward: reward that ranks the candidates. Candidates whose reward is -inf or NaN are
                 never elites, so there may be fewer than K elites.
+            key: unused.
             absolute: unused.
             credit: reward of each object. If given, the mean and standard deviation of an object
                 are fitted to the K candidates in which this object has its highest finite credit.
                 They stay unchanged if no credit of the object is finite.
         """
-        del absolute
+        del key, absolute
         elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]
         ranks = jnp.repeat(reward[:, None], count, 1) if credit is None else credit
         rows, weights = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)

@@ -1,6 +1,6 @@
 """Protocol of the optimizers that Algorithm 1 can use, and the built-in optimizers."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
@@ -8,13 +8,12 @@ import equinox as eqx
 from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
-from ..errors import ConfigError
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import draw, initial_sigma, open_cem
+from .evosax_optimizer import from_evosax, strategy_class
 from .objective import import_function
-from .strategies import EVOSAX, Strategy, open_strategy, strategy_class
 
 
 @runtime_checkable
@@ -39,8 +38,9 @@ class Optimizer(Protocol):
         layouts: Layout,
         reward: Float[AnyArray, " pop"],
         *,
-        absolute: Float[AnyArray, " pop"] | None = None,
-        credit: Float[AnyArray, "pop object"] | None = None,
+        key: Key[Array, ""],
+        absolute: Float[AnyArray, " pop"],
+        credit: Float[AnyArray, "pop object"] | None,
     ) -> Any:
         """Return the state updated with an evaluated population.
 
@@ -48,6 +48,7 @@ class Optimizer(Protocol):
             state: previous state.
             layouts: the evaluated candidates.
             reward: reward that ranks the candidates of this population; -inf for failed candidates.
+            key: key with which `ask` sampled the population.
             absolute: reward that is comparable between populations.
             credit: reward of each object in each candidate, -inf if the object does not rest. If
                 None, use `reward` for all objects.
@@ -78,9 +79,9 @@ def _open_random(scene: SceneArrays, options: CEMOptions) -> RandomSearch:
     return RandomSearch(initial_sigma(scene, options))
 
 
-OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]] = {
+OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "cem": open_cem,
-    "cma_es": partial(open_strategy, "CMA_ES", parameters={}),
+    "cma_es": partial(from_evosax, "CMA_ES"),
     "random": _open_random,
 }
 """Factories of the built-in optimizers, by their names in `refine.optimizer`.
@@ -89,42 +90,20 @@ The arguments of a factory are the scene and the options `refine.cem`.
 """
 
 
-def open_optimizer(
-    name: str,
-    scene: SceneArrays,
-    options: CEMOptions,
-    parameters: Mapping[str, float] | None = None,
-) -> Optimizer | Strategy:
-    """Build an optimizer.
+def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimizer]:
+    """Return the factory of an optimizer.
 
     Args:
         name: a key of OPTIMIZERS, evosax:STRATEGY, or the import path "package.module:function" of
             a factory.
-        scene: the scene's arrays.
-        options: population size, initial standard deviations and other options of CEM.
-        parameters: parameters of an evosax strategy, by name.
 
     Raises:
-        ConfigError: the optimizer or a parameter does not exist.
+        ConfigError: the optimizer does not exist.
         EngineError: evosax is needed, but not installed.
     """
-    if name == "cma_es" or name.startswith(f"{EVOSAX}:"):
-        strategy = "CMA_ES" if name == "cma_es" else name.partition(":")[2]
-        return open_strategy(strategy, scene, options, parameters or {})
-    if parameters:
-        raise ConfigError(
-            f"refine.strategy: {', '.join(parameters)}: only evosax:STRATEGY has parameters, "
-            f"not {name}"
-        )
-    return optimizer_factory(name)(scene, options)
-
-
-def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimizer | Strategy]:
-    """Return the factory of an optimizer; names and errors are as in `open_optimizer`."""
-    kind, _, strategy = (
-        f"{EVOSAX}:CMA_ES".partition(":") if name == "cma_es" else name.partition(":")
+    package, _, strategy = (
+        "evosax:CMA_ES".partition(":") if name == "cma_es" else name.partition(":")
     )
-    if strategy and kind == EVOSAX:
-        strategy_class(strategy)
-        return partial(open_strategy, strategy, parameters={})
+    if package == "evosax":
+        return partial(from_evosax, strategy_class(strategy))
     return OPTIMIZERS.get(name) or import_function("refine.optimizer", name, OPTIMIZERS)

@@ -298,7 +298,7 @@ def test_a_distribution_is_fitted_around_the_initial_layout_and_what_is_held_kee
 class Noted(eqx.Module):
     """An optimizer whose state is the credit that it was last given."""
 
-    def tell(self, state, layouts, reward, *, absolute=None, credit=None):
+    def tell(self, state, layouts, reward, *, key, absolute, credit):
         return credit
 
 
