@@ -247,51 +247,19 @@ class SemanticOptions(Options):
     )
     top: int = option(
         8,
-        "Number of candidates per iteration that the model scores. A surrogate estimates the "
-        "scores of the others.",
+        "Number of candidates per iteration that the model scores. The others have the geometric "
+        "score plus the mean difference of the model's scores.",
         ge=1,
         difference=PaperDifference(
             256, "The model scores only the best candidates of an iteration."
         ),
     )
-    wait: Literal["all", "bounded", "none"] = option(
-        "all",
-        "Scores to wait for before elites are selected. all: all requested scores. bounded: the "
-        "scores of candidates that were submitted at least `late` iterations ago. none: no scores.",
-    )
-    late: int = option(
-        1,
-        "Number of iterations by which a score may be late with `wait: bounded`; 0 is equivalent "
-        "to `wait: all`.",
-        ge=0,
-    )
-    picture_px: int = option(
-        320,
-        "Width of the rendered image of a candidate. Rendering competes with physics for the CPU.",
-        unit="px",
-        ge=64,
-    )
-    shadows: bool = option(
-        False,
-        "Render shadows and textures instead of flat colors with outlines; this takes five times "
-        "as long.",
-    )
     timeout_s: float = option(
         90.0,
-        "Time limit for a score from the moment when it is requested, including all retries.",
+        "Time after a request until which an iteration waits for a score. A score that arrives "
+        "later counts from the iteration in which it arrives.",
         unit="s",
-        gt=0,
-    )
-    give_up_after: int = option(
-        5, "Number of consecutive failed scores after which no more scores are requested.", ge=1
-    )
-    max_cost_usd: float | None = option(
-        None,
-        "Cost of scores after which no more scores are requested. Scores that have been requested "
-        "still arrive. `mllm.max_cost_usd` is the hard limit of the run. If null, the cost is not "
-        "limited.",
-        unit="USD",
-        gt=0,
+        ge=0,
     )
 
 

@@ -52,7 +52,6 @@ def refine_layout(context: StepContext) -> None:
             seed=config.seed,
             photo=photo,
             panel=context.models,
-            scores=out / "refine" / "scores.jsonl" if by_model else None,
             progress=report,
         )
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)

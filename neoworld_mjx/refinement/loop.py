@@ -109,7 +109,7 @@ def search(
             s_sem = _submit(evaluation, active[0], layouts[0], placed[0], scorer)
         rollouts = evaluation.roll_out(placed)
         if scorer is not None and s_sem is not None:
-            s_sem = _collect(evaluation, active[0], layouts[0], s_sem, scorer)
+            s_sem = _collect(evaluation, active[0], s_sem, scorer)
         scores = evaluation.score(active, layouts, placed, rollouts, s_sem)
         rows = [(r.problem, r.state, z, s) for r, z, s in zip(active, layouts, scores, strict=True)]
         states = map_runs(update, arrays, rows, tile, o.cem.population)
@@ -250,24 +250,20 @@ def _submit(
 ) -> np.ndarray:
     """Submit the candidates that score best before physics; return the geometric S_sem of all."""
     before = evaluation.before_physics(r, layouts, placed)
-    poses = evaluation.unpadded(placed.poses)
-    order = scorer.best(np.asarray(before.reward))
-    scorer.submit(len(r.rounds), order, evaluation.unpadded(layouts), poses)
-    return np.asarray(before.terms["s_sem"])
+    geometric = np.asarray(before.terms["s_sem"])
+    candidates = evaluation.unpadded(layouts), evaluation.unpadded(placed.poses)
+    scorer.submit(len(r.rounds), np.asarray(before.reward), geometric, *candidates)
+    return geometric
 
 
 def _collect(
-    evaluation: Evaluation,
-    r: SearchResult,
-    layouts: Layout,
-    geometric: np.ndarray,
-    scorer: SemanticScorer,
+    evaluation: Evaluation, r: SearchResult, geometric: np.ndarray, scorer: SemanticScorer
 ) -> np.ndarray:
     """Wait for scores by a model, and return S_sem of all candidates of an iteration."""
     began = time.perf_counter()
     scorer.collect(len(r.rounds))
     evaluation.clock["wait"] += time.perf_counter() - began
-    values, sources = scorer.s_sem_of(len(r.rounds), evaluation.unpadded(layouts), geometric)
+    values, sources = scorer.s_sem_of(len(r.rounds), geometric)
     r.score_sources.append(sources)
     return values
 

@@ -24,7 +24,7 @@ from .loop import CLOCKS, search
 from .optimizer import Optimizer
 from .outcome import Refined, outcome
 from .rewards import Term
-from .rounds import Round, rank_candidates, stack_padded
+from .rounds import Round, stack_padded
 from .scorer import ScoreSource, SemanticScorer
 from .search_run import SearchRun
 
@@ -45,8 +45,6 @@ def refine(
     optimizer: Optimizer | None = None,
     photo: Picture | None = None,
     panel: Panel | None = None,
-    scores: Path | None = None,
-    recorded: Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
@@ -72,9 +70,6 @@ def refine(
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
         photo: the photograph, for S_sem by a model.
         panel: models, of which the critic scores candidates.
-        scores: file into which the scores by a model are written.
-        recorded: file of the scores of an earlier run. Each score is used in the iteration in which
-            that run first used it, and no requests are sent.
         progress: called with one line per iteration.
 
     Raises:
@@ -94,9 +89,7 @@ def refine(
         clock["compile"] = time.perf_counter() - began
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
-            scorer = SemanticScorer(
-                model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
-            )
+            scorer = SemanticScorer(model, photo, panel, o.semantic)
         try:
             (result,) = search(
                 model,
@@ -111,7 +104,7 @@ def refine(
             rounds, score_sources = result.rounds, result.score_sources
             began = time.perf_counter()
             if scorer is not None:
-                scorer.await_for([index for index, _ in rank_candidates(rounds)][: o.finalists])
+                scorer.collect(len(rounds))
                 weight = o.reward.w_sem
                 rounds = [
                     _with_late_scores(scorer, t, round_, score_sources[t], weight)
@@ -198,8 +191,8 @@ def _with_late_scores(
     change = np.zeros(len(score_sources), np.float32)
     for k in range(len(score_sources)):
         late = scorer.known((t, k))
-        if late is not None and late.value is not None:
-            change[k] = late.value - float(s_sem[k])
+        if late is not None:
+            change[k] = late - float(s_sem[k])
             score_sources[k] = ScoreSource.SCORED
     scores = eqx.tree_at(
         lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.merit),

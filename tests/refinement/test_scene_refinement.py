@@ -14,7 +14,6 @@ from neoworld_mjx.refinement import scene_refinement as module
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.refinement.scene_refinement import open_scene, read_composed, refine
-from neoworld_mjx.refinement.score_log import Score
 from neoworld_mjx.refinement.scorer import ScoreSource
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
@@ -80,16 +79,9 @@ def test_scores_that_come_late_count_in_the_choice_of_the_winner():
         base, base + 10, base + 20, zero, zero, np.ones((pop, 1), bool), None,
     )  # fmt: skip
     round_ = Round(Layout.zero(pop, 1), None, scores)  # The poses are not read.
-    marks = np.full(pop, ScoreSource.ESTIMATED, np.int8)
-    late = {(2, 0): 0.6, (2, 2): None, (1, 1): 0.9, (2, 3): 0.5}
-
-    def known(identity):
-        if identity not in late:
-            return None
-        text = {"iteration": 2, "candidate": identity[1], "rank": 0, "layout": "x"}
-        return Score.model_validate(text | {"value": late[identity]})
-
-    scorer = SimpleNamespace(known=known)
+    marks = np.full(pop, ScoreSource.GEOMETRIC, np.int8)
+    late = {(2, 0): 0.6, (1, 1): 0.9, (2, 3): 0.5}
+    scorer = SimpleNamespace(known=late.get)
     after = unwrap(module._with_late_scores)(scorer, 2, round_, marks, 4.0)
     change = np.float32([0.5, 0, 0, 0.1])
     np.testing.assert_allclose(after.scores.terms["s_sem"], s_sem + change, rtol=1e-6)
@@ -99,8 +91,8 @@ def test_scores_that_come_late_count_in_the_choice_of_the_winner():
         np.testing.assert_allclose(getattr(after.scores, name), expected, rtol=1e-6)
     assert list(marks) == [
         ScoreSource.SCORED,
-        ScoreSource.ESTIMATED,
-        ScoreSource.ESTIMATED,
+        ScoreSource.GEOMETRIC,
+        ScoreSource.GEOMETRIC,
         ScoreSource.SCORED,
     ]
     assert after.layouts is round_.layouts
