@@ -4,7 +4,7 @@
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import get_args
 
@@ -16,7 +16,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
-from neoworld_mjx.sweeps.cases import Case, Source
+from neoworld_mjx.sweeps import Case
 
 from .dataset.declaration import declaration
 from .dataset.truth_scene import photographed
@@ -75,7 +75,7 @@ def crowded_case(objects: str) -> Case:
 
 
 def photo_case(name: str) -> Case:
-    """Return the composed scene of a bundled example, with its photograph.
+    """Return the composed scene of a bundled example.
 
     Raises:
         SpecError: there is no such scene.
@@ -85,10 +85,10 @@ def photo_case(name: str) -> Case:
     if name not in known:
         raise SpecError(f"scene photo:{name}: {choices(name, known)}")
     scene = read_scene(FOLDER / f"{name}.json")
-    return Case(f"photo:{name}", scene, errors=_box_iou, photo=examples[name].photo)
+    return Case(f"photo:{name}", scene, errors=_box_iou)
 
 
-SOURCES: Mapping[str, Source] = {
+SOURCES: Mapping[str, Callable[[str], Case]] = {
     "bench": bench_case,
     "crowded": crowded_case,
     "photo": photo_case,

@@ -7,6 +7,8 @@ if the command is used, and large packages are imported inside `run`, so that `-
 from importlib import import_module
 from typing import NamedTuple
 
+from ..benchmark import COMMAND as BENCH_COMMAND
+
 
 class CommandEntry(NamedTuple):
     """Location and summary of a command."""
@@ -81,7 +83,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "List installed components, available engines, and what missing components prevent.",
     ),
     "bench": CommandEntry(
-        "neoworld_bench.bench_commands:BenchCommand",
+        BENCH_COMMAND,
         "Run benchmarks of methods, engines and models, and write their data set and tables.",
     ),
 }

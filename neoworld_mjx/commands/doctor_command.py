@@ -80,11 +80,6 @@ COMPONENTS = (
         "uv sync --inexact --extra baselines",
     ),
     Component(
-        *("extra optuna", _installed("optuna")),
-        "no sweeps in which a study chooses the points",
-        "uv sync --inexact --extra optuna",
-    ),
-    Component(
         *("extra metrics", _installed("onnxruntime")),
         "bench run pictures measures only SSIM, not LPIPS, CLIP, DINOv2 or Uni3D",
         "uv sync --inexact --extra metrics",

@@ -176,11 +176,7 @@ def sweep_lines(result: CommandResult) -> list[str]:
     rows.append(f"table: {result['table']}")
     if result.get("figure"):
         rows.append(f"figure: {result['figure']}")
-    cost = f"; {_cost(result['mllm'])}" if "mllm" in result else ""
-    rows.append(
-        f"{result['seconds']:.1f} s, of which {result['compile_s']:.1f} s for compilation{cost}; "
-        f"{DETAILS}"
-    )
+    rows.append(f"{result['seconds']:.1f} s; {DETAILS}")
     return rows
 
 

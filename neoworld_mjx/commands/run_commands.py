@@ -67,7 +67,7 @@ class ReconstructCommand(ConfiguredCommand, Place):
             return self._reconstruct_folder(config)
         if self.place != HERE:
             raise ConfigError(
-                "--workers, --ray and --slurm are for several photographs: name their folder"
+                "--workers and --ray are for several photographs: name their folder"
             )
         result = reconstruct(
             photo_of(self.photo),

@@ -1,12 +1,10 @@
 """Commands `sweep` and `ablate`."""
 
-import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional
 
 from ..errors import ConfigError
 from ..places import Place
@@ -24,7 +22,7 @@ class PlanCommand(Command, Place):
     plan: Positional[Path]
     """YAML file of scenes, base options, seeds, and axes or variants."""
     out: Path
-    """Folder for results.parquet, table.md and sweep.json; new or empty."""
+    """Folder for results.parquet, table.md, figure.svg and sweep.json; new or empty."""
     resume: bool = False
     """Continue the sweep in --out."""
     overwrite: bool = False
@@ -33,37 +31,9 @@ class PlanCommand(Command, Place):
     """K/N computes only the K-th of N shares of the runs. Each share needs a different --out;
     `neoworld sweep merge` joins the folders."""
 
-    check: bool = False
-    """Compute nothing, and check that the rows in --out can be compared: each row must come from
-    the scenes, options and versions that the plan has on this machine."""
-    track: UseAppendAction[tuple[str, ...]] = ()
-    """Log every iteration with a tracker: tensorboard:DIR, wandb:PROJECT or mlflow:URI;
-    repeatable."""
-
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        if "checked" in result:
-            return [f"{result['checked']} rows can be compared, {result['missing']} are missing"]
         return sweep_lines(result)
-
-    def _run(self, function: Callable[..., "SweepResult"], kind: Any) -> CommandResult:
-        """Run the plan with `sweep` or `ablate`, and log it with the trackers."""
-        from ..sweeps.run import check
-        from ..sweeps.trackers import open_tracker
-
-        if self.check:
-            return check(self.plan, self.out, kind)
-        arguments = self._arguments()
-        with contextlib.ExitStack() as stack:
-            trackers = [stack.enter_context(open_tracker(text)) for text in self.track]
-
-            def on_iteration(run: Any, summary: Any) -> None:
-                for tracker in trackers:
-                    tracker(run, summary)
-
-            return _summary(
-                function(self.plan, self.out, on_iteration=on_iteration, **arguments), self.out
-            )
 
     def _arguments(self) -> dict[str, Any]:
         from ..cache import keep_compilations
@@ -125,9 +95,9 @@ class SweepCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the sweep."""
-        from ..sweeps import Plan, sweep
+        from ..sweeps import sweep
 
-        return self._run(sweep, Plan)
+        return _summary(sweep(self.plan, self.out, **self._arguments()), self.out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,22 +111,21 @@ class AblateCommand(PlanCommand):
 
     def run(self) -> CommandResult:
         """Run the ablation."""
-        from ..sweeps import Ablation, ablate
+        from ..sweeps import ablate
 
-        return self._run(ablate, Ablation)
+        return _summary(ablate(self.plan, self.out, **self._arguments()), self.out)
 
 
 def _summary(result: "SweepResult", out: Path) -> CommandResult:
     from ..sweeps.folder import TABLE
-    from ..sweeps.table import flat
+    from ..sweeps.result import flat
 
-    names = ("seconds", "compile_s", "compilations", "static", "mllm")
     return {
         "folder": str(out),
         "table": str(out / TABLE),
         "figure": result.about.get("figure"),
         "runs": len(result.rows),
-        **{name: result.about[name] for name in names if name in result.about},
+        "seconds": result.about["seconds"],
         "points": flat(result.points),
         **({"differences": flat(result.differences)} if result.differences else {}),
     }

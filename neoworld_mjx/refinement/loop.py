@@ -25,7 +25,7 @@ from ..physics.model import SceneModel
 from ..physics.scene_arrays import on_device, pad_objects, pad_scene
 from ..progress import update as update_progress
 from .algorithm import converged, init, open_problem, propose, update
-from .batching import map_runs, take, tile_size
+from .batching import map_runs, tile_size
 from .compiling import compile_for_search
 from .evaluation import Evaluation
 from .finishing import Finished, finish, with_resting_fixed
@@ -37,9 +37,8 @@ from .objective import (
     try_terms,
 )
 from .optimizer import Optimizer
-from .outcome import iteration_summary
+from .outcome import Iteration, summarize
 from .rewards import Term
-from .rounds import Round, best_first
 from .scorer import ScoreSource, SemanticScorer
 from .search_run import SearchResult, SearchRun, TimeToValid
 
@@ -57,9 +56,9 @@ def search(
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     scorer: SemanticScorer | None = None,
-    keep_all: bool = True,
     clock: dict[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
+    on_iteration: Callable[[Iteration], bool | None] | None = None,
 ) -> list[SearchResult]:
     """Run Algorithm 1 for all runs at once, without the final check of the winners.
 
@@ -74,9 +73,9 @@ def search(
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
         scorer: source of S_sem by a model; only for a single run.
-        keep_all: if True, keep all candidates; if False, keep only the possible finalists.
         clock: seconds spent on each step; updated in place.
         progress: called with one line per run and iteration.
+        on_iteration: called after each iteration of each run, which ends if it returns True.
 
     Raises:
         ConfigError: two options contradict each other, or a reward term is invalid or not finite.
@@ -98,6 +97,9 @@ def search(
     results = _initialize_runs(
         evaluation, runs, initials, terms, optimizer, builtin_only=builtin_only
     )
+    if on_iteration is not None and o.settle.enabled:
+        for r in results:
+            r.finished |= bool(on_iteration(summarize(0, r.rounds[0].scores)))
     for t in range(max(run.options.cem.iterations for run in runs)):
         active = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
         if not active:
@@ -117,9 +119,7 @@ def search(
             r.state = state
             status = np.asarray(rollouts[k].status)
             refuse_not_finite(objective, scores[k], status, f"iteration {_iterations_done(r) + 1}")
-            round_ = evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k])
-            r.rounds.append(round_ if keep_all else _finalists(round_, r.run.options))
-            r.summaries.append(_summary(scores[k]))
+            r.rounds.append(evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k]))
             r.rollouts += len(scores[k].valid)
             if bool(np.any(scores[k].valid)):
                 _record_first_valid(r, evaluation.began)
@@ -129,6 +129,8 @@ def search(
             stuck = np.flatnonzero(state.stuck)
             if len(stuck) and not bool(state.any_valid):
                 r.finished, r.stuck = True, tuple(scene.names[k] for k in stuck)
+            if on_iteration is not None:
+                r.finished |= bool(on_iteration(summarize(_iterations_done(r), scores[k])))
         _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
     return results
@@ -198,7 +200,6 @@ def _initialize_runs(
     if evaluation.options.settle.enabled:
         for result, round_ in zip(results, evaluation.score_initials(results), strict=True):
             result.rounds.append(round_)
-            result.summaries.append(_summary(round_.scores))
             result.score_sources.append(np.array([ScoreSource.GEOMETRIC], np.int8))
             result.rollouts = 1
             result.finished = result.initial.passed and builtin_only
@@ -266,27 +267,6 @@ def _collect(
     values, sources = scorer.s_sem_of(len(r.rounds), geometric)
     r.score_sources.append(sources)
     return values
-
-
-def _finalists(round_: Round, o: RefineOptions) -> Round:
-    """Keep the candidates of an iteration that may be among the `finalists` of the whole run."""
-    host: Round = jax.tree.map(np.asarray, round_)
-    scores = host.scores
-    order = best_first(*map(np.asarray, (scores.valid, scores.merit, scores.absolute)))
-    # Sorted, because candidates of equal reward keep the order of the population.
-    return take(host, np.sort(order[: o.finalists]))
-
-
-def _summary(scores: Scores) -> dict[str, Any]:
-    host: Scores = jax.tree.map(np.asarray, scores)
-    values: dict[str, Any] = {
-        "absolute": host.absolute,
-        "merit": host.merit,
-        "valid": host.valid,
-        "status": host.status,
-        **host.terms,
-    }
-    return iteration_summary(values, list(host.terms))
 
 
 def _iterations_done(r: SearchResult) -> int:

@@ -1,6 +1,5 @@
 """Outcome of a refinement: the winner with its final check, and all candidates."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +11,7 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..spec import SceneSpec
 from .choosing import Winner
-from .objective import Objective
+from .objective import Objective, Scores
 from .rounds import NOT_SAMPLED, Round, stack_padded
 from .search_run import SearchResult, TimeToValid
 
@@ -83,41 +82,43 @@ class Refined:
         return int(np.sum(self.history["status"] != NOT_SAMPLED))
 
 
-def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
-    """Summarize an iteration.
+@dataclass(frozen=True)
+class Iteration:
+    """Summary of one iteration of a search, which `refine` passes to `on_iteration`."""
 
-    Args:
-        values: `absolute`, `merit`, `valid`, `status` and the reward terms of the candidates; each
-            has shape [pop].
-        terms: names of the reward terms.
+    number: int
+    """Number of the iteration, counted from 1. With settling, the initial layout comes before them
+    as number 0."""
+    candidates: int
+    """Number of candidates that were rolled out."""
+    valid: int
+    """Number of valid candidates."""
+    best: float | None
+    """Largest finite absolute reward; None if no candidate has one."""
+    mean: float | None
+    """Mean of the finite absolute rewards; None if there are none."""
+    merit: float | None
+    """Largest merit of a valid candidate; None if no candidate is valid."""
+    terms: dict[str, float]
+    """Reward terms of the candidate with the best absolute reward; empty if `best` is None."""
 
-    Returns:
-        - "best" and "mean": largest and mean finite absolute reward; None if none is finite.
-        - "rollouts": number of candidates.
-        - "valid": fraction of the candidates that are valid.
-        - "merit": largest merit of a valid candidate; None if no candidate is valid.
-        - Under its name, each term of the candidate with the best absolute reward; None if no
-          reward is finite.
-    """
-    absolute = np.asarray(values["absolute"], float)
+
+def summarize(number: int, scores: Scores) -> Iteration:
+    """Summarize the scores of the iteration with this number."""
+    absolute, valid = np.asarray(scores.absolute, float), np.asarray(scores.valid)
     finite = np.isfinite(absolute)
-    population = int(np.sum(np.asarray(values["status"]) != NOT_SAMPLED))
-    valid = np.asarray(values["valid"])
-    summary: dict[str, Any] = {
-        "rollouts": population,
-        "valid": float(np.sum(valid) / max(population, 1)),
-    }
-    summary["merit"] = float(np.asarray(values["merit"])[valid].max()) if valid.any() else None
-    if not finite.any():
-        return {"best": None, "mean": None, **summary, **dict.fromkeys(terms)}
-    k = int(np.where(finite, absolute, -np.inf).argmax())
-    of_best = {name: float(values[name][k]) for name in terms}
-    return {
-        "best": float(absolute[k]),
-        "mean": float(absolute[finite].mean()),
-        **summary,
-        **of_best,
-    }
+    best = int(np.where(finite, absolute, -np.inf).argmax()) if finite.any() else None
+    return Iteration(
+        number=number,
+        candidates=int(np.sum(np.asarray(scores.status) != NOT_SAMPLED)),
+        valid=int(np.sum(valid)),
+        best=None if best is None else float(absolute[best]),
+        mean=None if best is None else float(absolute[finite].mean()),
+        merit=float(np.asarray(scores.merit)[valid].max()) if valid.any() else None,
+        terms={}
+        if best is None
+        else {name: float(np.asarray(x)[best]) for name, x in scores.terms.items()},
+    )
 
 
 def outcome(

@@ -22,7 +22,7 @@ from .compiling import compile_for_search
 from .delivery import final_scene_scores
 from .loop import CLOCKS, search
 from .optimizer import Optimizer
-from .outcome import Refined, outcome
+from .outcome import Iteration, Refined, outcome
 from .rewards import Term
 from .rounds import Round, stack_padded
 from .scorer import ScoreSource, SemanticScorer
@@ -46,6 +46,7 @@ def refine(
     photo: Picture | None = None,
     panel: Panel | None = None,
     progress: Callable[[str], None] | None = None,
+    on_iteration: Callable[[Iteration], bool | None] | None = None,
 ) -> Refined:
     """Refine a composed scene (paper Section 3.3, Step 5).
 
@@ -71,6 +72,8 @@ def refine(
         photo: the photograph, for S_sem by a model.
         panel: models, of which the critic scores candidates.
         progress: called with one line per iteration.
+        on_iteration: called with a summary of each iteration as soon as it is complete. The search
+            ends if it returns True.
 
     Raises:
         ConfigError: two options contradict each other, a reward term is invalid, or the options
@@ -100,6 +103,7 @@ def refine(
                 scorer=scorer,
                 clock=clock,
                 progress=progress,
+                on_iteration=on_iteration,
             )
             rounds, score_sources = result.rounds, result.score_sources
             began = time.perf_counter()

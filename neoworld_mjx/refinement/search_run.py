@@ -1,7 +1,7 @@
 """Inputs, progress and results of one run of a search."""
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,9 +54,7 @@ class SearchResult:
     """If True, the initial layout is the result if it passes the final check."""
     rounds: list[Round] = field(default_factory=list)
     rollouts: int = 0
-    """Number of candidates that were rolled out, including those that `rounds` does not keep."""
-    summaries: list[dict[str, Any]] = field(default_factory=list)
-    """Summary of each iteration; see `outcome.iteration_summary`."""
+    """Number of candidates that were rolled out."""
     first_valid_s: float = float("nan")
     """Time from the start of the search to the score of the first valid candidate [s]."""
     first_valid: TimeToValid | None = None

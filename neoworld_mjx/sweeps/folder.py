@@ -1,4 +1,4 @@
-"""Output folder of a sweep, whose files are rewritten after every group of runs."""
+"""Output folder of a sweep: its rows, which survive an interruption, and what describes them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..io import read_object
+from ..io import parquet_files, read_object
 from ..io.files import write_output
 from ..run_folder import LOCK, lock_folder, refuse_links
-from .figure import draw
-from .rank_figure import draw_ranks, ranks
-from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterations, write_runs
+from .plan import plain_value
+from .runs import CANDIDATE, COLUMNS, ITERATION_COLUMNS, KEYS, TERM, Key, Row
 
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
-TABLE, CSV, LATEX = "table.md", "table.csv", "table.tex"
-FIGURE, RANKS = "figure.svg", "ranks.svg"
-"""Names of the figures. Each figure is also written as a PDF of the same name."""
+"""Names of the files of the rows, of their iterations, and of the description of the sweep."""
+TABLE, CSV, FIGURE = "table.md", "table.csv", "figure.svg"
+"""Names of the files that are written when all runs are complete."""
 FORMAT = "neoworld-sweep/1"
 
 
@@ -26,7 +25,7 @@ class SweepFolder:
     Use it in a `with` statement. If the sweep is resumed, `rows` contains the completed runs.
     """
 
-    def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
+    def __init__(self, path: Path | str, kind: str, *, resume: bool, overwrite: bool) -> None:
         """Create the folder, or continue in an existing one.
 
         Args:
@@ -41,10 +40,6 @@ class SweepFolder:
         """
         self.path = Path(path)
         self.rows: list[Row] = []
-        self.groups: list[dict[str, Any]] = []
-        """Computations that produced `rows`, as in sweep.json."""
-        self.ledger: dict[str, Any] = {}
-        """Calls and costs of the models that scored the runs in `rows`."""
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder")
         try:
@@ -52,7 +47,7 @@ class SweepFolder:
             refuse_links(self.path)
             existing = any(entry.name != LOCK for entry in self.path.iterdir())
             if existing:
-                self._refuse_foreign(kind)
+                self._refuse_other_contents(kind)
             self._lock = lock_folder(self.path)
             try:
                 if existing:
@@ -73,7 +68,7 @@ class SweepFolder:
         """Unlock the folder."""
         self._lock.close()
 
-    def _refuse_foreign(self, kind: str) -> dict[str, Any]:
+    def _refuse_other_contents(self, kind: str) -> None:
         about = sweep_of(self.path)
         if about is None:
             raise RunError(f"{self.path} is not empty and holds no {kind}: name a new folder")
@@ -81,25 +76,18 @@ class SweepFolder:
             raise RunError(
                 f"{self.path} holds another kind of run, {about['kind']}: name a new folder"
             )
-        return about
 
     def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
-        about = self._refuse_foreign(kind)
         if overwrite:
-            for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE, RANKS):
+            for name in (RESULTS, HISTORIES, TABLE, CSV, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
-                (self.path / name).with_suffix(".pdf").unlink(missing_ok=True)
         elif not resume:
             raise RunError(
                 f"{self.path} holds a {kind}: continue with --resume, start over with --overwrite, "
                 "or name a new folder"
             )
         else:
-            ledger = about.get("mllm")
-            self.ledger = ledger if isinstance(ledger, dict) else {}
-            if (self.path / RESULTS).exists():
-                self.rows = add_iterations(self.path / HISTORIES, read_runs(self.path / RESULTS))
-                self.groups = list(about.get("groups", []))
+            self.rows = read_rows(self.path)
 
     def completed(self, expected: Mapping[Key, str]) -> dict[Key, Row]:
         """Return the rows that need not be computed again.
@@ -130,53 +118,41 @@ class SweepFolder:
             run: rows[fingerprint] for run, fingerprint in expected.items() if fingerprint in rows
         }
 
-    def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
-        """Write all rows so far, and further text files.
+    def write_rows(self, rows: Sequence[Row], values: Sequence[str]) -> None:
+        """Write all rows so far.
 
         Args:
             rows: the runs, each with its iterations under "history".
             values: columns that distinguish points.
-            texts: content of the further files, by name.
 
         Raises:
             RunError: a file cannot be written.
         """
-        write_runs(self.path / RESULTS, rows, values)
-        write_iterations(self.path / HISTORIES, rows)
-        for name, text in texts.items():
-            write_output(self.path / name, text, RunError)
+        types = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
+        types |= COLUMNS | dict.fromkeys(term_columns(rows), float)
+        _write_parquet(self.path / RESULTS, rows, types)
+        iterations = [
+            {name: row[name] for name in KEYS} | step for row in rows for step in row["history"]
+        ]
+        further = (name for step in iterations for name in step if name not in ITERATION_COLUMNS)
+        types = ITERATION_COLUMNS | dict.fromkeys(further, float)
+        _write_parquet(self.path / HISTORIES, iterations, types)
 
-    def write_figure(
-        self, rows: Sequence[Row], axes: Sequence[str], *, ranked: bool = False
-    ) -> str | None:
-        """Draw the sweep, and return the path of the figure, or None if matplotlib is missing.
-
-        Args:
-            rows: the runs, each with its iterations under "history".
-            axes: columns that distinguish points.
-            ranked: if True, also draw the critical-difference diagram.
-
-        Raises:
-            RunError: a file cannot be written.
-        """
-        found = ranks(rows, list(dict.fromkeys(row["point"] for row in rows)))
-        for form in ("svg", "pdf"):
-            drawings = {FIGURE: draw(rows, axes, form)}
-            if ranked and found is not None:
-                drawings[RANKS] = draw_ranks(found, form)
-            for name, drawing in drawings.items():
-                if drawing is None:
-                    return None
-                write_output((self.path / name).with_suffix(f".{form}"), drawing, RunError)
-        return str(self.path / FIGURE)
-
-    def write_about(self, about: dict[str, Any]) -> None:
+    def write_about(self, about: Mapping[str, Any]) -> None:
         """Write sweep.json.
 
         Raises:
             RunError: the file cannot be written.
         """
-        write_output(self.path / ABOUT, json.dumps(about, indent=1) + "\n", RunError)
+        self.write(ABOUT, json.dumps(about, indent=1) + "\n")
+
+    def write(self, name: str, text: str) -> None:
+        """Write a text file.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        write_output(self.path / name, text, RunError)
 
 
 def sweep_of(path: Path) -> dict[str, Any] | None:
@@ -187,3 +163,56 @@ def sweep_of(path: Path) -> dict[str, Any] | None:
         return None
     known = about.get("format") == FORMAT and isinstance(about.get("kind"), str)
     return about if known else None
+
+
+def read_rows(path: Path | str) -> list[Row]:
+    """Read the runs in the folder of a sweep, each with its iterations under "history".
+
+    The list is empty if the sweep ended before its first run was complete.
+
+    Raises:
+        RunError: a file cannot be read, is not a Parquet file, or lacks a column.
+    """
+    runs, histories = Path(path) / RESULTS, Path(path) / HISTORIES
+    if not runs.exists():
+        return []
+    rows = parquet_files.read_rows(runs, (*KEYS, "fingerprint"), RunError)
+    steps: dict[Key, list[Row]] = {row_key(row): [] for row in rows}
+    # The two files are written one after the other, so a run may lack its iterations.
+    if histories.exists():
+        for step in parquet_files.read_rows(histories, tuple(ITERATION_COLUMNS), RunError):
+            columns = {name: value for name, value in step.items() if name not in KEYS}
+            steps.setdefault(row_key(step), []).append(columns)
+    return [row | {"history": steps[row_key(row)]} for row in rows]
+
+
+def row_key(row: Mapping[str, Any]) -> Key:
+    """Return the key of a row: scene, point and seed."""
+    return row["scene"], row["point"], row["seed"]
+
+
+def term_columns(rows: Sequence[Row]) -> list[str]:
+    """Return the columns of the reward terms that not every run has, in their order in the rows."""
+    prefixes = (TERM, CANDIDATE + TERM)
+    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(prefixes)))
+
+
+def _write_parquet(path: Path, rows: Sequence[Row], column_types: Mapping[str, type]) -> None:
+    cells = [
+        {name: _cell(row.get(name), kind) for name, kind in column_types.items()} for row in rows
+    ]
+    parquet_files.write_rows(path, cells, column_types, RunError)
+
+
+def _column_type(values: Sequence[Any]) -> type:
+    """Return the type of a column that can contain all values of an axis."""
+    types = {type(plain_value(value)) for value in values if value is not None}
+    if types == {int, float}:
+        return float
+    return types.pop() if len(types) == 1 else str
+
+
+def _cell(value: Any, kind: type) -> Any:
+    if value is None:
+        return None
+    return kind(plain_value(value) if kind is str else value)

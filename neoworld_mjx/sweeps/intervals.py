@@ -105,44 +105,6 @@ def by_scene(values: Sequence[float], scenes: Sequence[str]) -> Float[np.ndarray
     return np.array([np.mean(group) for group in groups.values()])
 
 
-class PairedTest(NamedTuple):
-    """Test of paired differences over scenes, or over the runs of a single scene."""
-
-    wins: int
-    """Number of scenes with a positive difference."""
-    losses: int
-    """Number of scenes with a negative difference."""
-    sign_p: float
-    """Two-sided p value of the sign test without ties; 1 if all differences are ties."""
-    effect: float
-    """Cohen's d for pairs: mean difference divided by the standard deviation of the differences;
-    NaN if the standard deviation is 0."""
-
-
-def paired_test(differences: Sequence[float], scenes: Sequence[str]) -> PairedTest:
-    """Test whether paired differences favor one side.
-
-    Args:
-        differences: difference of each pair.
-        scenes: scene of each pair.
-    """
-    scene_means = by_scene(differences, scenes)
-    wins, losses = int((scene_means > 0).sum()), int((scene_means < 0).sum())
-    p = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
-    spread = float(np.std(scene_means, ddof=1)) if len(scene_means) > 1 else 0.0
-    return PairedTest(wins, losses, p, float(scene_means.mean()) / spread if spread else math.nan)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Adjust p values for multiple comparisons by Holm's method."""
-    count, largest = len(p_values), 0.0
-    adjusted = [0.0] * count
-    for rank, k in enumerate(sorted(range(count), key=lambda k: p_values[k])):
-        largest = max(largest, min(1.0, (count - rank) * p_values[k]))
-        adjusted[k] = largest
-    return adjusted
-
-
 Interval = tuple[float | None, float | None, float | None]
 """Mean, lower end and upper end; each is None if it is undefined."""
 

@@ -1,21 +1,25 @@
 """Plans of sweeps and ablations: YAML files that are completely validated before the first run."""
 
+import itertools
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
 from ..errors import ConfigError, choices
 from ..io.validation_message import validation_message
-from .axes import MAX_POINTS, combinations, read_axes
 
 ROOT = "refine"
 """Group of the options that plans can vary."""
-MAX_SEEDS = 10_000
-"""Maximum number of seeds of a plan."""
+BASE = "base"
+"""Label of the point of an ablation without changes."""
+MAX_POINTS = MAX_SEEDS = 10_000
+"""Maximum number of points, and of seeds, of a plan."""
 
 
 def _seeds(value: Any) -> Any:
@@ -40,26 +44,6 @@ class _Request(Options):
         default=(0, 1, 2, 3), min_length=1
     )
     """Seeds of the search, or a number N, which stands for the seeds 0 to N - 1."""
-    scores: Path | None = None
-    """Folder of semantic scores that an earlier run of the plan recorded. If given, no model is
-    asked."""
-    tapes: tuple[Path, ...] = ()
-    """Tapes of recorded responses, or folders of tapes, for the provider `replay`."""
-
-
-class Study(Options):
-    """Options of a study, in which Optuna chooses the points adaptively; see `study`."""
-
-    trials: int = Field(ge=1, le=MAX_POINTS)
-    """Number of points."""
-    sampler: Literal["tpe", "cma_es", "random"] = "tpe"
-    goal: str = "merit"
-    """Column of the rows. Its mean over scenes and seeds is the value of a point."""
-    direction: Literal["maximize", "minimize"] = "maximize"
-    prune: bool = False
-    """If True, poor trials end after some of the scenes (asynchronous successive halving)."""
-    seed: int = Field(default=0, ge=0)
-    """Seed of the sampler."""
 
 
 class Plan(_Request):
@@ -74,13 +58,9 @@ class Plan(_Request):
     zip: tuple[tuple[str, ...], ...] = ()
     """Groups of axes whose values advance together instead of being combined."""
     samples: int = Field(default=0, ge=0, le=MAX_POINTS)
-    """Number of samples from the ranges without `n`."""
+    """Number of samples from the ranges without `n`. Each is combined with all other values."""
     draw_seed: int = Field(default=0, ge=0)
     """Seed of these samples."""
-    study: Study | None = None
-    """Study in which Optuna chooses the points. If None, the values of the axes are combined."""
-    fold: bool = True
-    """If True, runs that differ only in traced options share a computation."""
 
 
 class Ablation(_Request):
@@ -88,8 +68,25 @@ class Ablation(_Request):
 
     variants: dict[str, dict[str, Any]] = {}
     """Values of each variant, by the path of an option."""
-    fold: bool = False
-    """See `Plan.fold`. If False, the time of every run is that of a single refinement."""
+
+
+class AxisRange(Options):
+    """Range of an axis: `n` evenly spaced values, or values that are sampled at random."""
+
+    low: float
+    high: float
+    log: bool = False
+    """If True, values are spaced or sampled evenly on a logarithmic scale."""
+    n: int | None = Field(default=None, ge=2, le=MAX_POINTS)
+    """Number of values, including both ends. If None, values are sampled; see `Plan.samples`."""
+
+    def at(self, share: float) -> float:
+        """Return the value at a fraction of the range: `low` at 0, `high` at 1."""
+        if share in (0.0, 1.0):
+            return self.high if share else self.low
+        if self.log:
+            return math.exp(math.log(self.low) + share * math.log(self.high / self.low))
+        return self.low + share * (self.high - self.low)
 
 
 class Point(NamedTuple):
@@ -101,9 +98,6 @@ class Point(NamedTuple):
     options: RefineOptions
     """Complete options of the search."""
 
-
-BASE = "base"
-"""Label of the point of an ablation without changes."""
 
 Request = TypeVar("Request", Plan, Ablation)
 
@@ -133,27 +127,18 @@ def read_plan(source: Request | Mapping[str, Any] | Path | str, kind: type[Reque
     return plan
 
 
-def shared_config(plan: Plan | Ablation) -> Config:
-    """Return the options that all points share, including the options of models.
-
-    Raises:
-        ConfigError: an option is invalid.
-    """
-    return load_config(plan.config, plan.base)
-
-
 def points(plan: Plan | Ablation) -> list[Point]:
     """Validate a plan and return its points.
 
     Raises:
         ConfigError: a path is not an option (the message suggests similar options), an axis has no
-            values or an invalid value, or a point appears twice.
+            values or an invalid value, there are too many points, or a point appears twice.
     """
-    shared = shared_config(plan)
+    shared = load_config(plan.config, plan.base)
     # Points override the complete options of the base, including defaults.
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
-        return _points(plan, base)
+        return _sweep_points(plan, base)
     variants = [Point(BASE, {"variant": BASE}, shared.refine)]
     for name, values in plan.variants.items():
         if name == BASE:
@@ -169,53 +154,126 @@ def points(plan: Plan | Ablation) -> list[Point]:
     return variants
 
 
-def _points(plan: Plan, base: dict[str, Any]) -> list[Point]:
-    for path in plan.axes:
-        _annotation(path, "axes")
-    axes = read_axes(plan.axes, takes_integers)
-    ends = {path: [limits.low, limits.high] for path, limits in axes.ranges.items()}
-    for path, values in (axes.lists | ends).items():
-        for value in values:
-            _with_values(base, {path: round(value) if path in ends and takes_integers(path)
-                                else value}, "axes")  # fmt: skip
-    points_by_label: dict[str, Point] = {}
-    every = combinations(axes, plan.zip, plan.samples, plan.draw_seed, takes_integers)
-    for chosen in every:
-        point = point_of(base, chosen)
-        if point.label in points_by_label and plan.samples:
+def _sweep_points(plan: Plan, base: dict[str, Any]) -> list[Point]:
+    result: dict[str, Point] = {}
+    for chosen in _combinations(plan):
+        options = _with_values(base, chosen, "axes")
+        # Validated values make 1 and 1.0 the same point.
+        dump = {ROOT: options.model_dump(mode="json")}
+        values = {path: _value_at(dump, path) for path in chosen}
+        label = ", ".join(
+            f"{path.removeprefix(ROOT + '.')} {_format_value(value)}"
+            for path, value in values.items()
+        )
+        if label in result and plan.samples:
             continue  # The same integers were sampled before.
-        if point.label in points_by_label:
-            raise ConfigError(f"axes: the point {point.label} appears twice")
-        points_by_label[point.label] = point
-    return list(points_by_label.values())
+        if label in result:
+            raise ConfigError(f"axes: the point {label} appears twice")
+        result[label] = Point(label or BASE, values, options)
+    return list(result.values())
 
 
-def point_of(base: dict[str, Any], chosen: Mapping[str, Any]) -> Point:
-    """Return the point with the given values of options.
+def _combinations(plan: Plan) -> list[dict[str, Any]]:
+    """Return the values of every point, by the paths of the options in the order of the axes."""
+    lists: dict[str, list[Any]] = {}
+    ranges: dict[str, AxisRange] = {}
+    for path, value in plan.axes.items():
+        integers = _annotation(path, "axes") is int
+        if isinstance(value, list | tuple):
+            lists[path] = list(value)
+        elif (limits := _range(path, value)).n is None:
+            ranges[path] = limits
+        else:
+            spaced = [limits.at(k / (limits.n - 1)) for k in range(limits.n)]
+            lists[path] = list(dict.fromkeys(map(round, spaced))) if integers else spaced
+        if not lists.get(path, True):
+            raise ConfigError(f"axes: {path} has no values")
+    if ranges and not plan.samples:
+        raise ConfigError(
+            f"axes: {', '.join(ranges)} is drawn at random: set the plan's samples, or set n "
+            "for evenly spaced values"
+        )
+    if plan.samples and not ranges:
+        raise ConfigError("samples: no axis is a range without n, from which values are drawn")
+    groups = _groups(lists, plan.zip)
+    count = math.prod(len(lists[group[0]]) for group in groups) * max(plan.samples, 1)
+    if count > MAX_POINTS:
+        raise ConfigError(
+            f"axes: {count} points, at most {MAX_POINTS} are allowed; use fewer values, several "
+            "plans, or draw the values of some axes at random"
+        )
+    steps = [
+        [{path: lists[path][k] for path in group} for k in range(len(lists[group[0]]))]
+        for group in groups
+    ]
+    if ranges:
+        steps.append(_sample(ranges, plan.samples, plan.draw_seed))
+    combined = [
+        {path: value for part in parts for path, value in part.items()}
+        for parts in itertools.product(*steps)
+    ]
+    return [{path: point[path] for path in (*lists, *ranges)} for point in combined]
 
-    Args:
-        base: complete options, which the values override.
-        chosen: values by the path of the option.
 
-    Raises:
-        ConfigError: a value is invalid.
+def _range(path: str, value: Any) -> AxisRange:
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"axes: {path}: give a list of values, or a range such as "
+            f"{{low: 0.01, high: 0.1, log: true, n: 4}}, got {value!r}"
+        )
+    try:
+        limits = AxisRange.model_validate(dict(value))
+    except ValidationError as error:
+        raise ConfigError(f"axes: {path}: {validation_message(error, AxisRange)}") from None
+    low, high = limits.low, limits.high
+    if not low < high:
+        raise ConfigError(f"axes: {path}: low must be below high, got {low:g} and {high:g}")
+    if limits.log and low <= 0:
+        raise ConfigError(f"axes: {path}: low of a logarithmic range must be above 0, got {low:g}")
+    return limits
+
+
+def _sample(ranges: Mapping[str, AxisRange], samples: int, seed: int) -> list[dict[str, Any]]:
+    """Sample values uniformly from ranges; with more samples, the earlier ones stay the same."""
+    integers = {path for path in ranges if _annotation(path, "axes") is int}
+    return [
+        {
+            path: round(limits.at(float(x))) if path in integers else limits.at(float(x))
+            for (path, limits), x in zip(ranges.items(), row, strict=True)
+        }
+        for row in np.random.default_rng(seed).random((samples, len(ranges)))
+    ]
+
+
+def _groups(lists: Mapping[str, list[Any]], zipped: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return the groups of axes that advance together, in the order of the axes.
+
+    An axis that is not zipped with others is a group of its own.
     """
-    options = _with_values(base, chosen, "axes")
-    # Validated values make 1 and 1.0 the same point.
-    dump = {ROOT: options.model_dump(mode="json")}
-    values = {path: value_at(dump, path) for path in chosen}
-    label = ", ".join(
-        f"{path.removeprefix(ROOT + '.')} {_format_value(values[path])}" for path in chosen
-    )
-    return Point(label or BASE, values, options)
-
-
-def takes_integers(path: str) -> bool:
-    """Return whether the values of an option are integers."""
-    return _annotation(path, "axes") is int
+    group_of: dict[str, list[str]] = {}
+    for group in zipped:
+        for path in group:
+            if path not in lists:
+                raise ConfigError(f"zip: {choices(path, lists)}")
+            if path in group_of:
+                raise ConfigError(f"zip: {path} appears twice")
+            group_of[path] = list(group)
+        lengths = {path: len(lists[path]) for path in group}
+        if len(set(lengths.values())) > 1:
+            lengths_text = ", ".join(f"{path} has {n}" for path, n in lengths.items())
+            raise ConfigError(
+                f"zip: axes that advance together must have equal numbers of values: {lengths_text}"
+            )
+    groups: list[list[str]] = []
+    for path in lists:
+        group = group_of.get(path, [path])
+        if group not in groups:
+            groups.append(group)
+    return groups
 
 
 def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) -> RefineOptions:
+    """Return the options of a search in which values, by dotted path, override the base."""
     overrides: dict[str, Any] = {}
     for path, value in values.items():
         _annotation(path, where)
@@ -224,18 +282,14 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
         for name in heads:
             tree = tree.setdefault(name, {})
         tree[last] = value
-    try:
-        return Config.model_validate(_override(base, overrides)).refine
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
-
-
-def _override(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    result = merged(base, overrides)
+    complete = merged(base, overrides)
     terms = overrides.get(ROOT, {}).get("reward", {}).get("terms")
     if isinstance(terms, dict):  # The terms replace all terms of the base.
-        result[ROOT]["reward"]["terms"] = terms
-    return result
+        complete[ROOT]["reward"]["terms"] = terms
+    try:
+        return Config.model_validate(complete).refine
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
 
 
 def _annotation(path: str, where: str) -> Any:
@@ -259,8 +313,7 @@ def _annotation(path: str, where: str) -> Any:
     return group
 
 
-def value_at(tree: Mapping[str, Any], path: str) -> Any:
-    """Return the value at a dotted path in nested mappings."""
+def _value_at(tree: Mapping[str, Any], path: str) -> Any:
     value: Any = tree
     for name in path.split("."):
         value = value[name]

@@ -1,16 +1,20 @@
-"""Result of a sweep or an ablation: rows, summaries and tables."""
+"""Result of a sweep: means of each point over scenes and seeds, with n and 95 % intervals."""
 
+import csv
 import functools
+import io
 import math
 import subprocess
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from .folder import CSV, LATEX, TABLE, SweepFolder
-from .run_rows import Row
-from .table import comma_separated, differences, summary, tests_table, text_table
+from ..io.text_tables import TextTable
+from .folder import row_key, term_columns
+from .intervals import mean, rate, rate_difference
+from .plan import BASE
+from .runs import TERM, Row
 
 NOTES = (
     "Means over scenes and seeds with 95 % intervals, clustered by scene: Korn and Graubard's "
@@ -20,12 +24,46 @@ NOTES = (
 )
 DIFFERENCE_NOTES = (
     "Differences are paired over scenes and seeds. If a difference is positive, the value of the "
-    "variant is larger than that of the base."
+    "variant is larger than that of the base. The intervals are not adjusted for the number of "
+    "variants."
 )
-TEST_NOTES = (
-    "Number of scenes in which a variant is above : below the base, two-sided p value of the sign "
-    "test over scenes adjusted by Holm's method, and Cohen's d of the differences."
+
+
+class TableColumn(NamedTuple):
+    """Column of the table."""
+
+    name: str
+    """Name of the column in the rows."""
+    title: str
+    factor: float = 1.0
+    """Factor from the unit of the rows to the unit of the table."""
+    digits: int = 3
+    """Number of decimal places."""
+
+
+TABLE_COLUMNS = (
+    TableColumn("passed", "passed, %", 100.0, 1),
+    TableColumn("valid", "valid, %", 100.0, 1),
+    TableColumn("reward", "reward"),
+    TableColumn("merit", "merit"),
+    TableColumn("d_pen_m", "D_pen, mm", 1e3),
+    TableColumn("d_drift", "D_drift"),
+    TableColumn("s_sem", "S_sem"),
+    TableColumn("prior", "prior"),
+    TableColumn("mean_log_scale", "mean log scale"),
+    TableColumn("xy_error_m", "xy error, mm", 1e3, 1),
+    TableColumn("yaw_error_deg", "yaw error, deg", 1.0, 2),
+    TableColumn("scale_error", "log scale error"),
+    TableColumn("box_iou", "box IoU"),
+    TableColumn("iterations", "iterations", 1.0, 2),
+    TableColumn("rollouts", "rollouts", 1.0, 1),
+    TableColumn("iterations_to_valid", "iterations to valid", 1.0, 2),
+    TableColumn("rollouts_to_valid", "rollouts to valid", 1.0, 1),
+    TableColumn("to_valid_s", "time to valid, s"),
+    TableColumn("seconds", "search, s"),
 )
+RATES = ("passed", "valid")
+"""Columns whose means are rates."""
 
 
 @dataclass(frozen=True)
@@ -33,70 +71,151 @@ class SweepResult:
     """Result of a sweep or an ablation."""
 
     rows: list[Row]
-    """One row per scene, point and seed.
-
-    A row has the columns `run_rows.COLUMNS`. Under "history" it has the iterations of the run, with
-    the columns `run_rows.ITERATION_COLUMNS`.
-    """
+    """One row per scene, point and seed; see `runs.compute`."""
     points: list[dict[str, Any]]
-    """Summary of each point over scenes and seeds; see `table.summary`."""
+    """Summary of each point over scenes and seeds: n, and an `Estimate` of each column as a
+    dictionary."""
     differences: list[dict[str, Any]]
-    """Differences of an ablation's variants from the base (see `table.differences`); empty for a
-    sweep."""
+    """Differences of an ablation's variants from the base, paired over scenes and seeds; empty for
+    a sweep."""
     table: str
-    """Tables of the points, the differences and their tests as Markdown."""
-    about: dict[str, Any] = field(default_factory=dict)
+    """Tables of the points and of the differences as Markdown."""
+    about: dict[str, Any]
     """Content of sweep.json."""
 
 
-def stored_result(
-    rows: Sequence[Row], about: dict[str, Any], folder: SweepFolder | None, *, finished: bool
-) -> SweepResult:
-    """Summarize rows, and write the rows and their tables into a folder.
+def result_of(rows: Sequence[Row], about: Mapping[str, Any]) -> SweepResult:
+    """Summarize the rows of a sweep or an ablation.
 
     Args:
-        rows: rows so far, in the order of the table.
-        about: content of sweep.json, to which "finished" and the sums of the times and compilations
-            of "groups" are added.
-        folder: folder of the sweep. If None, nothing is written.
-        finished: if True, there are no further rows, and the figure is drawn.
-
-    Raises:
-        RunError: a file cannot be written.
+        rows: the rows, in the order of the table.
+        about: content of sweep.json.
     """
-    about = {**about, "finished": finished}
-    for name in ("seconds", "compilations", "compile_s"):
-        about[name] = sum(group.get(name, 0) for group in about["groups"])
-    present = {row["point"] for row in rows}
-    labels = [point["label"] for point in about["points"] if point["label"] in present]
-    summaries = summary(rows, labels)
-    compared = differences(rows, labels) if about["kind"] == "ablation" else []
-    if about["plan"]["fold"] and "mllm" not in about:
-        for entry in (*summaries, *compared):
-            # The times of runs in one computation are equal shares, so an interval is meaningless.
-            if "seconds" in entry:
-                entry["seconds"] |= {"low": math.nan, "high": math.nan}
-    title, commit = about["kind"].capitalize(), f"Commit {about['commit'] or 'unknown'}."
-    notes = f"{NOTES} {commit}"
-    markdown = f"# {title}\n\n{text_table(notes, summaries).markdown()}"
-    tex = text_table(f"{title}. {notes}", summaries).latex()
+    points = [point["label"] for point in about["points"]]
+    summaries = [
+        _estimates(rows, point, [(row,) for row in rows if row["point"] == point], _of_values)
+        for point in points
+    ]
+    summaries = [each for each in summaries if each["n"]]
+    compared = _differences(rows, points) if about["kind"] == "ablation" else []
+    notes = f"{NOTES} Commit {about['commit'] or 'unknown'}."
+    markdown = f"# {about['kind'].capitalize()}\n\n{text_table(notes, summaries).markdown()}"
     if compared:
-        number = f" {len(compared)} comparisons with the base. {commit}"
-        tables = (
-            ("Differences from the base", text_table(DIFFERENCE_NOTES, compared, signed=True)),
-            ("Tests of the differences", tests_table(TEST_NOTES + number, compared)),
-        )
-        for head, table in tables:
-            markdown += f"\n## {head}\n\n{table.markdown()}"
-            tex += "\n" + table.latex()
-    if folder is not None:
-        axes = [name for name in about["points"][0] if name != "label"]
-        texts = {TABLE: markdown, CSV: comma_separated(summaries), LATEX: tex}
-        folder.write(rows, axes, texts)
-        folder.write_about(about)
-        if finished:
-            about["figure"] = folder.write_figure(rows, axes, ranked=about["kind"] == "ablation")
-    return SweepResult(list(rows), summaries, compared, markdown, about)
+        table = text_table(DIFFERENCE_NOTES, compared, signed=True)
+        markdown += f"\n## Differences from the base\n\n{table.markdown()}"
+    return SweepResult(list(rows), summaries, compared, markdown, dict(about))
+
+
+def _differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
+    base = {row_key(row): row for row in rows if row["point"] == BASE}
+    compared = []
+    for point in points:
+        pairs = [
+            (row, base[row["scene"], BASE, row["seed"]])
+            for row in rows
+            if row["point"] == point != BASE and (row["scene"], BASE, row["seed"]) in base
+        ]
+        if pairs:
+            compared.append(_estimates(rows, point, pairs, _of_pairs))
+    return compared
+
+
+def _estimates(
+    rows: Sequence[Row],
+    point: str,
+    groups: Sequence[tuple[Row, ...]],
+    estimate: Callable[[str, Sequence[Any], Sequence[str]], dict[str, Any]],
+) -> dict[str, Any]:
+    scenes = [group[0]["scene"] for group in groups]
+    result: dict[str, Any] = {"point": point, "n": len(groups), "scenes": len(set(scenes))}
+    for column in _columns(rows):
+        values = [tuple(row.get(column.name) for row in group) for group in groups]
+        known = [k for k, group in enumerate(values) if all(map(_is_finite, group))]
+        if known:
+            known_scenes = [scenes[k] for k in known]
+            result[column.name] = estimate(column.name, [values[k] for k in known], known_scenes)
+    return result
+
+
+def _is_finite(value: Any) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _columns(rows: Sequence[Row]) -> list[TableColumn]:
+    further = (TableColumn(name, name.removeprefix(TERM)) for name in term_columns(rows))
+    return [*TABLE_COLUMNS, *further]
+
+
+def _of_values(name: str, values: Sequence[tuple[Any]], scenes: Sequence[str]) -> dict[str, Any]:
+    estimate = rate if name in RATES else mean
+    return estimate([value for (value,) in values], scenes)._asdict()
+
+
+def _of_pairs(name: str, pairs: Sequence[tuple[Any, Any]], scenes: Sequence[str]) -> dict[str, Any]:
+    if name in RATES:
+        return rate_difference([a for a, _ in pairs], [b for _, b in pairs], scenes)._asdict()
+    return mean([float(a) - float(b) for a, b in pairs], scenes)._asdict()
+
+
+def flat(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return summaries without nesting.
+
+    The mean of a column has the name of the column. The other values have a suffix: `_low`,
+    `_high` and `_n`.
+    """
+    return [
+        {"point": row["point"], "n": row["n"], "scenes": row["scenes"]}
+        | {
+            name if part == "mean" else f"{name}_{part}": value
+            for name, estimate in row.items()
+            if isinstance(estimate, dict)
+            for part, value in estimate.items()
+            if part != "scenes"
+        }
+        for row in summaries
+    ]
+
+
+def comma_separated(summaries: Sequence[dict[str, Any]]) -> str:
+    """Return summaries as CSV, in the units of `runs.COLUMNS`."""
+    rows = flat(summaries)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def text_table(
+    note: str, summaries: Sequence[dict[str, Any]], *, signed: bool = False
+) -> TextTable:
+    """Return summaries as a table of formatted means with intervals.
+
+    Args:
+        note: text that explains the table.
+        summaries: points or differences of a result.
+        signed: if True, positive values get a plus sign.
+    """
+    columns = [column for column in _columns(summaries) if any(column.name in s for s in summaries)]
+    head = ["point", "n", "scenes", *(column.title for column in columns)]
+    rows = [
+        [row["point"], str(row["n"]), str(row["scenes"])]
+        + [_cell(row.get(column.name), column, row["n"], signed) for column in columns]
+        for row in summaries
+    ]
+    return TextTable(note, head, rows)
+
+
+def _cell(estimate: dict[str, Any] | None, column: TableColumn, n: int, signed: bool) -> str:
+    if estimate is None:
+        return ""
+    middle, low, high = (
+        f"{estimate[part] * column.factor:{'+' if signed else ''}.{column.digits}f}"
+        for part in ("mean", "low", "high")
+    )
+    text = f"{middle} [{low}, {high}]" if math.isfinite(estimate["low"]) else middle
+    # Some runs lack a value, such as the time to valid of a run that never became valid.
+    return text if estimate["n"] == n else f"{text} (n {estimate['n']})"
 
 
 @functools.cache

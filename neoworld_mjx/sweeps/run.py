@@ -4,7 +4,6 @@ import os
 import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,18 @@ from ..config import option_values
 from ..errors import ConfigError, RunError
 from ..io.files import content_hash
 from ..io.names import repeated
-from ..physics.engine import Engine
 from ..places import HERE, Place, check_place, run_tasks
 from ..progress import report
 from ..run_folder import versions
 from ..spec import SceneSpec
-from .cases import Case, Source, case
-from .folder import FORMAT, RESULTS, SweepFolder
-from .group_runs import SweepPart, compute, forget_compiled, runs_at_once
-from .grouping import group_points, grouping_reasons
-from .model_scores import ModelScores, scored_by_model
-from .plan import Ablation, Plan, Request, points, read_plan, shared_config
-from .result import SweepResult, commit, stored_result
-from .run_rows import Key, Row, read_runs, row_key
-from .study import StudyTask, check_study, run_study
-from .trackers import OnIteration, TrackedRun
+from .figure import draw
+from .folder import CSV, FIGURE, FORMAT, TABLE, SweepFolder, read_rows, row_key, sweep_of
+from .plan import Ablation, Plan, Point, points, read_plan
+from .result import SweepResult, comma_separated, commit, result_of
+from .runs import Case, Key, Row, Run, case, compute
+
+SHARED_ENTRIES = ("kind", "plan", "points", "scenes", "versions", "commit")
+"""Entries of sweep.json that must be equal in all shards of a sweep."""
 
 
 def sweep(
@@ -36,33 +32,25 @@ def sweep(
     out: Path | str | None = None,
     *,
     cases: Sequence[Case | SceneSpec] = (),
-    sources: Mapping[str, Source] | None = None,
-    engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
     place: Place = HERE,
-    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with every combination of the values of some options, and with several seeds.
 
-    Runs that differ only in traced options share one computation; see `refinement.loop.search`.
+    Every run is one `refine`, with S_sem by geometry.
 
     Args:
         plan: a plan, or its YAML file, or a mapping.
         out: folder for results.parquet, table.md, sweep.json and other files. If None, no files are
             written.
         cases: scenes in addition to the scenes of the plan.
-        sources: functions that return the scenes named KIND:NAME, by KIND. If None, the scenes of
-            the benchmark are available as `bench:NAME`, `crowded:N` and `photo:NAME`.
-        engine: physics engine. If None, the options name the engine.
         resume: continue the sweep in `out`.
         overwrite: replace the sweep in `out`.
         shard: (K, N) computes only the K-th of N shares of the runs. Compute every share in another
             process or on another machine, and join the folders by `merge`.
         place: where the runs are computed.
-        on_iteration: function that receives every iteration of each new run as soon as the run is
-            complete; see `trackers.OnIteration`.
 
     Raises:
         ConfigError: the plan is invalid. This is raised before any run.
@@ -71,38 +59,7 @@ def sweep(
         RunError: the folder cannot be written, is in use, or contains files that must not be
             replaced.
     """
-    plan = read_plan(plan, Plan)
-    if plan.study is not None:
-        if shard != (1, 1):
-            raise ConfigError(
-                "shard: the trials of a study depend on each other; run the study with --workers, "
-                "--ray or --slurm instead"
-            )
-        check_study(plan)
-        check_place(place)
-        by_model = scored_by_model(shared_config(plan).refine)
-        _check_ledger(by_model or "refine.semantic.scorer" in plan.axes, place)
-
-        def run_points(tasks: Sequence[StudyTask]) -> Iterator[tuple[int, SweepResult]]:
-            work = partial(_run_trial, engine=engine, threads=place.threads)
-            for task, result in run_tasks(work, tasks, place):
-                for row in result.rows if on_iteration is not None else ():
-                    _track(on_iteration, row, task.plan.axes)
-                yield task.trial, result
-
-        scenes = _cases(plan, cases, sources, place)
-        path = None if out is None else Path(out)
-        return run_study(
-            plan,
-            scenes,
-            run_points,
-            path,
-            width=place.processes,
-            resume=resume,
-            overwrite=overwrite,
-        )
-    runner = _Runner(plan, cases, sources, engine, shard, place, on_iteration)
-    return runner.run(out, resume=resume, overwrite=overwrite)
+    return _run(read_plan(plan, Plan), out, cases, resume, overwrite, shard, place)
 
 
 def ablate(
@@ -110,313 +67,244 @@ def ablate(
     out: Path | str | None = None,
     *,
     cases: Sequence[Case | SceneSpec] = (),
-    sources: Mapping[str, Source] | None = None,
-    engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
     place: Place = HERE,
-    on_iteration: OnIteration | None = None,
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
-    Unless the plan sets `fold`, every run is a separate refinement, and the first run with given
-    static options runs twice, so that times exclude compilation. The arguments and errors are those
-    of `sweep`.
+    The arguments and errors are those of `sweep`.
     """
-    runner = _Runner(read_plan(plan, Ablation), cases, sources, engine, shard, place, on_iteration)
-    return runner.run(out, resume=resume, overwrite=overwrite)
+    return _run(read_plan(plan, Ablation), out, cases, resume, overwrite, shard, place)
 
 
-def check(
-    plan: Request | Mapping[str, Any] | Path | str,
-    out: Path | str,
-    kind: type[Request],
-    *,
-    cases: Sequence[Case | SceneSpec] = (),
-    sources: Mapping[str, Source] | None = None,
-    engine: Engine | None = None,
-) -> dict[str, Any]:
-    """Check that the rows in a folder can be compared with each other, without computing anything.
+def merge(
+    folders: Sequence[Path | str], out: Path | str, *, overwrite: bool = False
+) -> SweepResult:
+    """Join the rows of shards, and write the tables and the figure of the whole sweep or ablation.
 
-    The fingerprint of each row must be the one that follows from the plan, the scenes and the
-    installed versions. The rows then differ only in their options and seeds.
+    Unfinished shards can be merged, too. The number of runs that no shard contains is written into
+    sweep.json as "missing". To compute these runs, sweep or ablate into the merged folder with
+    `resume`.
 
     Args:
-        plan: see `sweep` and `ablate`.
-        out: folder of the rows.
-        kind: Plan or Ablation.
-        cases: see `sweep`.
-        sources: see `sweep`.
-        engine: see `sweep`.
-
-    Returns:
-        "checked" is the number of rows, and "missing" the number of runs that have no row.
+        folders: folders of the shards, or of several parts of a sweep that have the same plan.
+        out: folder for the merged files, which must be new or empty.
+        overwrite: replace an earlier sweep in `out`.
 
     Raises:
-        RunError: a row has another fingerprint or belongs to no run of the plan, or the folder
-            cannot be read.
+        RunError: a folder contains no sweep; shards differ in plan, scenes, versions or commit;
+            two shards have rows with different fingerprints for the same run; or `out` cannot be
+            written.
     """
-    runner = _Runner(read_plan(plan, kind), cases, sources, engine, (1, 1), HERE, None)
-    rows = {row_key(row): row["fingerprint"] for row in read_runs(Path(out) / RESULTS)}
-    mismatched = [key for key, mark in rows.items() if runner.fingerprints.get(key) != mark]
-    if mismatched:
-        scene, point, seed = mismatched[0]
-        raise RunError(
-            f"{out}: {len(mismatched)} of {len(rows)} rows come from other scenes, options or "
-            f"versions than those of this plan here, such as scene {scene}, point {point}, "
-            f"seed {seed}: they must not be compared; compute them again with --resume"
-        )
-    return {"checked": len(rows), "missing": runner.total - len(rows)}
-
-
-def _check_ledger(by_model: bool, place: Place) -> None:
-    if by_model and (place.remote or place.processes > 1):
-        raise ConfigError(
-            "a sweep that is scored by a model has one ledger: it runs in one process on this "
-            "machine"
-        )
-
-
-def _run_trial(
-    task: StudyTask, engine: Engine | None, threads: int
-) -> Iterator[tuple[StudyTask, SweepResult]]:
-    """Refine a scene with the single point of a trial's plan."""
-    runner = _Runner(task.plan, [task.case], {}, engine, (1, 1), HERE, None)
-    runner.threads = threads
-    yield task, runner.run(None, resume=False, overwrite=False)
-
-
-def _track(on_iteration: OnIteration | None, row: Row, values: Mapping[str, Any]) -> None:
-    if on_iteration is None:
-        return
-    for step in row["history"]:
-        on_iteration(TrackedRun(row["scene"], row["point"], row["seed"], dict(values)), step)
-
-
-class _Runner:
-    """A validated plan with its scenes, points and groups, and the rows that have been computed."""
-
-    def __init__(
-        self,
-        plan: Plan | Ablation,
-        scenes: Sequence[Case | SceneSpec],
-        sources: Mapping[str, Source] | None,
-        engine: Engine | None,
-        shard: tuple[int, int],
-        place: Place,
-        on_iteration: OnIteration | None,
-    ) -> None:
-        shard_number, shard_count = self.shard = shard
-        if not 1 <= shard_number <= shard_count:
-            raise ConfigError(
-                f"shard: K/N with K from 1 to N, such as 2/4, got {shard_number}/{shard_count}"
-            )
-        self.plan, self.engine, self.place = plan, engine, place
-        self.threads = place.threads
-        self.on_iteration = on_iteration
-        self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
-        self.points = points(plan)
-        check_place(place)
-        self.cases = _cases(plan, scenes, sources, place)
-        self.by_model = any(scored_by_model(point.options) for point in self.points)
-        _check_ledger(self.by_model, place)
-        # Runs that wait for responses of a model cannot share a computation.
-        self.together = plan.fold and not self.by_model
-        options = [point.options for point in self.points]
-        self.groups = group_points(options, together=self.together)
-        self.static = grouping_reasons(options, together=self.together)
-        if plan.fold and self.by_model:
-            self.static.append("scores by a model: every run is a separate refinement")
-        # Successive runs cost about the same, so taking every N-th run balances the shards.
-        all_runs = list(self._fingerprints().items())
-        self.fingerprints = dict(all_runs[shard_number - 1 :: shard_count])
-        if not self.fingerprints:
-            raise ConfigError(
-                f"shard: {shard_number}/{shard_count} of {len(all_runs)} runs is empty"
-            )
-        self.total = len(self.fingerprints)
-        self.completed: dict[Key, Row] = {}
-        self.folder: SweepFolder | None = None
-        self.scores: ModelScores | None = None
-        self.about: dict[str, Any] = {}
-
-    def run(self, out: Path | str | None, *, resume: bool, overwrite: bool) -> SweepResult:
-        """Compute all runs that `out` does not contain yet, and save the rows after each part."""
-        shard_number, shard_count = self.shard
-        share = (
-            f", of which shard {shard_number}/{shard_count} has {self.total}"
-            if shard_count > 1
-            else ""
-        )
-        run_count = len(self.points) * len(self.plan.seeds) * len(self.cases)
-        report(
-            f"{self.kind}: {len(self.points)} points x {len(self.plan.seeds)} seeds x "
-            f"{len(self.cases)} scenes = {run_count} runs{share}",
-            step=f"{self.kind} of {self.total} runs",
-        )
-        for line in self.static:
-            report(f"static: {line}")
-        if out is None:
-            return self._run_groups()
-        with SweepFolder(Path(out), self.kind, resume=resume, overwrite=overwrite) as self.folder:
-            run_columns = self._run_columns()
-            completed = self.folder.completed(self.fingerprints)
-            self.completed = {key: row | run_columns[key] for key, row in completed.items()}
-            if self.completed:
-                report(f"{len(self.completed)} of {self.total} runs are complete")
-            return self._run_groups()
-
-    def _run_groups(self) -> SweepResult:
-        if self.by_model:
-            self.scores = self._open_scores()
-        self.about = self._about()
-        forget_compiled()
-        began, before, run_columns = time.perf_counter(), len(self.completed), self._run_columns()
-        work = partial(compute, scores=self.scores)
-        try:
-            for part, rows, timing in run_tasks(work, self._parts(), self.place):
-                for (point, seed), row in zip(part.runs, rows, strict=True):
-                    key = (part.case.name, point.label, seed)
-                    self.completed[key] = (
-                        run_columns[key] | row | {"fingerprint": self.fingerprints[key]}
-                    )
-                    _track(self.on_iteration, self.completed[key], point.values)
-                self.about["groups"].append(timing)
-                done = len(self.completed)
-                left = (self.total - done) * (time.perf_counter() - began) / (done - before)
-                report(
-                    f"{part.case.name}: {timing['runs']} runs in {timing['seconds']:.1f} s, "
-                    f"{timing['compile_s']:.1f} s of it compiling {timing['compilations']} "
-                    f"programs; {done} of {self.total} runs done, about {left:.0f} s left",
-                    step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
+    paths = [Path(folder) for folder in folders]
+    if not paths:
+        raise RunError("merge: name the folders of the shards")
+    if len({path.resolve() for path in [*paths, Path(out)]}) < len(paths) + 1:
+        raise RunError("merge: a folder appears twice")
+    first: dict[str, Any] = {}
+    rows: dict[Key, Row] = {}
+    for path in paths:
+        about = sweep_of(path)
+        if about is None or not all(name in about for name in SHARED_ENTRIES):
+            raise RunError(f"merge: {path} holds no sweep or ablation of this version")
+        first = first or about
+        for name in SHARED_ENTRIES:
+            if about[name] != first[name]:
+                difference = _difference(first[name], about[name])
+                raise RunError(f"merge: {paths[0]} and {path} differ in {name}: {difference}")
+        for row in read_rows(path):
+            if rows.setdefault(row_key(row), row)["fingerprint"] != row["fingerprint"]:
+                scene, point, seed = row_key(row)
+                raise RunError(
+                    f"merge: {path} and another folder have different inputs for scene {scene}, "
+                    f"point {point}, seed {seed}"
                 )
-                self._save(finished=False)
-        except BaseException:
-            if self.scores is not None:
-                self._save(finished=False)  # Record the costs so far.
-            raise
-        result = self._save(finished=True)
-        if self.scores is not None:
-            self.scores.close()
-        return result
+    order = [
+        (scene, point["label"], seed)
+        for scene in first["scenes"]
+        for point in first["points"]
+        for seed in first["plan"]["seeds"]
+    ]
+    about = first | {"shard": [1, 1], "shards": [str(path) for path in paths], "seconds": 0.0}
+    ordered = [rows[key] for key in order if key in rows]
+    with SweepFolder(out, first["kind"], resume=False, overwrite=overwrite) as folder:
+        folder.write_rows(ordered, _value_columns(about))
+        return _finish(ordered, about, len(order), folder)
 
-    def _run_columns(self) -> dict[Key, Row]:
-        """Return the columns that identify each run: scene, point, seed and values of the point."""
-        values = {point.label: point.values for point in self.points}
-        return {
-            (scene, point, seed): {"scene": scene, "point": point, "seed": seed} | values[point]
-            for scene, point, seed in self.fingerprints
+
+def _run(
+    plan: Plan | Ablation,
+    out: Path | str | None,
+    scenes: Sequence[Case | SceneSpec],
+    resume: bool,
+    overwrite: bool,
+    shard: tuple[int, int],
+    place: Place,
+) -> SweepResult:
+    number, count = shard
+    if not 1 <= number <= count:
+        raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{count}")
+    settings = points(plan)
+    _refuse_scores_by_model(settings)
+    check_place(place)
+    cases = _cases(plan, scenes, place)
+    # Successive runs cost about the same, so taking every N-th run balances the shards.
+    every = _runs(plan, cases, settings, place)
+    runs = {(run.case.name, run.point.label, run.seed): run for run in every[number - 1 :: count]}
+    if not runs:
+        raise ConfigError(f"shard: {number}/{count} of {len(every)} runs is empty")
+    kind = "sweep" if isinstance(plan, Plan) else "ablation"
+    share = f", of which shard {number}/{count} has {len(runs)}" if count > 1 else ""
+    report(
+        f"{kind}: {len(settings)} points x {len(plan.seeds)} seeds x {len(cases)} scenes = "
+        f"{len(every)} runs{share}",
+        step=f"{kind} of {len(runs)} runs",
+    )
+    about = {
+        "format": FORMAT,
+        "kind": kind,
+        "plan": plan.model_dump(mode="json"),
+        "scenes": [scene.name for scene in cases],
+        "shard": list(shard),
+        "commit": commit(),
+        "points": [{"label": point.label, **point.values} for point in settings],
+        "options": {"refine": settings[0].options.model_dump(mode="json")},
+        "versions": versions(),
+        "machine": {
+            "system": platform.platform(),
+            "cores": os.cpu_count(),
+            "processes": 1 if place.ray is not None else place.processes,
+            "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
+        },
+    }
+    if out is None:
+        return _compute(runs, {}, about, place, None)
+    with SweepFolder(out, kind, resume=resume, overwrite=overwrite) as folder:
+        completed = folder.completed({key: run.fingerprint for key, run in runs.items()})
+        # The labels of the points may have changed.
+        completed = {
+            key: row
+            | dict(zip(("scene", "point", "seed"), key, strict=True))
+            | runs[key].point.values
+            for key, row in completed.items()
         }
+        if completed:
+            report(f"{len(completed)} of {len(runs)} runs are complete")
+        return _compute(runs, completed, about, place, folder)
 
-    def _parts(self) -> list[SweepPart]:
-        """Return the runs that `completed` lacks, by scene and group, as tasks."""
-        parts = []
-        for scene in self.cases:
-            scene_hash = content_hash(scene.scene)
-            for group in self.groups:
-                options = group.compile_options
-                pending = [
-                    (point, seed)
-                    for point in (self.points[k] for k in group.members)
-                    for seed in self.plan.seeds
-                    if (key := (scene.name, point.label, seed)) in self.fingerprints
-                    and key not in self.completed
-                ]
-                size = runs_at_once(options) if self.together else 1
-                if self.place.processes > 1 or self.place.remote:
-                    size = min(size, len(self.plan.seeds))  # One point per task.
-                for first in range(0, len(pending), size):
-                    runs = tuple(pending[first : first + size])
-                    parts.append(
-                        SweepPart(scene, scene_hash, options, runs, self.together, self.engine,
-                             self.threads)
-                    )  # fmt: skip
-        return parts
 
-    def _save(self, *, finished: bool) -> SweepResult:
-        """Return the result so far, and write it into the folder if there is one."""
-        if self.scores is not None:
-            self.about["mllm"] = self.scores.ledger
-        rows = [self.completed[key] for key in self.fingerprints if key in self.completed]
-        return stored_result(rows, self.about, self.folder, finished=finished)
+def _compute(
+    runs: Mapping[Key, Run],
+    completed: dict[Key, Row],
+    about: dict[str, Any],
+    place: Place,
+    folder: SweepFolder | None,
+) -> SweepResult:
+    """Compute the runs that `completed` lacks, and save all rows after each run."""
+    began, before, save_at = time.perf_counter(), len(completed), 0.0
+    values = _value_columns(about)
+    if folder is not None:
+        folder.write_about(about | {"finished": False})
+    pending = [run for key, run in runs.items() if key not in completed]
+    try:
+        for row in run_tasks(compute, pending, place):
+            completed[row_key(row)] = row
+            done, now = len(completed), time.perf_counter()
+            left = (len(runs) - done) * (now - began) / (done - before)
+            report(
+                f"{row['scene']}, {row['point']}, seed {row['seed']}: {row['rollouts']} rollouts "
+                f"in {row['seconds']:.1f} s; {done} of {len(runs)} runs done, about {left:.0f} s "
+                "left",
+                step=f"{about['kind']} of {len(runs)} runs, {done} done, {left:.0f} s left",
+            )
+            if folder is not None and now >= save_at:
+                folder.write_rows(_in_order(runs, completed), values)
+                # Saving many rows may take a tenth of the time, so that it does not slow a sweep.
+                save_at = time.perf_counter() + 9 * (time.perf_counter() - now)
+    finally:
+        if folder is not None:
+            folder.write_rows(_in_order(runs, completed), values)
+    about = about | {"seconds": time.perf_counter() - began}
+    return _finish(_in_order(runs, completed), about, len(runs), folder)
 
-    def _open_scores(self) -> ModelScores:
-        scores = ModelScores(
-            shared_config(self.plan),
-            recorded=self.plan.scores,
-            tapes=self.plan.tapes,
-            out=None if self.folder is None else self.folder.path,
-            earlier={} if self.folder is None else self.folder.ledger,
-        )
-        for scene in self.cases:
-            scores.check(scene)
-        return scores
 
-    def _fingerprints(self) -> dict[Key, str]:
-        """Return the fingerprint of every run, a hash of its inputs, in the order of the table."""
-        shared = {
-            "versions": versions(),
-            "fold": self.together,
-            "engine": None if self.engine is None else self.engine.name,
-        }
-        config = shared_config(self.plan)
-        scoring = {"provider": config.provider, "model": config.mllm.critic.model}
-        if self.plan.scores is not None:
-            scoring = {"recorded": str(self.plan.scores)}
-        fingerprints = {}
-        for scene in self.cases:
-            scene_hash = content_hash(scene.scene)
-            for point in self.points:
-                options = option_values(point.options)
-                for seed in self.plan.seeds:
-                    inputs = [shared, scene.name, scene_hash, options, seed]
-                    inputs += [scoring] if scored_by_model(point.options) else []
-                    fingerprints[scene.name, point.label, seed] = content_hash(inputs)[:16]
-        return fingerprints
+def _in_order(runs: Mapping[Key, Run], completed: Mapping[Key, Row]) -> list[Row]:
+    return [completed[key] for key in runs if key in completed]
 
-    def _about(self) -> dict[str, Any]:
-        return {
-            "format": FORMAT,
-            "kind": self.kind,
-            "plan": self.plan.model_dump(mode="json"),
-            "scenes": [scene.name for scene in self.cases],
-            "shard": list(self.shard),
-            "commit": commit(),
-            "points": [{"label": point.label, **point.values} for point in self.points],
-            "options": {"refine": self.points[0].options.model_dump(mode="json")},
-            "static": self.static,
-            "versions": versions(),
-            "machine": {
-                "system": platform.platform(),
-                "cores": os.cpu_count(),
-                "processes": 1 if self.place.remote else self.place.processes,
-                "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
-            },
-            "groups": [] if self.folder is None else self.folder.groups,
-        }
+
+def _finish(
+    rows: Sequence[Row], about: Mapping[str, Any], expected: int, folder: SweepFolder | None
+) -> SweepResult:
+    """Summarize the rows, of which a complete sweep has `expected`, and write tables and figure."""
+    missing = expected - len(rows)
+    about = {**about, "missing": missing, "finished": not missing}
+    figure = None if folder is None else draw(rows, _value_columns(about))
+    if folder is not None:
+        about["figure"] = None if figure is None else str(folder.path / FIGURE)
+    result = result_of(rows, about)
+    if folder is not None:
+        folder.write(TABLE, result.table)
+        folder.write(CSV, comma_separated(result.points))
+        if figure is not None:
+            folder.write(FIGURE, figure)
+        folder.write_about(about)
+    return result
+
+
+def _value_columns(about: Mapping[str, Any]) -> list[str]:
+    """Return the columns that distinguish points."""
+    return [name for name in about["points"][0] if name != "label"]
+
+
+def _runs(
+    plan: Plan | Ablation, cases: Sequence[Case], settings: Sequence[Point], place: Place
+) -> list[Run]:
+    """Return all runs, in the order of the table."""
+    runs = []
+    for scene in cases:
+        scene_hash = content_hash(scene.scene)
+        for point in settings:
+            shared = [versions(), scene.name, scene_hash, option_values(point.options)]
+            for seed in plan.seeds:
+                fingerprint = content_hash([*shared, seed])[:16]
+                runs.append(Run(scene, point, seed, fingerprint, place.threads))
+    return runs
+
+
+def _refuse_scores_by_model(settings: Sequence[Point]) -> None:
+    for point in settings:
+        if point.options.semantic.scorer == "mllm" and point.options.reward.w_sem > 0:
+            raise ConfigError(
+                f"point {point.label}: runs of a sweep score S_sem by geometry; set "
+                "refine.semantic.scorer: geometric, or call refine with a photo and a panel"
+            )
 
 
 def _read_case(name: str) -> Iterator[Case]:
     yield case(name)
 
 
-def _cases(
-    plan: Plan | Ablation,
-    scenes: Sequence[Case | SceneSpec],
-    sources: Mapping[str, Source] | None,
-    place: Place = HERE,
-) -> list[Case]:
-    if sources is None and not place.remote:
-        # Scenes of the benchmark are composed here, which takes seconds.
-        report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
-        named = {loaded.name: loaded for loaded in run_tasks(_read_case, plan.scenes, place)}
-        cases = [named[name] for name in plan.scenes]
-    else:
-        cases = [case(name, sources) for name in plan.scenes]
+def _cases(plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], place: Place) -> list[Case]:
+    # Scenes of the benchmark are composed on this machine, which takes seconds.
+    report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
+    here = Place(workers=place.workers) if place.ray is None else HERE
+    named = {loaded.name: loaded for loaded in run_tasks(_read_case, plan.scenes, here)}
+    cases = [named[name] for name in plan.scenes]
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
     if twice := repeated(case.name for case in cases):
         raise ConfigError(f"scenes: {', '.join(twice)} appears twice")
     return cases
+
+
+def _difference(first: Any, second: Any) -> str:
+    """Describe the first difference between two entries."""
+    if isinstance(first, dict) and isinstance(second, dict):
+        for name in dict.fromkeys([*first, *second]):
+            if first.get(name) != second.get(name):
+                return f"{name}: {_difference(first.get(name), second.get(name))}"
+    one, other = (str(value)[:60] for value in (first, second))
+    return f"{one} and {other}"

@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import pytest
-from neoworld_bench.named_scenes import SOURCES
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.sweeps.cases import case
+from neoworld_mjx.sweeps import case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read_plan
 from tests.support.scenes import compile_scene
 
@@ -29,29 +28,28 @@ PLANS = sorted(CONFIGS.glob("*/*.yaml"))
 )
 def test_unknown_names_are_refused(name, message):
     with pytest.raises(SpecError, match=message):
-        case(name, SOURCES)
+        case(name)
 
 
 @pytest.mark.slow
 def test_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
-    result = case("bench:tents", SOURCES)
+    result = case("bench:tents")
     model = compile_scene(result.scene)
     errors = result.errors(model, Layout.zero(1, len(model.names)))
     assert result.scene.camera is not None and result.start is None
     assert set(errors) == {"xy_m", "yaw_deg", "scale"} and errors["xy_m"] > 1e-3
-    assert case("bench:tents@all", SOURCES).scene == result.scene
+    assert case("bench:tents@all").scene == result.scene
 
 
 def test_crowded_scenes_start_from_a_noisy_layout_for_each_seed():
-    result = case("crowded:2", SOURCES)
+    result = case("crowded:2")
     model = compile_scene(result.scene)
     first, second = (result.start(model, seed) for seed in (0, 1))
     assert abs(first.xy[0, 1:]).max() > 0 and (first.xy != second.xy).any()
 
 
-def test_photo_scenes_have_a_photograph_and_box_overlap():
-    result = case("photo:coffee", SOURCES)
-    assert result.photo is not None and result.photo.name == "coffee.png"
+def test_photo_scenes_have_a_box_overlap():
+    result = case("photo:coffee")
     assert 0 < result.errors(result.scene)["box_iou"] <= 1
 
 
@@ -68,18 +66,18 @@ def test_plans_of_the_repository_name_existing_scenes(path):
                 CONFIGS.parent / f"benchmarks/neoworld_bench/dataset/scenes/{inner}.yaml"
             ).is_file()
         else:
-            assert case(name, SOURCES).name == name
+            assert case(name).name == name
 
 
 def test_a_bench_scene_has_the_noise_level_of_its_name():
-    exact, every = case("bench:tents@exact", SOURCES), case("bench:tents", SOURCES)
+    exact, every = case("bench:tents@exact"), case("bench:tents")
     assert exact.name == "bench:tents@exact"
     errors = [each.errors(each.scene)["xy_m"] for each in (exact, every)]
     assert errors[0] < 0.5 * errors[1]
 
 
 def test_a_bench_scene_has_the_number_of_its_name():
-    first, second = (case(f"bench:tents@exact#{start}", SOURCES) for start in (0, 1))
-    assert first.scene == case("bench:tents@exact", SOURCES).scene
-    noisy = case("bench:tents@layout#1", SOURCES)
+    first, second = (case(f"bench:tents@exact#{start}") for start in (0, 1))
+    assert first.scene == case("bench:tents@exact").scene
+    noisy = case("bench:tents@layout#1")
     assert noisy.name == "bench:tents@layout#1" and noisy.scene != second.scene

@@ -3,16 +3,14 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.refinement.objective import named_terms
-from neoworld_mjx.sweeps.folder import SweepFolder
+from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 from neoworld_mjx.sweeps.plan import Plan, points, read_plan
-from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
 
 
 @pytest.mark.parametrize(
@@ -69,21 +67,18 @@ def test_a_module_that_ends_the_process_is_an_error(tmp_path, monkeypatch):
         named_terms(config.refine)
 
 
-def _rows(path: Path) -> bytes:
-    row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x"}
-    write_runs(path, [row], [])
-    return path.read_bytes()
-
-
 def test_damaged_results_are_rejected(tmp_path):
+    row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x", "history": []}
+    with SweepFolder(tmp_path, "sweep", resume=False, overwrite=False) as folder:
+        folder.write_rows([row], [])
+    assert read_rows(tmp_path)[0]["scene"] == "a"
     path = tmp_path / "results.parquet"
-    whole = _rows(path)
-    assert read_runs(path)[0]["scene"] == "a"
+    whole = path.read_bytes()
     for cut in (20, len(whole) // 3, len(whole) // 2):
         for data in (whole[:cut] + whole[-8:], whole[:4] + whole[cut:], whole[:cut]):
             path.write_bytes(data)
             with pytest.raises(RunError, match=r"results\.parquet (is|has)"):
-                read_runs(path)
+                read_rows(tmp_path)
 
 
 def test_a_foreign_sweep_with_links_is_refused(tmp_path):

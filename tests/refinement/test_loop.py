@@ -14,7 +14,6 @@ from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import CLOCKS, search
 from neoworld_mjx.refinement.optimizer import RandomSearch
 from neoworld_mjx.refinement.rewards import Term
-from neoworld_mjx.refinement.rounds import rank_candidates
 from neoworld_mjx.refinement.scorer import ScoreSource
 from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
 from neoworld_mjx.spec import Box
@@ -71,10 +70,8 @@ def test_each_run_has_its_own_iterations_and_ends_by_itself(model):
     runs = [SearchRun(o, 0), SearchRun(longer, 1), SearchRun(o, 2, shifted(model, -0.06))]
     short, long, resting = search(model, runs, ENGINE, clock=clock, progress=lines.append)
     assert [len(r.rounds) for r in (short, long, resting)] == [2, 4, 1]
-    assert [len(r.summaries) for r in (short, long, resting)] == [2, 4, 1]
     assert [r.rollouts for r in (short, long, resting)] == [1 + POP, 1 + 3 * POP, 1]
     assert [r.finished for r in (short, long, resting)] == [False, False, True]
-    assert [r.summaries[0]["rollouts"] for r in (short, long, resting)] == [1, 1, 1]
     assert resting.first_valid == TimeToValid(0, 1) and 0 < resting.first_valid_s < 600
     assert lines[0] == "1 of 3 objects do not rest: plate"
     assert lines[1] == "all 3 objects rest where they were placed"
@@ -149,19 +146,21 @@ def test_runs_with_equal_layouts_and_checks_share_the_initial_scene(model):
     assert len({id(initial) for initial in initials}) == len(lines) == 2 + len(stricter)
 
 
-def test_only_possible_finalists_are_kept_on_request(model):
-    o = options(2, cem={"hold_resting": False})
-    whole, part = (
-        search(model, [SearchRun(o, 1)], ENGINE, keep_all=keep)[0] for keep in (True, False)
-    )
-    assert whole.summaries == part.summaries and whole.rollouts == part.rollouts
-    for t, (every, kept) in enumerate(zip(whole.rounds[1:], part.rounds[1:], strict=True)):
-        best = [k for (_, k), _ in rank_candidates([every])[: o.finalists]]
-        assert len(kept.scores.reward) == o.finalists
-        np.testing.assert_array_equal(
-            kept.layouts.xy, np.asarray(every.layouts.xy)[sorted(best)], str(t)
-        )
-        np.testing.assert_array_equal(kept.scores.merit, every.scores.merit[sorted(best)])
+def test_each_iteration_is_reported_and_may_be_the_last(model):
+    o = options(3, cem={"hold_resting": False})
+    steps = []
+    (whole,) = search(model, [SearchRun(o, 1)], ENGINE, on_iteration=steps.append)
+    assert [(step.number, step.candidates) for step in steps] == [
+        (0, 1),
+        *((t, POP) for t in (1, 2, 3)),
+    ]
+    for step, round_ in zip(steps, whole.rounds, strict=True):
+        absolute, valid = np.asarray(round_.scores.absolute), np.asarray(round_.scores.valid)
+        assert step.best == absolute.max() and step.valid == valid.sum()
+        assert step.terms["d_drift"] == round_.scores.terms["d_drift"][absolute.argmax()]
+    stop_at_1 = lambda step: step.number == 1
+    (stopped,) = search(model, [SearchRun(o, 1)], ENGINE, on_iteration=stop_at_1)
+    assert len(stopped.rounds) == 2 and stopped.finished
 
 
 def test_progress_reports_the_rate_and_the_longest_time_left(model, monkeypatch):

@@ -12,7 +12,8 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.choosing import Winner
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.loop import search
-from neoworld_mjx.refinement.outcome import iteration_summary, outcome
+from neoworld_mjx.refinement.objective import Scores
+from neoworld_mjx.refinement.outcome import Iteration, outcome, summarize
 from neoworld_mjx.refinement.rounds import NOT_SAMPLED
 from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
 from tests.support import scenes
@@ -27,36 +28,37 @@ OPTIONS = RefineOptions.model_validate(
 )
 
 
-def values(absolute, valid, status=None):
-    pop = len(absolute)
-    return {
-        "absolute": np.float32(absolute),
-        "merit": np.arange(pop, dtype=np.float32),
-        "valid": np.array(valid),
-        "status": np.zeros(pop, np.int32) if status is None else np.array(status),
-        "d_pen": 10 * np.arange(pop, dtype=np.float32),
-    }
+def scores(absolute, valid, status=None):
+    merit, absolute = np.arange(len(absolute), dtype=np.float32), np.float32(absolute)
+    status = np.zeros(len(absolute), np.int32) if status is None else np.array(status)
+    none = np.zeros((len(absolute), 0), np.float32)
+    return Scores(
+        terms={"d_pen": 10 * merit},
+        valid=np.array(valid),
+        status=status,
+        reward=absolute,
+        absolute=absolute,
+        merit=merit,
+        drift=none,
+        depth=none,
+        rested=none.astype(bool),
+        credit=None,
+    )
 
 
 def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
-    given = values([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_SAMPLED])
-    assert iteration_summary(given, ["d_pen"]) == {
-        "best": 4.0, "mean": 2.5, "rollouts": 3, "valid": pytest.approx(2 / 3), "merit": 1.0,
-        "d_pen": 10.0,
-    }  # fmt: skip
-
-
-def test_the_merit_of_an_iteration_is_that_of_its_best_valid_candidate():
-    found = iteration_summary(values([5.0, 4.0, 3.0], [True, False, False]), ["d_pen"])
-    assert (found["merit"], found["best"], found["d_pen"]) == (0.0, 5.0, 0.0)
-    assert iteration_summary(values([5.0, 4.0], [False, False]), [])["merit"] is None
-
-
-def test_an_iteration_without_a_finite_reward_has_no_best():
-    found = iteration_summary(values([-np.inf], [False], [NOT_SAMPLED]), ["d_pen"])
-    assert found == {
-        "best": None, "mean": None, "rollouts": 0, "valid": 0.0, "merit": None, "d_pen": None
-    }  # fmt: skip
+    given = scores([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_SAMPLED])
+    assert summarize(2, given) == Iteration(
+        number=2, candidates=3, valid=2, best=4.0, mean=2.5, merit=1.0, terms={"d_pen": 10.0}
+    )
+    # The merit is that of the best valid candidate.
+    found = summarize(1, scores([5.0, 4.0, 3.0], [True, False, False]))
+    assert (found.merit, found.best, found.terms) == (0.0, 5.0, {"d_pen": 0.0})
+    assert summarize(1, scores([5.0, 4.0], [False, False])).merit is None
+    nothing = summarize(1, scores([-np.inf], [False], [NOT_SAMPLED]))
+    assert nothing == Iteration(
+        number=1, candidates=0, valid=0, best=None, mean=None, merit=None, terms={}
+    )
 
 
 @pytest.fixture(scope="module")

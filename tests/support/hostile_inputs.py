@@ -380,13 +380,14 @@ def _tape(draw: random.Random, home: Path) -> None:
 
 
 def _results(draw: random.Random, home: Path) -> None:
-    from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
+    from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 
-    path = home / "results.parquet"
-    row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x"}
-    write_runs(path, [row] * 3, [])
+    row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x", "history": []}
+    with SweepFolder(home / "sweep", "sweep", resume=False, overwrite=False) as folder:
+        folder.write_rows([row] * 3, [])
+    path = home / "sweep" / "results.parquet"
     path.write_bytes(mutated_bytes(draw, path.read_bytes()))
-    read_runs(path)
+    read_rows(home / "sweep")
 
 
 KINDS: dict[str, Callable[[random.Random, Path], None]] = {

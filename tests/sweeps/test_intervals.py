@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats as known
 
-from neoworld_mjx.sweeps.intervals import (
-    holm,
-    mean,
-    paired_test,
-    rate,
-    rate_difference,
-    ratio_interval,
-)
+from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference, ratio_interval
 
 
 def names(n):
@@ -93,18 +86,3 @@ def test_shares_of_objects_are_weighted():
     assert ratio_interval([("a", 1.0, 2.0)]) == (0.5, None, None)
     assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
     assert ratio_interval([("a", 2.0, 1.0), ("b", 2.0, 1.0)]) == (2.0, 2.0, 2.0)
-
-
-def test_the_sign_test_counts_scenes():
-    result = paired_test([0.1, 0.3, 0.2, 0.2, -0.1, 0.0], ["a", "a", "b", "c", "d", "e"])
-    assert (result.wins, result.losses) == (3, 1)
-    assert result.sign_p == pytest.approx(known.binomtest(3, 4).pvalue)
-    each = np.array([0.2, 0.2, 0.2, -0.1, 0.0])
-    assert result.effect == pytest.approx(each.mean() / each.std(ddof=1))
-    same = paired_test([0.0, 0.0], ["a", "b"])
-    assert same.sign_p == 1.0 and math.isnan(same.effect)
-
-
-def test_holm_adjusts_for_the_number_of_comparisons():
-    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
-    assert holm([]) == []

@@ -1,14 +1,14 @@
-"""Tasks in this process, in processes, on a local Ray cluster and on submitit's local executor."""
+"""Tasks in this process, in processes and on a local Ray cluster."""
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
-from neoworld_mjx.places import Place, check_place, on_slurm, run_tasks
-from neoworld_mjx.places.place import run_in_worker
+from neoworld_mjx.places import Place, check_place, run_in_worker, run_tasks
 from neoworld_mjx.run_folder import versions
 
 
@@ -56,28 +56,19 @@ def test_a_worker_with_other_versions_is_refused():
     assert run_in_worker(squares, 2, versions()) == [2, 4]
 
 
-@pytest.mark.parametrize(
-    ("place", "error", "message"),
-    [
-        (Place(ray="local", slurm="local"), ConfigError, "cannot be combined"),
-        (Place(workers=-1), ConfigError, "--workers and --task-gpus take 0 or more"),
-        (Place(task_cores=0), ConfigError, "--task-cores 1 or more"),
-    ],
-)
-def test_a_place_that_cannot_be_is_refused_before_anything_runs(place, error, message):
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize("place", [Place(workers=-1), Place(task_gpus=-1), Place(task_cores=0)])
+def test_an_invalid_place_is_refused_before_anything_runs(place):
+    message = "--workers and --task-gpus take 0 or more, and --task-cores 1 or more"
+    with pytest.raises(ConfigError, match=message):
         check_place(place)
-    with pytest.raises(error, match=message):
+    with pytest.raises(ConfigError, match=message):
         list(run_tasks(squares, [2], place))
 
 
-def test_without_ray_and_submitit_a_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    monkeypatch.setitem(__import__("sys").modules, "submitit", None)
+def test_without_ray_a_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EngineError, match="--extra ray"):
         check_place(Place(ray="local"))
-    with pytest.raises(EngineError, match="--extra slurm"):
-        check_place(Place(slurm="local"))
 
 
 @pytest.mark.slow
@@ -120,46 +111,3 @@ def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
         list(run_tasks(dying, [3], place))
     with pytest.raises(ConfigError, match="a task needs 8 GPU, the cluster has 0"):
         list(run_tasks(squares, [2], Place(ray="local", workers=1, task_gpus=8)))
-
-
-@pytest.mark.slow
-def test_submitit_repeats_the_task_of_a_lost_worker(tmp_path, monkeypatch):
-    pytest.importorskip("submitit")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(on_slurm, "RETRIES", 1)
-    place = Place(slurm="local", workers=2)
-    marker = str(tmp_path / "begun")
-    assert list(run_tasks(dying_once, [marker], place)) == [marker]
-    assert sorted(run_tasks(squares, [2, 3], place)) == [2, 3, 4, 9]
-    for work, number, error, message in (
-        (squares, -1, SpecError, "-1 is negative"),
-        (failing, 2, RuntimeError, "ZeroDivisionError"),
-        (dying, 3, RunError, "was lost 2 times"),
-    ):
-        with pytest.raises(error, match=message):
-            list(run_tasks(work, [number], place))
-
-
-def test_the_script_in_the_documentation_is_what_slurm_gets(tmp_path, monkeypatch):
-    submitit = pytest.importorskip("submitit")
-    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")  # srun and sbatch
-    text = "slurm_partition=gpu,timeout_min=60"
-    executor = on_slurm.open_executor(Place(slurm=text, task_cores=4, task_gpus=1), "slurm")
-    script = executor._executor._make_submission_file_text("COMMAND", "ID")
-    wanted = [line for line in script.splitlines() if line.startswith("#SBATCH")]
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "sweeps.md").read_text()
-    shown = [line.strip() for line in page.splitlines() if line.strip().startswith("#SBATCH")]
-    kept = [line for line in wanted if not line.startswith(("#SBATCH --output", "#SBATCH --error"))]
-    assert shown == kept and submitit.__version__
-
-
-def test_invalid_parameters_of_slurm_are_one_message(monkeypatch):
-    pytest.importorskip("submitit")
-    monkeypatch.setenv("PATH", "")
-    for text, error, message in (
-        ("partition", ConfigError, "submitit's parameters as KEY=VALUE"),
-        ("slurm_partitoin=gpu", ConfigError, "slurm_partitoin"),
-        ("slurm_partition=gpu", EngineError, "sbatch is not installed"),
-    ):
-        with pytest.raises(error, match=message):
-            check_place(Place(slurm=text))

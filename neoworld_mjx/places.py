@@ -1,0 +1,241 @@
+"""Places where tasks run: this process, processes on this machine, or a Ray cluster.
+
+Ray (Moritz et al., arXiv:1712.05889) is installed by the extra `ray`.
+"""
+
+import contextlib
+import os
+import socket
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from .cache import keep_compilations
+from .errors import ConfigError, EngineError, NeoWorldError, RunError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Work = Callable[[Task], Iterable[Result]]
+"""Module-level function, or `functools.partial` of one, that maps a task to the task's results."""
+LOCAL = "local"
+RETRIES = 3
+"""Number of times that a task is repeated if its worker on a cluster is lost."""
+CONNECT_S = 5.0
+"""Timeout of the connection to a cluster [s]."""
+STORE_BYTES = 256 << 20
+"""Size of a local cluster's object store [bytes]; tasks and results are small."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Options of the place where tasks run; by default, this process."""
+
+    workers: int = 1
+    """Number of processes; 0 starts one process for every two cores. With --ray local, the number
+    of tasks that the local cluster runs at once."""
+    ray: str | None = None
+    """Address of a Ray cluster, such as HOST:6379, or `local` to start a local cluster."""
+    task_cores: int = 1
+    """Number of CPU cores of each task on a cluster."""
+    task_gpus: int = 0
+    """Number of GPUs of each task on a cluster."""
+
+    @property
+    def place(self) -> "Place":
+        """Copy of these options without the options that a subclass adds."""
+        return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
+
+    @property
+    def processes(self) -> int:
+        """Number of processes on this machine."""
+        return self.workers or max(1, (os.cpu_count() or 1) // 2)
+
+    @property
+    def threads(self) -> int:
+        """Number of threads of each process."""
+        if self.ray is not None:
+            return self.task_cores
+        return max(1, (os.cpu_count() or 1) // self.processes)
+
+
+HERE = Place()
+"""Place for tasks that run in this process."""
+
+
+def check_place(place: Place) -> None:
+    """Check that tasks can run at a place, before anything else is done.
+
+    Raises:
+        ConfigError: a number or the address of the cluster is invalid.
+        EngineError: Ray is not installed, or no cluster answers.
+    """
+    if place.workers < 0 or place.task_cores < 1 or place.task_gpus < 0:
+        raise ConfigError("--workers and --task-gpus take 0 or more, and --task-cores 1 or more")
+    if place.ray is None:
+        return
+    if _open_ray().is_initialized() or place.ray == LOCAL:
+        return
+    host, _, port = place.ray.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdecimal():
+        raise ConfigError(
+            f"--ray takes local or HOST:PORT, such as 10.0.0.1:6379, got {place.ray!r}"
+        )
+    try:
+        socket.create_connection((host, int(port)), CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise EngineError(
+            f"--ray {place.ray}: no Ray cluster answers ({error}); start one with ray start "
+            "--head, or use --ray local"
+        ) from None
+
+
+def run_tasks(
+    work: Work[Task, Result], tasks: Sequence[Task], place: Place = HERE
+) -> Iterator[Result]:
+    """Run a function on tasks, and yield the results as they become available.
+
+    In this process, results are yielded one by one, in the order of the tasks. In other processes
+    and on a cluster, all results of a task are yielded together when the task ends. If a worker of
+    a cluster is lost, its task is repeated on another worker.
+
+    Args:
+        work: function that maps a task to its results.
+        tasks: arguments of `work`; unless tasks run in this process, tasks and results must be
+            picklable.
+        place: where the tasks run.
+
+    Raises:
+        RunError: a process died, the worker of a task was lost repeatedly, or a worker has
+            different versions of the packages.
+        NeoWorldError: a task raised this error.
+    """
+    check_place(place)
+    if place.ray is not None and tasks:
+        yield from _run_on_ray(work, tasks, place)
+    elif place.processes > 1 and tasks:
+        yield from _run_in_processes(work, tasks, place)
+    else:
+        for task in tasks:
+            yield from work(task)
+
+
+def run_in_worker(
+    work: Work[Task, Result], task: Task, caller_versions: dict[str, str]
+) -> list[Result] | NeoWorldError:
+    """Run a task in a worker; return the task's results, or the error that the caller raises.
+
+    Args:
+        work: function that maps a task to its results.
+        task: the argument of `work`.
+        caller_versions: the caller's versions of the packages that affect results.
+    """
+    from .run_folder import versions  # Imported late to keep `--help` fast.
+
+    for name, version in versions().items():
+        if caller_versions.get(name) != version:
+            return RunError(
+                f"worker {os.uname().nodename} has {name} {version}, this machine has "
+                f"{caller_versions.get(name, 'none')}: install the same versions"
+            )
+    keep_compilations()
+    try:
+        return list(work(task))
+    except NeoWorldError as error:
+        return error
+
+
+def _results_of(returned: list[Result] | NeoWorldError) -> list[Result]:
+    if isinstance(returned, NeoWorldError):
+        raise returned
+    return returned
+
+
+def _run_in_processes(
+    work: Work[Task, Result], tasks: Sequence[Task], place: Place
+) -> Iterator[Result]:
+    from .run_folder import versions
+
+    with ProcessPoolExecutor(place.processes, get_context("spawn")) as pool:
+        futures = [pool.submit(run_in_worker, work, task, versions()) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                yield from _results_of(future.result())
+        except BrokenProcessPool:
+            raise RunError(
+                "a process died, perhaps out of memory: use fewer --workers; finished rows are kept"
+            ) from None
+        finally:
+            # If the loop ends early, for example by Ctrl-C, cancel the tasks that have not begun.
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _open_ray() -> Any:
+    # Silence Ray's warning about a future default, which does not affect tasks.
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise EngineError("--ray needs ray: uv sync --inexact --extra ray") from None
+    return ray
+
+
+@contextlib.contextmanager
+def _ray_session(ray: Any, place: Place) -> Iterator[None]:
+    """Connect to a cluster or start a local one, unless Ray is already initialized."""
+    if ray.is_initialized():
+        yield
+        return
+    options: dict[str, Any] = {"address": place.ray}
+    if place.ray == LOCAL:
+        options |= {
+            "num_cpus": place.processes * place.task_cores,
+            "include_dashboard": False,
+            "object_store_memory": STORE_BYTES,
+        }
+    try:
+        ray.init(logging_level="ERROR", log_to_driver=False, **options)
+    except Exception as error:  # Ray raises plain exceptions, for example if a node starts slowly.
+        first = str(error).strip().split("\n", 1)[0]
+        raise EngineError(f"--ray {place.ray}: {first}") from None
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _run_on_ray(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -> Iterator[Result]:
+    from .run_folder import versions
+
+    ray = _open_ray()
+    with _ray_session(ray, place):
+        available = ray.cluster_resources()
+        for name, required in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
+            if available.get(name, 0) < required:
+                raise ConfigError(
+                    f"--ray {place.ray}: a task needs {required} {name}, but the cluster has "
+                    f"{available.get(name, 0):g}"
+                )
+        # Ray repeats a task only if its worker is lost, not if the task raises.
+        remote = ray.remote(run_in_worker).options(
+            num_cpus=place.task_cores, num_gpus=place.task_gpus, max_retries=RETRIES
+        )
+        waiting = [remote.remote(work, task, versions()) for task in tasks]
+        try:
+            while waiting:
+                (done, *_), waiting = ray.wait(waiting)
+                yield from _results_of(ray.get(done))
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from error
+        except ray.exceptions.RayError as error:
+            first = str(error).strip().split("\n", 1)[0]
+            raise RunError(
+                f"--ray {place.ray}: the worker of a task was lost {RETRIES + 1} times, or the "
+                f"cluster is gone ({first}); finished tasks are kept"
+            ) from None
+        finally:
+            with contextlib.suppress(Exception):
+                for reference in waiting:
+                    ray.cancel(reference, force=True)
