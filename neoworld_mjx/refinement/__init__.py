@@ -1,8 +1,7 @@
 """Step 5: CEM-based scene refinement (paper Section 3.3, Algorithm 1)."""
 
 from .cem import CEM, CEMParams, CEMState, open_cem
-from .evosax_optimizer import from_evosax
-from .optimizer import OPTIMIZERS, Optimizer
+from .optimizer import OPTIMIZERS, Optimizer, from_evosax
 from .outcome import Refined
 from .rewards import Term
 from .scene_refinement import refine

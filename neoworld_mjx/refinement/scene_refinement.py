@@ -17,16 +17,14 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
-from .choosing import choose_winner
+from .choosing import Round, Winner, choose_winner, stack_padded
 from .compiling import compile_for_search
-from .delivery import final_scene_scores
-from .loop import CLOCKS, search
+from .evaluation import named_scores
+from .loop import CLOCKS, Iteration, SearchResult, search
 from .optimizer import Optimizer
-from .outcome import Iteration, Refined, outcome
+from .outcome import Refined, outcome
 from .rewards import Term
-from .rounds import Round, stack_padded
 from .scorer import ScoreSource, SemanticScorer
-from .search_run import SearchRun
 
 COMPOSED = "compose/scene.json"
 """Path of the composed scene in a run folder."""
@@ -94,10 +92,12 @@ def refine(
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
             scorer = SemanticScorer(model, photo, panel, o.semantic)
         try:
-            (result,) = search(
+            result = search(
                 model,
-                [SearchRun(o, seed, start)],
+                o,
                 engine,
+                seed=seed,
+                start=start,
                 terms=terms,
                 optimizer=optimizer,
                 scorer=scorer,
@@ -125,14 +125,14 @@ def refine(
             o,
             result.initial,
             start,
-            result.scene,
+            result.evaluation.scene,
             accept_initial=result.accept_initial,
         )
         by_model = None
         if scorer is not None and winner.index[0] >= 0:
             t, k = winner.index
             by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
-        (values,) = final_scene_scores([result], [winner], engine, by_model)
+        delivered = _delivered_scores(result, winner, by_model)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,
@@ -141,7 +141,7 @@ def refine(
             winner,
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
-            delivered=values,
+            delivered=delivered,
             semantic=None if scorer is None else stack_padded(score_sources, 0),
             scoring=None if scorer is None else scorer.summary(),
             fallbacks=() if scorer is None else scorer.fallbacks,
@@ -185,6 +185,17 @@ def read_composed(path: Path) -> SceneSpec:
     """
     composed = path / COMPOSED
     return read_scene(composed if composed.is_file() else path)
+
+
+def _delivered_scores(
+    result: SearchResult, winner: Winner, by_model: float | None
+) -> dict[str, float]:
+    """Return `absolute`, `merit` and the terms of the winner's final scene, by name."""
+    settles = result.evaluation.options.settle.enabled
+    if winner.index == (0, 0) and winner.passed and settles and by_model is None:
+        # The search has already scored the initial layout at its settled poses.
+        return named_scores(result.rounds[0].scores)
+    return result.evaluation.score_final(winner.scene, winner.layout, by_model)
 
 
 def _with_late_scores(
