@@ -2,8 +2,7 @@
 
     population: int = static("sets array shapes", 256, "Candidates per iteration.", ge=2)
 
-`list_options` lists the declarations. The pages that document options and the grouping of sweep
-points are derived from this list.
+`list_options` lists the declarations. The pages that document options are derived from this list.
 """
 
 from collections.abc import Iterator
@@ -47,7 +46,7 @@ class Option(NamedTuple):
     unit: str
     kind: Kind
     reason: str
-    """Why the option is static, or why a traced option can split a sweep; otherwise empty."""
+    """Why the option is static, or when a traced option is; otherwise empty."""
     values: tuple[str, ...]
     """Valid names of an enumerated option."""
     bounds: str

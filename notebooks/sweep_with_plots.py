@@ -60,10 +60,9 @@ scene = SceneSpec(
 # %% [markdown]
 # ## The sweep
 #
-# Two axes, the search radius and the weight of drift, with three seeds each. Both options are
-# inputs of the same compiled program, so all eighteen runs are one computation. Settling alone
-# would repair this scene, and there would be nothing to search; without it, candidates are judged
-# where their layouts place them.
+# Two axes, the search radius and the weight of drift, with three seeds each: eighteen runs, each of
+# them one `nw.refine`. Settling alone would repair this scene, and there would be nothing to search;
+# without it, candidates are judged where their layouts place them.
 
 # %%
 wide, weight = "refine.cem.sigma_xy", "refine.reward.w_drift"

@@ -1,7 +1,6 @@
 """Options of Step 5: search, rewards, rollouts, semantic scores and the final check.
 
 Every option is declared as host, traced or static (see `options.Kind`).
-`tests/sweeps/test_grouping.py` compares the declarations with what the search compiles.
 """
 
 from typing import Literal

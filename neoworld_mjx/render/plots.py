@@ -1,9 +1,9 @@
-"""Plot figures as SVG or PDF with matplotlib, an optional dependency."""
+"""Plot figures as SVG with matplotlib, an optional dependency."""
 
 import io
 import logging
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 _log = logging.getLogger(__name__)
 
@@ -17,14 +17,6 @@ def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | No
         size: width and height [inch].
         draw: function that draws into a matplotlib figure.
     """
-    data = plot(size, draw, "svg")
-    return None if data is None else data.decode()
-
-
-def plot(
-    size: tuple[float, float], draw: Callable[[Any], None], form: Literal["svg", "pdf"]
-) -> bytes | None:
-    """Return a figure as SVG or PDF, or None if matplotlib is not installed; see `plot_svg`."""
     try:
         import matplotlib
     except ImportError:
@@ -32,13 +24,12 @@ def plot(
         return None
     from matplotlib.figure import Figure
 
-    dates = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
     # Use no pyplot: it would keep the figure in memory and need a display.
     with matplotlib.rc_context(
-        {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none", "pdf.fonttype": 42}
+        {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none"}
     ):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         file = io.BytesIO()
-        figure.savefig(file, format=form, metadata=dates[form])
-    return file.getvalue()
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue().decode()

@@ -1,4 +1,4 @@
-"""The numbered examples of the search run as they stand.
+"""The examples of the search run as they stand.
 
 Of the slow ones, the default suite makes the same calls elsewhere: Algorithm 1 by hand in
 tests/refinement/test_algorithm.py, one program for several weights in tests/refinement/test_cem.py,
@@ -6,20 +6,24 @@ a reward of the rollout in tests/refinement/test_rewards.py, a loop over MJX ste
 test_mjx_loop.py.
 """
 
+import json
+import os
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
+
+from tests.support.scenes import stored_scene
 
 FOLDER = Path(__file__).parents[2] / "examples" / "search"
 
 
 def run(name, capsys):
-    path = FOLDER / name
-    code = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-    assert len(code) <= 30
-    runpy.run_path(str(path), run_name="__main__")
+    runpy.run_path(str(FOLDER / name), run_name="__main__")
     return capsys.readouterr().out
 
 
@@ -27,9 +31,12 @@ def numbers(pattern, text):
     return [float(x) for x in re.findall(pattern, text)]
 
 
-def test_every_example_is_tested():
-    tested = re.findall(r'run\("(\d_\w+\.py)"', Path(__file__).read_text(encoding="utf-8"))
-    assert sorted(tested) == sorted(path.name for path in FOLDER.glob("*.py"))
+def test_every_example_is_short_and_tested():
+    tested = re.findall(r'"(\w+\.(?:py|sh))"', Path(__file__).read_text(encoding="utf-8"))
+    assert sorted(tested) == sorted(path.name for path in FOLDER.glob("*.*"))
+    for path in FOLDER.glob("*.*"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert len(lines) <= 60, path.name
 
 
 @pytest.mark.slow
@@ -66,3 +73,47 @@ def test_an_optimizer_of_ones_own_searches(capsys):
 def test_a_loop_of_ones_own_pushes_an_object(capsys):
     moved = numbers(r"moved ([\d.]+) mm", run("6_mjx_loop.py", capsys))
     assert len(moved) == 8 and moved[0] < 2 and moved[-1] > 5 and moved == sorted(moved)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_study_finds_options(capsys):
+    pytest.importorskip("optuna")
+    (best,) = numbers(r"4 trials, best reward (-?[\d.]+)", run("optuna_study.py", capsys))
+    assert -3 < best < 2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_tracker_receives_every_iteration(capsys, tmp_path, monkeypatch):
+    pytest.importorskip("wandb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    assert "iterations logged" in run("track_with_wandb.py", capsys)
+    (file,) = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
+    data = file.read_bytes()
+    assert data.count(b"d_drift") >= 3
+
+
+@pytest.mark.slow
+def test_a_job_array_computes_shards_and_merges_them(tmp_path):
+    scene, plan, out = tmp_path / "scene.json", tmp_path / "plan.yaml", tmp_path / "out"
+    scene.write_text(stored_scene("crowded_2").to_json())
+    search = {"cem": {"population": 8, "iterations": 1}, "rollout": {"engine": "native"}}
+    axes = {"refine.reward.w_drift": [0.5, 1.0]}
+    requests = {"scenes": [str(scene)], "seeds": 2, "base": {"refine": search}, "axes": axes}
+    plan.write_text(yaml.safe_dump(requests))
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+
+    def job(*words, task="1"):
+        slurm = {"SLURM_ARRAY_TASK_ID": task, "SLURM_ARRAY_TASK_COUNT": "2", "PATH": path}
+        line = ["bash", str(FOLDER / "slurm_array.sh"), *map(str, words)]
+        subprocess.run(line, check=True, capture_output=True, env=os.environ | slurm)
+
+    for task in ("1", "2"):
+        job("sweep", plan, out, task=task)
+    job("merge", out)
+    about = json.loads((out / "all" / "sweep.json").read_text())
+    assert (about["finished"], about["missing"]) == (True, 0)
+    assert (out / "all" / "table.md").exists()
