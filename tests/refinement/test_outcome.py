@@ -11,11 +11,8 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.choosing import Winner
 from neoworld_mjx.refinement.compiling import compile_for_search
-from neoworld_mjx.refinement.loop import search
-from neoworld_mjx.refinement.objective import Scores
-from neoworld_mjx.refinement.outcome import Iteration, outcome, summarize
-from neoworld_mjx.refinement.rounds import NOT_SAMPLED
-from neoworld_mjx.refinement.search_run import SearchRun, TimeToValid
+from neoworld_mjx.refinement.loop import TimeToValid, search
+from neoworld_mjx.refinement.outcome import outcome
 from tests.support import scenes
 
 OPTIONS = RefineOptions.model_validate(
@@ -28,43 +25,10 @@ OPTIONS = RefineOptions.model_validate(
 )
 
 
-def scores(absolute, valid, status=None):
-    merit, absolute = np.arange(len(absolute), dtype=np.float32), np.float32(absolute)
-    status = np.zeros(len(absolute), np.int32) if status is None else np.array(status)
-    none = np.zeros((len(absolute), 0), np.float32)
-    return Scores(
-        terms={"d_pen": 10 * merit},
-        valid=np.array(valid),
-        status=status,
-        reward=absolute,
-        absolute=absolute,
-        merit=merit,
-        drift=none,
-        depth=none,
-        rested=none.astype(bool),
-        credit=None,
-    )
-
-
-def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
-    given = scores([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_SAMPLED])
-    assert summarize(2, given) == Iteration(
-        number=2, candidates=3, valid=2, best=4.0, mean=2.5, merit=1.0, terms={"d_pen": 10.0}
-    )
-    # The merit is that of the best valid candidate.
-    found = summarize(1, scores([5.0, 4.0, 3.0], [True, False, False]))
-    assert (found.merit, found.best, found.terms) == (0.0, 5.0, {"d_pen": 0.0})
-    assert summarize(1, scores([5.0, 4.0], [False, False])).merit is None
-    nothing = summarize(1, scores([-np.inf], [False], [NOT_SAMPLED]))
-    assert nothing == Iteration(
-        number=1, candidates=0, valid=0, best=None, mean=None, merit=None, terms={}
-    )
-
-
 @pytest.fixture(scope="module")
 def searched():
     model = compile_for_search(scenes.blocks(), OPTIONS)
-    (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
+    result = search(model, OPTIONS, NativeEngine(threads=1))
     return model, result
 
 
@@ -97,16 +61,6 @@ def test_means_are_of_the_objects_that_may_move(searched):
     far = Layout(*map(np.float32, (400 * xy, yaw, log_scale)))
     text = repr(refined(searched, layout=far))
     assert "mean shift 20000.0 mm, turn 30.0 deg, log scale +0.100" in text
-
-
-def test_a_scene_in_which_nothing_moves_has_means_of_zero():
-    item = scenes.blocks().objects[0]
-    scene = scenes.blocks().model_copy(update={"objects": (item,)})
-    model = compile_for_search(scene, OPTIONS)
-    (result,) = search(model, [SearchRun(OPTIONS, 0)], NativeEngine(threads=1))
-    found = refined((model, result))
-    assert (found.mean_shift_m, found.mean_turn_deg, found.mean_log_scale) == (0.0, 0.0, 0.0)
-    assert found.kept == ()
 
 
 def test_the_history_has_all_candidates_and_terms(searched):
@@ -158,13 +112,6 @@ def test_failures_are_listed_after_those_of_earlier_steps(searched):
     )
     assert failed.startswith("no candidate passed the final check in 3 tries; the closest one is")
     assert failed.endswith("ball settled away from its place")
-
-
-def test_lengths_are_stated_in_millimetres(searched):
-    _, known = searched
-    m = known.initial.measure.model_copy(update={"max_depth_m": 0.25, "max_drift_m": 0.5})
-    result = replace(refined(searched), measure=m, before=m)
-    assert "depth 250.00 mm (was 250.00 mm), moved 500.00 mm," in repr(result)
 
 
 def test_what_an_iteration_did_not_draw_has_no_merit_and_is_not_counted(searched):
