@@ -13,6 +13,7 @@ from ..spec import SceneSpec
 from .choosing import NOT_SAMPLED, Round, Winner, stack_padded
 from .loop import SearchResult, TimeToValid
 from .objective import Objective
+from .scorer import SemanticScorer
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,9 +91,7 @@ def outcome(
     engine: str,
     clock: dict[str, float],
     delivered: dict[str, float],
-    semantic: np.ndarray | None = None,
-    scoring: dict[str, Any] | None = None,
-    fallbacks: tuple[str, ...] = (),
+    scorer: SemanticScorer | None = None,
 ) -> Refined:
     """Assemble the outcome of a refinement.
 
@@ -104,9 +103,7 @@ def outcome(
         engine: name of the physics engine.
         clock: seconds spent on each step.
         delivered: scores of the final scene; see `Evaluation.score_final`.
-        semantic: `ScoreSource` of each candidate; shape [iteration, pop].
-        scoring: summary of the semantic scorer.
-        fallbacks: descriptions of the fallbacks of earlier steps.
+        scorer: source of S_sem by a model.
     """
     o = result.evaluation.options
     moves = np.asarray(model.optimised)
@@ -115,6 +112,7 @@ def outcome(
     logs = layout.log_scale[0][moves]
     shift = np.linalg.norm(layout.xy[0][moves], axis=-1)
     turn = np.degrees(np.abs(layout.yaw[0][moves]))
+    fallbacks = () if scorer is None else scorer.fallbacks
     if result.stuck:
         fallbacks += (
             f"the search ended after {len(rounds)} iterations: in no candidate did "
@@ -129,8 +127,8 @@ def outcome(
             f"used: {'; '.join(failed)}",
         )
     history = _history(model, rounds, result.problem.objective)
-    if semantic is not None:
-        history["s_sem_from"] = semantic
+    if scorer is not None:
+        history["s_sem_from"] = stack_padded(result.score_sources, 0)
     rests = result.initial.rests(o)
     return Refined(
         scene=winner.scene,
@@ -149,7 +147,7 @@ def outcome(
         seconds=clock,
         fallbacks=fallbacks,
         kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
-        scoring=scoring or {},
+        scoring={} if scorer is None else scorer.summary(),
         delivered=delivered,
         first_valid=result.first_valid,
     )

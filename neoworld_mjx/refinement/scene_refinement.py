@@ -17,7 +17,7 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
-from .choosing import Round, Winner, choose_winner, stack_padded
+from .choosing import Round, Winner, choose_winner
 from .compiling import compile_for_search
 from .evaluation import named_scores
 from .loop import CLOCKS, Iteration, SearchResult, search
@@ -105,16 +105,15 @@ def refine(
                 progress=progress,
                 on_iteration=on_iteration,
             )
-            rounds, score_sources = result.rounds, result.score_sources
-            began = time.perf_counter()
+            rounds = result.rounds
             if scorer is not None:
                 scorer.collect(len(rounds))
-                weight = o.reward.w_sem
                 rounds = [
-                    _with_late_scores(scorer, t, round_, score_sources[t], weight)
-                    for t, round_ in enumerate(rounds)
+                    _with_late_scores(scorer, t, round_, sources, o.reward.w_sem)
+                    for t, (round_, sources) in enumerate(
+                        zip(rounds, result.score_sources, strict=True)
+                    )
                 ]
-            clock["wait"] += time.perf_counter() - began
         finally:
             if scorer is not None:
                 scorer.close()
@@ -142,9 +141,7 @@ def refine(
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
             delivered=delivered,
-            semantic=None if scorer is None else stack_padded(score_sources, 0),
-            scoring=None if scorer is None else scorer.summary(),
-            fallbacks=() if scorer is None else scorer.fallbacks,
+            scorer=scorer,
         )
 
 
