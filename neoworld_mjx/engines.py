@@ -16,25 +16,21 @@ class EngineEntry(NamedTuple):
     """The engine's class as "module:Class". The module name is relative to this package."""
     purpose: str
     """Hardware and simulator that the engine uses, for help texts."""
-    accelerator: bool
-    """If True, `auto` considers the engine only if JAX has an accelerator."""
     agreement: float
     """Least fraction of verdicts that must equal MuJoCo's, for layouts away from the thresholds."""
 
 
 ENGINES: dict[str, EngineEntry] = {
-    "warp": EngineEntry(
-        ".physics.warp_engine:WarpEngine", "MuJoCo Warp on NVIDIA GPUs", False, 0.98
-    ),
-    "mjx": EngineEntry(
-        ".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", True, 0.98
-    ),
-    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", False, 0.99),
+    "warp": EngineEntry(".physics.warp_engine:WarpEngine", "MuJoCo Warp on NVIDIA GPUs", 0.98),
+    "mjx": EngineEntry(".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", 0.98),
+    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", 0.99),
 }
-"""Engines by name. `auto` chooses the fastest available engine for each rollout."""
+"""Engines by name; `physics.simulate.open_engine` chooses one of them for `auto`."""
 
-ENGINES_HELP = "Physics engine. auto chooses the fastest available engine: " + ", ".join(
-    f"{name} ({entry.purpose})" for name, entry in ENGINES.items()
+ENGINES_HELP = (
+    "Physics engine: "
+    + ", ".join(f"{name} ({entry.purpose})" for name, entry in ENGINES.items())
+    + "; auto chooses native without an accelerator, else warp if it is installed, else mjx"
 )
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ RUN_BY = {
     "docs/templates.md": "tests/templates/test_command.py",
     "docs/how-to/simulate-with-mjx.md": "tests/notebooks/test_mjx_loop.py",
     "docs/how-to/write-a-reward.md": "tests/notebooks/test_howto.py",
-    "docs/how-to/semantic-scores.md": "tests/refinement/test_scorer.py",
     "docs/how-to/write-your-own-search.md": "tests/notebooks/test_own_search.py",
     "docs/programs.md": "tests/program/test_guide.py",
 }

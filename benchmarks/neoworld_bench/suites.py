@@ -24,7 +24,6 @@ MethodName = Literal[
     "guided",
     "no_simulation",
     "without_s_sem",
-    "with_s_photo",
     "without_d_pen",
     "without_d_drift",
     "aligned",

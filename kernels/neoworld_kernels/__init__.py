@@ -1,19 +1,11 @@
-"""Array kernels of neoworld_mjx for penetration depths, with a reference implementation in jnp."""
+"""Array kernels of neoworld_mjx in jnp: penetration depths, and first hits of camera rays."""
 
-from .blocks import sorted_samples
-from .convex_pieces import SPARE, Colliders, PieceGroup
-from .penetration_depth import (
-    PairDepthTuning,
-    pair_depth,
-    pair_depth_culled,
-    pair_depth_reference,
-    pair_gap,
-)
+from .convex_pieces import SPARE, Colliders, PieceGroup, pair_depth_reference, pair_gap
+from .penetration import pair_depth, pair_depth_culled, sorted_samples
 
 __all__ = [
     "SPARE",
     "Colliders",
-    "PairDepthTuning",
     "PieceGroup",
     "pair_depth",
     "pair_depth_culled",

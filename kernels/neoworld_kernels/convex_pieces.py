@@ -1,9 +1,10 @@
-"""Convex colliders of a scene as arrays, by kind, and the signed distance to them."""
+"""Convex colliders of a scene as arrays, by kind, and the signed distance to them in plain jnp."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 SPARE = 1e6
 """Offset of a half-space that pads a table of planes and contains every point [m]."""
@@ -40,6 +41,14 @@ class Colliders(NamedTuple):
     """Polytopes that are repeated `size[0]` times about the z axis of their frame. Only the repeat
     at angles from 0 to 2 pi / size[0] is stored, and its halves are mirror images. Points are
     rotated into this range of angles before their distance is computed."""
+
+
+class ObjectPoses(NamedTuple):
+    """Poses of all objects of all candidates; the population is last, for vectorization."""
+
+    pos: Float[Array, "object 3 pop"]
+    rot: Float[Array, "object 3 3 pop"]
+    scale: Float[Array, "object pop"]
 
 
 def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Array:
@@ -91,3 +100,72 @@ def _norm(*parts: Array) -> Array:
     square = sum(v * v for v in parts)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def pair_gap(
+    pos: Float[Array, "pop object 3"],
+    rot: Float[Array, "pop object 3 3"],
+    scale: Float[Array, "pop object"],
+    samples: Float[Array, "object sample 3"],
+    colliders: Colliders,
+) -> Float[Array, "pop object object"]:
+    """Compute the least signed distance of i's samples to j's colliders [m], at [candidate, i, j].
+
+    The distance is negative if i penetrates j. Outside a polytope or sector, it is the largest
+    signed distance to a plane, which is at most the true distance. It is inf if j has no colliders,
+    and on the diagonal. Differentiable. Arguments are those of `pair_depth`.
+    """
+    pop, count = scale.shape
+    # The population is the last axis, for vectorization of the maximum over samples.
+    pos, rot, scale = jnp.moveaxis(pos, 0, -1), jnp.moveaxis(rot, 0, -1), scale.T
+    at = jnp.swapaxes(samples, 0, 1)[..., None]
+    points = [
+        sum(rot[None, :, i, j] * at[:, :, j] for j in range(3)) * scale + pos[None, :, i]
+        for i in range(3)
+    ]
+    depth = jnp.full((count, count, pop), -jnp.inf, pos.dtype)
+    for kind, group in zip(Colliders._fields, colliders, strict=True):
+        if group.owner.shape[0] == 0:
+            continue
+
+        # The gradient recomputes distances: those of all pieces together could exceed the memory.
+        @jax.checkpoint
+        def deepest(piece: PieceGroup, kind: str = kind) -> Float[Array, "object pop"]:
+            o = piece.owner
+            # World to piece: invert the owner's pose and scale, then the piece's pose.
+            turn = [[dot(rot[o, i], piece.rot[:, k]) for k in range(3)] for i in range(3)]
+            origin = [pos[o, i] + scale[o] * dot(rot[o, i], piece.pos) for i in range(3)]
+            d = [points[i] - origin[i] for i in range(3)]
+            local = [sum(d[i] * turn[i][k] for i in range(3)) / scale[o] for k in range(3)]
+            inside = -distance(kind, local[0], local[1], local[2], piece)
+            return jnp.max(inside, axis=0) * scale[o]
+
+        depths = jax.lax.map(deepest, group)
+        depth = depth.at[:, group.owner].max(jnp.moveaxis(depths, 0, 1))
+    diagonal = jnp.eye(count, dtype=bool)
+    return jnp.where(diagonal, jnp.inf, -jnp.moveaxis(depth, -1, 0))
+
+
+def pair_depth_reference(
+    pos: Float[Array, "pop object 3"],
+    rot: Float[Array, "pop object 3 3"],
+    scale: Float[Array, "pop object"],
+    samples: Float[Array, "object sample 3"],
+    colliders: Colliders,
+) -> Float[Array, "pop object object"]:
+    """Compute `pair_depth` in plain jnp."""
+    return jnp.maximum(-pair_gap(pos, rot, scale, samples, colliders), 0.0)
+
+
+def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[Array, ""]]:
+    """Return the flat indices of the true elements, in order, and the number of true elements."""
+    flat = mask.reshape(-1)
+    place = jnp.where(flat, jnp.cumsum(flat, dtype=jnp.int32) - 1, flat.size)
+    order = jnp.zeros(flat.size, jnp.int32)
+    order = order.at[place].set(jnp.arange(flat.size, dtype=jnp.int32), mode="drop")
+    return order, jnp.sum(flat, dtype=jnp.int32)
+
+
+def dot(a: Any, b: Any) -> Array:
+    """Return the dot product of two triples of arrays; a matrix product might use TF32."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -17,8 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .convex_pieces import SPARE, Colliders, PieceGroup
-from .culled import ObjectPoses, dot, true_indices
+from .convex_pieces import SPARE, Colliders, ObjectPoses, PieceGroup, dot, true_indices
 
 UNROLL = 4
 """Number of planes that are evaluated per pass over the rays of a block."""

@@ -1,14 +1,27 @@
-"""Picture of the pixel evidence: where the photograph agrees with an object, and where not."""
+"""Picture of the pixel evidence: where the photograph agrees with an object, and where not.
+
+The colors of every object and of its surroundings are estimated as for contours. Every pixel near
+an object is rated: does its color belong to the object or to the background?
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
+from ..physics.photo_view import see_through
 from ..spec import SceneSpec
-from .colors import LARGEST
-from .photo_evidence import WIDTH_PX, rated_pixels
-from .rasterize import height_of
+from .colors import LARGEST, LabImage, color_models, log_likelihood_ratio
+from .linear_evidence import MARGIN_PX
+from .rasterize import draw_scene, height_of, window_of
 
+WIDTH_PX = 640
+"""Width of the image in which pixels are rated [px]."""
+MARGIN = 0.5
+"""Width of the margin between an object's 2D box and its window, relative to the longer side of the
+box."""
 AGREES, CONTRADICTS, UNCLAIMED = (0.0, 200.0, 80.0), (255.0, 0.0, 60.0), (60.0, 90.0, 255.0)
 """Colors (sRGB) of three kinds of pixels: pixels of an object that look like the object, pixels of
 an object that look like the background, and pixels around an object that look like the object."""
@@ -46,3 +59,54 @@ def evidence_picture(
             part = picture[window]
             part[pixels] = (1 - share) * part[pixels] + share * np.array(color)
     return np.clip(picture + 0.5, 0, 255).astype(np.uint8)
+
+
+class RatedPixels(NamedTuple):
+    """Log likelihood ratios of the pixels near an object: the object versus the background."""
+
+    k: int
+    """Index of the object."""
+    window: tuple[slice, slice]
+    """Rows and columns in an image WIDTH_PX wide."""
+    ratio: Float[np.ndarray, "row column"]
+    """[nats]"""
+    inside: Bool[np.ndarray, "row column"]
+    """Pixels that show the object in the given scene."""
+
+
+def rated_pixels(
+    scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]
+) -> Iterator[RatedPixels]:
+    """Yield the log likelihood ratios of the pixels near each visible, opaque object.
+
+    Environment supports are omitted, as are objects with too few pixels around them.
+
+    Args:
+        scene: the scene, with a camera.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+    """
+    assert scene.camera is not None
+    owner = draw_scene(scene, scene.camera, WIDTH_PX).owner
+    bins = LabImage.of(photo, WIDTH_PX, height_of(scene.camera, WIDTH_PX)).bins
+    for k, item in enumerate(scene.objects):
+        mask = owner == k
+        if item.environment or see_through(item.spec) or not mask.any():
+            continue
+        models = color_models(owner, bins, k, round(MARGIN_PX))
+        if models is None:
+            continue
+        tight = window_of(mask)
+        margin = round(MARGIN * max(span.stop - span.start for span in tight)) + 2
+        rows, columns = (
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(tight, owner.shape, strict=True)
+        )
+        near = rows, columns
+        colors = bins[near]
+        outside = np.empty(colors.shape)
+        for behind in np.unique(owner[near]).tolist():
+            pixels = owner[near] == behind
+            background = models.around if behind == k else models.background(behind)
+            outside[pixels] = background[colors[pixels]]
+        ratio = log_likelihood_ratio(models.inside[colors], outside)
+        yield RatedPixels(k, near, ratio, mask[near])

@@ -66,9 +66,7 @@ class ReconstructCommand(ConfiguredCommand, Place):
         if self.photo.is_dir():
             return self._reconstruct_folder(config)
         if self.place != HERE:
-            raise ConfigError(
-                "--workers, --ray and --slurm are for several photographs: name their folder"
-            )
+            raise ConfigError("--workers and --ray are for several photographs: name their folder")
         result = reconstruct(
             photo_of(self.photo),
             self.out,

@@ -38,11 +38,6 @@ class CEMOptions(Options):
     sigma_log_scale: float = traced(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
-    photo_sigma: bool = option(
-        False,
-        "Limit the initial standard deviations of aligned objects to the standard deviations that "
-        "the alignment with the photograph estimated.",
-    )
     hold_resting: bool = option(
         True,
         "Fix the objects that rest in the settled initial layout, so that only the other objects, "
@@ -195,9 +190,8 @@ class RewardOptions(Options):
     )
     terms: dict[str, float] = traced(
         {},
-        "Further reward terms and their weights. Name a built-in term by its name, and a "
-        'user-defined term by its import path "package.module:function". Weights are traced; a '
-        "change of the terms recompiles.",
+        'Further reward terms by their import paths "package.module:function", and their weights. '
+        "Weights are traced; a change of the terms recompiles.",
     )
 
 
@@ -252,51 +246,19 @@ class SemanticOptions(Options):
     )
     top: int = option(
         8,
-        "Number of candidates per iteration that the model scores. A surrogate estimates the "
-        "scores of the others.",
+        "Number of candidates per iteration that the model scores. The others have the geometric "
+        "score plus the mean difference of the model's scores.",
         ge=1,
         difference=PaperDifference(
             256, "The model scores only the best candidates of an iteration."
         ),
     )
-    wait: Literal["all", "bounded", "none"] = option(
-        "all",
-        "Scores to wait for before elites are selected. all: all requested scores. bounded: the "
-        "scores of candidates that were submitted at least `late` iterations ago. none: no scores.",
-    )
-    late: int = option(
-        1,
-        "Number of iterations by which a score may be late with `wait: bounded`; 0 is equivalent "
-        "to `wait: all`.",
-        ge=0,
-    )
-    picture_px: int = option(
-        320,
-        "Width of the rendered image of a candidate. Rendering competes with physics for the CPU.",
-        unit="px",
-        ge=64,
-    )
-    shadows: bool = option(
-        False,
-        "Render shadows and textures instead of flat colors with outlines; this takes five times "
-        "as long.",
-    )
     timeout_s: float = option(
         90.0,
-        "Time limit for a score from the moment when it is requested, including all retries.",
+        "Time after a request until which an iteration waits for a score. A score that arrives "
+        "later counts from the iteration in which it arrives.",
         unit="s",
-        gt=0,
-    )
-    give_up_after: int = option(
-        5, "Number of consecutive failed scores after which no more scores are requested.", ge=1
-    )
-    max_cost_usd: float | None = option(
-        None,
-        "Cost of scores after which no more scores are requested. Scores that have been requested "
-        "still arrive. `mllm.max_cost_usd` is the hard limit of the run. If null, the cost is not "
-        "limited.",
-        unit="USD",
-        gt=0,
+        ge=0,
     )
 
 
@@ -340,16 +302,8 @@ class RefineOptions(Options):
         "cem",
         "Optimizer: cem, random, cma_es, evosax:STRATEGY such as evosax:SNES, or the import path "
         '"package.module:function" of a function that builds an optimizer from the scene and the '
-        "options `cem`. cma_es and evosax require the extra `baselines`.",
-    )
-    strategy: dict[str, float] = static(
-        _PROGRAM,
-        {},
-        "Parameters of evosax:STRATEGY by their names in evosax. `std_init` is in units of the "
-        "initial standard deviations. Two further parameters are defined here. `learning_rate` is "
-        "the learning rate of Adam in strategies that use a gradient optimizer. With "
-        "`restart_spread`, a distribution-based strategy restarts from the initial layout if the "
-        "absolute rewards of a population differ by less than this value.",
+        "options `cem`. STRATEGY is distribution-based. cma_es and evosax require the extra "
+        "`baselines`.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()

@@ -19,7 +19,7 @@ from ..physics.layout import Layout
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
-from ..physics.photo_deviations import photo_deviations
+from ..physics.photo_view import photo_deviations
 from ..spec import SceneSpec, read_scene
 from .facing import facing
 
@@ -93,7 +93,7 @@ class ControlledScene:
     def photo_deviations(
         self,
     ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, " object"]]:
-        """Standard deviations that the photograph leaves; see `physics.photo_deviations`.
+        """Standard deviations that the photograph leaves; see `physics.photo_view`.
 
         The first array contains the deviations of the position [m], the second those of the yaw
         [rad].

@@ -19,7 +19,6 @@ from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
 from .mjcf import body_name, object_of_body, to_mjspec
 from .outline import extreme_points, is_round
-from .photo_deviations import photo_deviations
 from .photo_view import photo_view
 from .sampling import surface_samples
 from .scene_arrays import SceneArrays, on_device, snapped_heights
@@ -208,7 +207,6 @@ def compile_scene(
         optimised=~environment,
         movable=np.array([not item.static for item in scene.objects]),
         diagonal=np.array([diagonal(item) for item in scene.objects]),
-        photo_sigma=_photo_sigma(scene),
         corners=np.array([a + unit * (b - a) for a, b in boxes]),
         pair_mask=~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment),
         joint_object=static.joint_object,
@@ -294,11 +292,3 @@ def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
         dof_damping=of_dof("damping"),
         dof_frictionloss=of_dof("friction"),
     )
-
-
-def _photo_sigma(scene: SceneSpec) -> np.ndarray:
-    """Return `SceneArrays.photo_sigma`."""
-    axes, others = photo_deviations(scene)
-    sigma = np.concatenate([np.linalg.norm(axes, axis=2), others], axis=1)
-    aligned = np.array([o.uncertainty is not None and o.parent is not None for o in scene.objects])
-    return np.where(aligned[:, None], sigma, np.inf)

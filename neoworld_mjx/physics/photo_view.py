@@ -1,11 +1,13 @@
-"""Data of the photograph for scoring: the camera, and 2D boxes and depths of all objects."""
+"""Data of the photograph: the camera, 2D boxes, depths, and standard deviations of poses."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..spec import Camera, ObjectSpec, SceneSpec, world_poses
+from ..spec import Camera, ObjectSpec, SceneSpec, support_frame, world_poses
+from ..spec.pose import yaw_of
 from .array_types import AnyArray
 from .sampling import surface_samples
 
@@ -39,11 +41,6 @@ class PhotoView(NamedTuple):
     """True for objects that are entirely visible."""
     occludes: Bool[AnyArray, " object"]
     """True for objects that occlude other objects. Transparent objects do not."""
-    evidence: Float[AnyArray, "object cell cell"]
-    """Evidence that the object is visible in each cell of its window [1/px^2], by row and column;
-    see `align.photo_evidence`. There are no cells if the pixels of the photograph are not given."""
-    window: Float[AnyArray, "object 4"]
-    """Window of the evidence: left, top, right, bottom relative to the image center [px]."""
 
 
 def photo_view(spec: SceneSpec) -> PhotoView:
@@ -79,9 +76,32 @@ def photo_view(spec: SceneSpec) -> PhotoView:
         scored=scored,
         fully_visible=fully_visible,
         occludes=occludes,
-        evidence=np.zeros((len(boxes), 0, 0)),
-        window=np.tile([0.0, 0.0, 1.0, 1.0], (len(boxes), 1)),
     )
+
+
+def photo_deviations(
+    scene: SceneSpec,
+) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, "object 2"]]:
+    """Return the standard deviations of every object; zeros for objects that were not aligned.
+
+    Returns:
+        Deviations of the positions, shape [object, 2, 2], and of the yaw [rad] and the log scale,
+        shape [object, 2]. The columns of each 2x2 matrix are the deviations along and across the
+        viewing direction, as vectors in the frame of the object's support [m].
+    """
+    poses = world_poses(scene)
+    axes, yaw_and_scale = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
+    for k, item in enumerate(scene.objects):
+        uncertainty = item.uncertainty
+        if uncertainty is None or item.parent is None:
+            continue
+        frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
+        # The camera is above the world's origin, so the viewing direction is that of the position.
+        along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
+        c, s = math.cos(along), math.sin(along)
+        axes[k] = np.array([[c, -s], [s, c]]) * [uncertainty.along, uncertainty.across]
+        yaw_and_scale[k] = uncertainty.yaw, uncertainty.log_scale
+    return axes, yaw_and_scale
 
 
 def see_through(spec: ObjectSpec) -> bool:

@@ -45,9 +45,6 @@ class SceneArrays(eqx.Module):
     """True for objects whose base is free."""
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
-    photo_sigma: Float[AnyArray, "object 4"]
-    """Standard deviations after alignment with the photograph: x and y in the support's frame [m],
-    yaw [rad] and log scale; inf for objects that were not aligned."""
     corners: Float[AnyArray, "object 8 3"]
     """Corners of each object's bounding box in its frame, at its joint state [m]."""
     pair_mask: Bool[AnyArray, "object object"]
@@ -127,17 +124,8 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
     pair_mask = np.zeros((n, n), bool)
     pair_mask[: scene.count, : scene.count] = scene.pair_mask
     unit = np.array([0.0, 0.0, 1.0, 1.0])
-    fills = {"boxes": unit, "window": unit, "depth": 1.0}
-    names = (
-        "boxes",
-        "parsed",
-        "depth",
-        "scored",
-        "fully_visible",
-        "occludes",
-        "evidence",
-        "window",
-    )
+    fills = {"boxes": unit, "depth": 1.0}
+    names = ("boxes", "parsed", "depth", "scored", "fully_visible", "occludes")
     by_object = {name: pad_axis(getattr(photo, name), n, fills.get(name, 0)) for name in names}
     padded = SceneArrays(
         arrangement=pad_arrangement(scene.arrangement, n),
@@ -154,7 +142,6 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
         optimised=pad_axis(scene.optimised, n),
         movable=pad_axis(scene.movable, n),
         diagonal=pad_axis(scene.diagonal, n, 1.0),
-        photo_sigma=pad_axis(scene.photo_sigma, n, np.inf),
         corners=pad_axis(scene.corners, n),
         pair_mask=pair_mask,
         joint_object=pad_axis(scene.joint_object, b.joints, n - 1),

@@ -7,7 +7,6 @@ import jax
 
 from ..engines import ENGINES
 from ..errors import EngineError, SpecError, choices
-from .automatic import AutomaticEngine
 from .engine import EarlyStop, Engine, Rollout
 from .layout import Layout
 from .model import SceneModel
@@ -16,31 +15,24 @@ from .model import SceneModel
 def open_engine(name: str = "auto") -> Engine:
     """Return an engine by name.
 
-    If there is no accelerator, `auto` is `native`. Otherwise, each rollout of `auto` uses the
-    engine with the least predicted cost on this machine; see `automatic`.
+    `auto` is `native` if JAX computes on the CPU, else `warp` if it can run on this machine, else
+    `mjx`.
 
     Raises:
         EngineError: the engine is unknown or cannot run on this machine.
     """
     if name == "auto":
-        return _open_automatic()
+        if jax.default_backend() == "cpu":
+            return open_engine("native")
+        try:
+            return open_engine("warp")
+        except EngineError:
+            return open_engine("mjx")
     if name not in ENGINES:
         raise EngineError(f"engine: {choices(name, ['auto', *ENGINES])}")
     module, _, cls = ENGINES[name].location.partition(":")
     # Imported lazily, since not every engine's dependencies are installed.
     return getattr(import_module(module, __name__.rsplit(".", 2)[0]), cls)()
-
-
-def _open_automatic() -> Engine:
-    engines: dict[str, Engine] = {}
-    for name, entry in ENGINES.items():
-        if entry.accelerator and jax.default_backend() == "cpu":
-            continue
-        with contextlib.suppress(EngineError):
-            engines[name] = open_engine(name)
-    if not engines:
-        raise EngineError(f"no engine can run here; tried {', '.join(ENGINES)}")
-    return AutomaticEngine(engines) if len(engines) > 1 else next(iter(engines.values()))
 
 
 def rollout(

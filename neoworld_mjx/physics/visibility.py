@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
-from neoworld_kernels.culled import ObjectPoses, dot, true_indices
+from neoworld_kernels.convex_pieces import ObjectPoses, dot, true_indices
 from neoworld_kernels.first_hits import (
     ConvexRows,
     Rays,
@@ -66,8 +66,6 @@ class Visible(eqx.Module):
     """
     unoccluded_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
-    evidence: Float[Array, "pop object"]
-    """Sum of `PhotoView.evidence` over the pixels of the visible part, at most about 1."""
     outlines: Outlines
 
 
@@ -81,7 +79,7 @@ def as_parsed(photo: PhotoView, pop: int) -> Visible:
     middle = jnp.stack([x, y], axis=-1)
     projected = Outlines(boxes, extremes, middle, repeated(photo.depth), ones)
     unoccluded_sides = jnp.broadcast_to(ones[..., None] > 0, boxes.shape)
-    return Visible(boxes, ones, unoccluded_sides, jnp.zeros_like(ones), projected)
+    return Visible(boxes, ones, unoccluded_sides, projected)
 
 
 def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
@@ -209,7 +207,6 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
         jnp.zeros((scene.count, 4, pop)),
         jnp.zeros((scene.count, pop)),
         jnp.zeros((scene.count, 4, pop), bool),
-        jnp.zeros((scene.count, pop)),
     )
 
     def observe(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -267,37 +264,18 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
         box = jnp.where(any_visible & jnp.all(jnp.isfinite(box), axis=0), box, centre)
         count = jnp.sum(hit[:-1], axis=(0, 1))
         visible_fraction = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
-        cell_evidence = _evidence_at(scene.photo, k, x[:-1] * focal, y[:-1] * focal)
-        pixels = jnp.prod(span, axis=0) * (focal / (WINDOW_TILE * WINDOW_TILES)) ** 2
-        evidence = jnp.sum(jnp.where(cells, cell_evidence, 0.0), axis=(0, 1)) * pixels
-        values = (box, visible_fraction, ends_here & any_visible, evidence)
+        values = (box, visible_fraction, ends_here & any_visible)
         return tuple(a.at[k].set(b) for a, b in zip(result, values, strict=True))
 
-    boxes, visible_fraction, sides, evidence = lax.fori_loop(0, scored_count, observe, initial)
+    boxes, visible_fraction, sides = lax.fori_loop(0, scored_count, observe, initial)
     population_first = lambda v: jnp.moveaxis(v, -1, 0)
     visible_fraction = population_first(visible_fraction) * projected.inside
     return Visible(
         population_first(boxes) * focal,
         visible_fraction,
         population_first(sides),
-        population_first(evidence),
         projected,
     )
-
-
-def _evidence_at(
-    photo: PhotoView, k: Array, x: Float[Array, "*ray"], y: Float[Array, "*ray"]
-) -> Float[Array, "*ray"]:
-    """Return the evidence for object k at pixels. Outside the window, the nearest cell counts."""
-    cells = photo.evidence.shape[1]
-    if not cells:
-        return jnp.zeros_like(x)
-    low, high = photo.window[k, :2], photo.window[k, 2:]
-    column, row = (
-        jnp.clip(((v - low[a]) / (high[a] - low[a]) * cells).astype(jnp.int32), 0, cells - 1)
-        for a, v in enumerate((x, y))
-    )
-    return photo.evidence[k].ravel()[row * cells + column]
 
 
 def _least_inverse_depth(camera_scene: _CameraScene, count: int) -> Float[Array, "object pop"]:

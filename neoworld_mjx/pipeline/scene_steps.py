@@ -27,9 +27,7 @@ def refine_layout(context: StepContext) -> None:
 
     run, config = context.run, context.config
     by_model = config.refine.semantic.scorer == "mllm"
-    photo = None
-    if by_model or "s_photo" in config.refine.reward.terms:
-        photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb)
+    photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if by_model else None
     inputs: dict[str, object] = {
         "scene": run.path / COMPOSED,
         "options": config.refine,
@@ -54,7 +52,6 @@ def refine_layout(context: StepContext) -> None:
             seed=config.seed,
             photo=photo,
             panel=context.models,
-            scores=out / "refine" / "scores.jsonl" if by_model else None,
             progress=report,
         )
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)

@@ -1,7 +1,7 @@
 """Step 5: CEM-based scene refinement (paper Section 3.3, Algorithm 1)."""
 
 from .cem import CEM, CEMParams, CEMState, open_cem
-from .optimizer import OPTIMIZERS, Optimizer, open_optimizer
+from .optimizer import OPTIMIZERS, Optimizer, from_evosax
 from .outcome import Refined
 from .rewards import Term
 from .scene_refinement import refine
@@ -14,7 +14,7 @@ __all__ = [
     "Optimizer",
     "Refined",
     "Term",
+    "from_evosax",
     "open_cem",
-    "open_optimizer",
     "refine",
 ]

@@ -1,8 +1,7 @@
 """Algorithm 1 of the paper as data and pure functions: init, propose, evaluate, update, converged.
 
 The functions can be jitted, sharded, and vmapped over problems and states that `stack` combines.
-`loop.search` calls them for one run or many. docs/architecture.md maps them to the lines of
-Algorithm 1.
+`loop.search` calls them. docs/architecture.md maps them to the lines of Algorithm 1.
 
     problem = open_problem(scene, RefineOptions())
     state = init(problem, seed=0)
@@ -37,13 +36,11 @@ from ..physics.engine import Rollout
 from ..physics.layout import Layout
 from ..physics.placed import Placed, measure_settled
 from ..physics.scene_arrays import SceneArrays, on_device
-from .batching import stack
 from .cem import elite_count, elite_rows
 from .objective import Objective, Scores, open_objective
 from .objective import evaluate as score
-from .optimizer import Optimizer, open_optimizer
+from .optimizer import Optimizer, optimizer_factory
 from .rewards import Term
-from .strategies import Strategy
 
 __all__ = [
     "Problem",
@@ -66,7 +63,7 @@ class Problem(eqx.Module):
     """
 
     objective: Objective
-    optimizer: Optimizer | Strategy
+    optimizer: Optimizer
     origin: Layout
     """Initial layout, with a population axis of length 1."""
     max_factor: Float[Array, ""]
@@ -132,7 +129,7 @@ def open_problem(
     origin = Layout.zero(1, scene.count) if origin is None else origin
     return Problem(
         objective=open_objective(o, origin, terms),
-        optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem, o.strategy),
+        optimizer=optimizer or optimizer_factory(o.optimizer)(scene, o.cem),
         origin=origin,
         max_factor=on_device(o.cem.widest),
         by_object=o.cem.credit == "object",
@@ -251,14 +248,14 @@ def update(
     current = jnp.where(problem.stop_by_best, best, elite_mean)
     previous = jnp.where(problem.stop_by_best, state.best, state.elite_mean)
     gain = jnp.where(jnp.isfinite(previous), current - previous, jnp.inf)
-    if isinstance(problem.optimizer, Strategy):
-        updated = problem.optimizer.tell_with_key(
-            _key(state), state.optimizer, samples, scores.absolute
-        )
-    else:
-        updated = problem.optimizer.tell(
-            state.optimizer, samples, scores.reward, absolute=scores.absolute, credit=credit
-        )
+    updated = problem.optimizer.tell(
+        state.optimizer,
+        samples,
+        scores.reward,
+        key=_key(state),
+        absolute=scores.absolute,
+        credit=credit,
+    )
     return SearchState(
         optimizer=updated,
         seed=state.seed,
@@ -286,3 +283,19 @@ def converged(problem: Problem, state: SearchState) -> bool:
     """
     valid = not bool(problem.stop_by_best) or bool(state.any_valid)
     return valid and int(state.stalled) >= int(problem.patience)
+
+
+def stack(rows: Sequence[Any]) -> Any:
+    """Stack the arrays of pytrees, such as problems or states, on a new leading axis.
+
+    Leaves that are not arrays, such as the functions of terms, are taken from the first tree.
+    Arrays are stacked on the host, so each stacked array is transferred to the device once.
+
+    Raises:
+        ValueError: the trees differ in structure, for example because a static option differs.
+    """
+    structure = jax.tree.structure(rows[0])
+    if any(jax.tree.structure(row) != structure for row in rows[1:]):
+        raise ValueError("stack: the trees differ in structure, for example in a static option")
+    arrays, rest = zip(*(eqx.partition(row, eqx.is_array) for row in rows), strict=True)
+    return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])

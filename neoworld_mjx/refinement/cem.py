@@ -70,6 +70,7 @@ class CEM(eqx.Module):
         layouts: Layout,
         reward: Float[AnyArray, " pop"],
         *,
+        key: Key[Array, ""] | None = None,
         absolute: Float[AnyArray, " pop"] | None = None,
         credit: Float[AnyArray, "pop object"] | None = None,
     ) -> CEMState:
@@ -80,12 +81,13 @@ class CEM(eqx.Module):
             layouts: the candidates.
             reward: reward that ranks the candidates. Candidates whose reward is -inf or NaN are
                 never elites, so there may be fewer than K elites.
+            key: unused.
             absolute: unused.
             credit: reward of each object. If given, the mean and standard deviation of an object
                 are fitted to the K candidates in which this object has its highest finite credit.
                 They stay unchanged if no credit of the object is finite.
         """
-        del absolute
+        del key, absolute
         elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]
         ranks = jnp.repeat(reward[:, None], count, 1) if credit is None else credit
         rows, weights = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)
@@ -144,8 +146,7 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
 
     `sigma_xy` is a fraction of each object's horizontal bounding-box diagonal. The standard
     deviations of environment supports are zero. Objects attached to an upright plate, such as a
-    wall, move only along the plate and do not turn. With `photo_sigma`, no standard deviation
-    exceeds the one that the alignment with the photograph estimated.
+    wall, move only along the plate and do not turn.
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
@@ -155,10 +156,6 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
         (np.radians(options.sigma_yaw_deg) * moves * ~fixed.any(axis=1))[None],
         (options.sigma_log_scale * moves)[None],
     )
-    if options.photo_sigma:
-        aligned_sigma = np.asarray(scene.photo_sigma, np.float32)[None]
-        aligned_sigma = Layout(aligned_sigma[..., :2], aligned_sigma[..., 2], aligned_sigma[..., 3])
-        sigma = jax.tree.map(np.minimum, sigma, aligned_sigma)
     return on_device(sigma)
 
 

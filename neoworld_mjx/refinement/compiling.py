@@ -2,17 +2,10 @@
 
 import functools
 
-import numpy as np
-from jaxtyping import UInt8
-
-from ..align.photo_evidence import with_photo
 from ..config import RefineOptions
-from ..errors import ConfigError
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
 
-S_PHOTO = "s_photo"
-"""Name of the term that scores candidates by the pixels of the photograph."""
 LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7
 """Smallest reach, which fits the default `sigma_xy`, and the ratio of the reach to `sigma_xy`."""
 
@@ -34,25 +27,6 @@ def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
     """Compile a scene for a search with these options; the last four compiled scenes are cached."""
     r = options.rollout
     return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach_of(options))
-
-
-def with_evidence(
-    model: SceneModel, options: RefineOptions, photo: UInt8[np.ndarray, "row column 3"] | None
-) -> SceneModel:
-    """Add the evidence of the photograph to a compiled scene if a reward term needs it.
-
-    Raises:
-        ConfigError: S_photo is a reward term, but there is no photograph, and the scene does not
-            contain its evidence.
-    """
-    if S_PHOTO not in options.reward.terms or (photo is None and np.any(model.photo.evidence)):
-        return model
-    if photo is None:
-        raise ConfigError(
-            f"refine.reward.terms: {S_PHOTO} needs the photograph; pass it as photo, or name a run "
-            "folder"
-        )
-    return with_photo(model, photo)
 
 
 @functools.lru_cache(maxsize=4)

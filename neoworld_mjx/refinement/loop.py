@@ -1,18 +1,14 @@
-"""The loop of Algorithm 1, over one run or many.
+"""The loop of Algorithm 1.
 
 The host measures time, reports progress, settles and rolls out candidates, and requests scores from
-a model. The pure functions of `algorithm` and `objective` do everything else. A refinement is this
-loop over one run; a sweep is this loop over many runs.
-
-On accelerators the functions are mapped over runs by `vmap`, in tiles. On a CPU a tile is a single
-run, because `vmap` would not be faster. All results on a CPU are bit-identical to those of separate
-refinements.
+a model. The pure functions of `algorithm` and `objective` do everything else.
 """
 
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -22,10 +18,11 @@ from ..config import RefineOptions
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..physics.placed import Placed
 from ..physics.scene_arrays import on_device, pad_objects, pad_scene
 from ..progress import update as update_progress
-from .algorithm import converged, init, open_problem, propose, update
-from .batching import map_runs, tile_size
+from .algorithm import Problem, SearchState, converged, init, open_problem, propose, update
+from .choosing import NOT_SAMPLED, Round
 from .compiling import compile_for_search
 from .evaluation import Evaluation
 from .finishing import Finished, finish, with_resting_fixed
@@ -37,10 +34,8 @@ from .objective import (
     try_terms,
 )
 from .optimizer import Optimizer
-from .outcome import Iteration, summarize
 from .rewards import Term
 from .scorer import ScoreSource, SemanticScorer
-from .search_run import SearchResult, SearchRun, TimeToValid
 
 PADDED_OPTIMIZERS = ("cem", "random")
 """Optimizers that accept a padded scene."""
@@ -48,175 +43,210 @@ CLOCKS = ("propose", "settle", "rollout", "score", "wait")
 """Steps of a search whose time is measured."""
 
 
+class TimeToValid(NamedTuple):
+    """When a search found its first valid candidate."""
+
+    iteration: int
+    """Iteration that contains the candidate, counted from 1; 0 is the initial layout."""
+    rollouts: int
+    """Number of candidates that were rolled out up to and including this iteration."""
+
+
+@dataclass
+class SearchResult:
+    """Progress and results of a search, before the final check of its winner."""
+
+    evaluation: Evaluation
+    """Evaluation of candidates in the scene that is searched.
+
+    Some of its objects may be fixed; see `finishing.with_resting_fixed`.
+    """
+    problem: Problem
+    state: SearchState
+    initial: Finished
+    """Final scene of the initial layout, with its final check."""
+    accept_initial: bool
+    """If True, the initial layout is the result if it passes the final check."""
+    began: float
+    """Start of the search, by `time.perf_counter`."""
+    rounds: list[Round] = field(default_factory=list)
+    rollouts: int = 0
+    """Number of candidates that were rolled out."""
+    first_valid_s: float = float("nan")
+    """Time from the start of the search to the score of the first valid candidate [s]."""
+    first_valid: TimeToValid | None = None
+    """When the search found its first valid candidate; None if no candidate was valid."""
+    score_sources: list[np.ndarray] = field(default_factory=list)
+    """Source of each candidate's S_sem, by iteration; see `scorer.ScoreSource`."""
+    stuck: tuple[str, ...] = ()
+    """Names of objects that rested in no candidate, if the search ended for this reason."""
+    finished: bool = False
+    """True if the search has ended."""
+
+    @property
+    def iterations_done(self) -> int:
+        """Number of iterations so far, not counting the initial layout."""
+        return len(self.rounds) - self.evaluation.options.settle.enabled
+
+    def add(self, round_: Round) -> None:
+        """Add an iteration."""
+        self.rounds.append(round_)
+        self.rollouts += len(round_.scores.valid)
+        if bool(np.any(round_.scores.valid)):
+            self.note_valid()
+
+    def note_valid(self) -> None:
+        """Record the last iteration as the first one with a valid candidate, if it is the first."""
+        if self.first_valid is None:
+            self.first_valid = TimeToValid(self.iterations_done, self.rollouts)
+            self.first_valid_s = time.perf_counter() - self.began
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """Summary of one iteration of a search, which `refine` passes to `on_iteration`."""
+
+    number: int
+    """Number of the iteration, counted from 1. With settling, the initial layout comes before them
+    as number 0."""
+    candidates: int
+    """Number of candidates that were rolled out."""
+    valid: int
+    """Number of valid candidates."""
+    best: float | None
+    """Largest finite absolute reward; None if no candidate has one."""
+    mean: float | None
+    """Mean of the finite absolute rewards; None if there are none."""
+    merit: float | None
+    """Largest merit of a valid candidate; None if no candidate is valid."""
+    terms: dict[str, float]
+    """Reward terms of the candidate with the best absolute reward; empty if `best` is None."""
+
+
 def search(
     scene: SceneModel,
-    runs: Sequence[SearchRun],
+    o: RefineOptions,
     engine: Engine,
     *,
+    seed: int = 0,
+    start: Layout | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     scorer: SemanticScorer | None = None,
     clock: dict[str, float] | None = None,
     progress: Callable[[str], None] | None = None,
     on_iteration: Callable[[Iteration], bool | None] | None = None,
-) -> list[SearchResult]:
-    """Run Algorithm 1 for all runs at once, without the final check of the winners.
+) -> SearchResult:
+    """Run Algorithm 1, without the final check of the winner.
 
-    The initial layout of each run is settled and checked first. If it passes, the run ends with it,
-    unless there are user-defined terms, another optimizer or a scorer.
+    The initial layout is settled and checked first. If it passes, the search ends with it, unless
+    there are user-defined terms, another optimizer or a scorer.
 
     Args:
         scene: the compiled scene.
-        runs: the runs. Their options may differ only in traced values and in values that the host
-            uses.
+        o: options of the search, the rewards and the final check.
         engine: physics engine of the rollouts.
+        seed: random seed of the populations.
+        start: initial layout, with a population axis of length 1. If None, it is the composed
+            scene.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
-        scorer: source of S_sem by a model; only for a single run.
+        scorer: source of S_sem by a model.
         clock: seconds spent on each step; updated in place.
-        progress: called with one line per run and iteration.
-        on_iteration: called after each iteration of each run, which ends if it returns True.
+        progress: called with one line per iteration.
+        on_iteration: called after each iteration; the search ends if it returns True.
 
     Raises:
         ConfigError: two options contradict each other, or a reward term is invalid or not finite.
     """
     clock = {} if clock is None else clock
     clock |= dict.fromkeys(CLOCKS, 0.0) | clock
+    r = _open_search(
+        scene, o, engine, seed, start, terms, optimizer, scorer is None, clock, progress
+    )
+    if on_iteration is not None and r.rounds:
+        r.finished |= bool(on_iteration(summarize(0, r.rounds[0].scores)))
+    evaluation, problem = r.evaluation, r.problem
+    while not r.finished and r.iterations_done < o.cem.iterations:
+        began = time.perf_counter()
+        layouts = jax.device_get(propose(evaluation.arrays, problem, r.state, o.cem.population))
+        clock["propose"] += time.perf_counter() - began
+        placed = evaluation.place(layouts)
+        geometric = None if scorer is None else _submit(r, layouts, placed, scorer)
+        rollout = evaluation.roll_out(placed.poses)
+        s_sem = None
+        if scorer is not None and geometric is not None:
+            s_sem = _collect(r, geometric, scorer)
+        scores = evaluation.score(layouts, placed, rollout, s_sem)
+        r.state = evaluation.on_devices(
+            update, evaluation.arrays, problem, r.state, layouts, scores
+        )
+        name = f"iteration {r.iterations_done + 1}"
+        refuse_not_finite(problem.objective, scores, np.asarray(rollout.status), name)
+        r.add(evaluation.unpadded_round(layouts, placed.poses, scores))
+        if progress is not None:
+            progress(_line(r, scores))
+        r.finished = converged(problem, r.state)
+        stuck = np.flatnonzero(r.state.stuck)
+        if len(stuck) and not bool(r.state.any_valid):
+            r.finished, r.stuck = True, tuple(scene.names[k] for k in stuck)
+        if on_iteration is not None:
+            r.finished |= bool(on_iteration(summarize(r.iterations_done, scores)))
+        _update_progress(r)
+    clock["search"] = time.perf_counter() - r.began
+    return r
+
+
+def _open_search(
+    scene: SceneModel,
+    o: RefineOptions,
+    engine: Engine,
+    seed: int,
+    start: Layout | None,
+    terms: Sequence[Term],
+    optimizer: Optimizer | None,
+    by_geometry: bool,
+    clock: dict[str, float],
+    progress: Callable[[str], None] | None,
+) -> SearchResult:
+    """Prepare a search. With settling, the initial layout is its first iteration.
+
+    With user-defined terms, another optimizer or scores by a model, every object moves, and a scene
+    that passes the final check is searched, too.
+    """
     began = time.perf_counter()
-    o = runs[0].options
     objective = open_objective(o, terms=terms)
     try_terms(scene, objective, o)
-    initials = _initial_scenes(scene, runs, progress)
-    builtin_only = optimizer is None and scorer is None and has_builtin_terms_only(objective)
-    searched = _scene_to_search(scene, runs, initials) if builtin_only else scene
+    layout = Layout.zero(1, len(scene.names)) if start is None else start
+    initial = finish(scene, layout, 0, o)
+    if progress is not None:
+        progress(_initial_line(scene, initial, o))
+    builtin_only = optimizer is None and by_geometry and has_builtin_terms_only(objective)
+    rests = initial.rests(o)
+    hold = o.cem.hold_resting and builtin_only
+    searched = scene
+    if hold and start is None and not initial.passed and rests.any():
+        fixed = compile_for_search(with_resting_fixed(scene.spec, initial, o), o)
+        searched = dataclasses.replace(fixed, photo=scene.photo)
     padded = pad_scene(searched)
     use_padded = objective.padded and optimizer is None and o.optimizer in PADDED_OPTIMIZERS
     arrays = padded if use_padded else searched
-    tile = tile_size(len(runs), o.cem.population)
-    evaluation = Evaluation(searched, arrays, padded, engine, o, len(runs), tile, clock, began)
-    results = _initialize_runs(
-        evaluation, runs, initials, terms, optimizer, builtin_only=builtin_only
-    )
-    if on_iteration is not None and o.settle.enabled:
-        for r in results:
-            r.finished |= bool(on_iteration(summarize(0, r.rounds[0].scores)))
-    for t in range(max(run.options.cem.iterations for run in runs)):
-        active = [r for r in results if t < r.run.options.cem.iterations and not r.finished]
-        if not active:
-            break
-        layouts = _propose(evaluation, active)
-        placed = evaluation.place(layouts)
-        s_sem = None
-        if scorer is not None:
-            s_sem = _submit(evaluation, active[0], layouts[0], placed[0], scorer)
-        rollouts = evaluation.roll_out(placed)
-        if scorer is not None and s_sem is not None:
-            s_sem = _collect(evaluation, active[0], layouts[0], s_sem, scorer)
-        scores = evaluation.score(active, layouts, placed, rollouts, s_sem)
-        rows = [(r.problem, r.state, z, s) for r, z, s in zip(active, layouts, scores, strict=True)]
-        states = map_runs(update, arrays, rows, tile, o.cem.population)
-        for k, (r, state) in enumerate(zip(active, states, strict=True)):
-            r.state = state
-            status = np.asarray(rollouts[k].status)
-            refuse_not_finite(objective, scores[k], status, f"iteration {_iterations_done(r) + 1}")
-            r.rounds.append(evaluation.unpadded_round(layouts[k], placed[k].poses, scores[k]))
-            r.rollouts += len(scores[k].valid)
-            if bool(np.any(scores[k].valid)):
-                _record_first_valid(r, evaluation.began)
-            if progress is not None:
-                progress(_line(r, scores[k]))
-            r.finished = converged(r.problem, state)
-            stuck = np.flatnonzero(state.stuck)
-            if len(stuck) and not bool(state.any_valid):
-                r.finished, r.stuck = True, tuple(scene.names[k] for k in stuck)
-            if on_iteration is not None:
-                r.finished |= bool(on_iteration(summarize(_iterations_done(r), scores[k])))
-        _update_progress(results, runs, began)
-    clock["search"] = time.perf_counter() - began
-    return results
-
-
-def _initial_scenes(
-    scene: SceneModel, runs: Sequence[SearchRun], progress: Callable[[str], None] | None
-) -> list[Finished]:
-    """Return the final scene of every run's initial layout.
-
-    Runs whose initial layouts and options of the check are equal share one final scene.
-    """
-    finished: dict[Any, Finished] = {}
-    initials = []
-    for run in runs:
-        o = run.options
-        start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
-        key = (o.max_depth_m, o.max_drift_m, o.max_tilt_deg, o.check_duration_s, o.check_timestep_s)
-        key += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
-        if key not in finished:
-            finished[key] = finish(scene, start, 0, o)
-            if progress is not None:
-                progress(_initial_line(scene, finished[key], o))
-        initials.append(finished[key])
-    return initials
-
-
-def _scene_to_search(
-    scene: SceneModel, runs: Sequence[SearchRun], initials: Sequence[Finished]
-) -> SceneModel:
-    """Return the scene to search, in which resting objects are fixed if this suits all runs."""
-    first = initials[0]
-    shared = all(run.start is None and run.options.cem.hold_resting for run in runs)
-    shared &= all(initial is first for initial in initials)
-    o = runs[0].options
-    if not shared or first.passed or not first.rests(o).any():
-        return scene
-    searched = compile_for_search(with_resting_fixed(scene.spec, first, o), o)
-    return dataclasses.replace(searched, photo=scene.photo)
-
-
-def _initialize_runs(
-    evaluation: Evaluation,
-    runs: Sequence[SearchRun],
-    initials: Sequence[Finished],
-    terms: Sequence[Term],
-    optimizer: Optimizer | None,
-    *,
-    builtin_only: bool,
-) -> list[SearchResult]:
-    """Initialize every run. With settling, the initial layout is its first iteration.
-
-    If `builtin_only` is False (user-defined terms, another optimizer or scores by a model), every
-    object moves, and a scene that passes the final check is searched, too.
-    """
-    scene, arrays, padded = evaluation.scene, evaluation.arrays, evaluation.padded
-    results = []
-    for run, initial in zip(runs, initials, strict=True):
-        o = run.options
-        start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
-        origin = on_device(pad_objects(start, arrays.count))
-        problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
-        factor = _initial_factors(arrays.count, initial, o.cem.hold_resting and builtin_only, o)
-        state = init(problem, run.seed, factor)
-        result = SearchResult(run, problem, state, scene, arrays, padded, initial, builtin_only)
-        results.append(result)
-    if evaluation.options.settle.enabled:
-        for result, round_ in zip(results, evaluation.score_initials(results), strict=True):
-            result.rounds.append(round_)
-            result.score_sources.append(np.array([ScoreSource.GEOMETRIC], np.int8))
-            result.rollouts = 1
-            result.finished = result.initial.passed and builtin_only
-            if result.initial.passed or bool(round_.scores.valid[0]):
-                _record_first_valid(result, evaluation.began)
-    return results
-
-
-def _record_first_valid(r: SearchResult, began: float) -> None:
-    """Record the current iteration as the first one with a valid candidate, if it is the first."""
-    if r.first_valid is None:
-        r.first_valid = TimeToValid(_iterations_done(r), r.rollouts)
-        r.first_valid_s = time.perf_counter() - began
+    origin = on_device(pad_objects(layout, arrays.count))
+    problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
+    evaluation = Evaluation(searched, arrays, padded, engine, o, problem.objective, clock)
+    state = init(problem, seed, _initial_factors(arrays.count, rests, hold))
+    r = SearchResult(evaluation, problem, state, initial, builtin_only, began)
+    if o.settle.enabled:
+        r.add(evaluation.score_initial(initial.scene, origin))
+        r.score_sources.append(np.array([ScoreSource.GEOMETRIC], np.int8))
+        r.finished = initial.passed and builtin_only
+        if initial.passed:
+            r.note_valid()
+    return r
 
 
 def _initial_factors(
-    count: int, initial: Finished, hold_resting: bool, o: RefineOptions
+    count: int, rests: np.ndarray, hold_resting: bool
 ) -> Float[np.ndarray, " object"]:
     """Return the initial factor of each object's standard deviations.
 
@@ -225,7 +255,6 @@ def _initial_factors(
     """
     factors = np.ones(count, np.float32)
     if hold_resting:
-        rests = initial.rests(o)
         factors[: len(rests)][rests] = 0.0
     return factors
 
@@ -238,66 +267,60 @@ def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str
     return f"{len(failing)} of {int(moving.sum())} objects do not rest: {', '.join(failing)}"
 
 
-def _propose(evaluation: Evaluation, active: Sequence[SearchResult]) -> list[Layout]:
-    began = time.perf_counter()
-    rows = [(r.problem, r.state, r.run.options.cem.population) for r in active]
-    layouts = map_runs(propose, evaluation.arrays, rows, evaluation.tile)
-    evaluation.clock["propose"] += time.perf_counter() - began
-    return layouts
-
-
-def _submit(
-    evaluation: Evaluation, r: SearchResult, layouts: Layout, placed: Any, scorer: SemanticScorer
-) -> np.ndarray:
+def _submit(r: SearchResult, layouts: Layout, placed: Placed, scorer: SemanticScorer) -> np.ndarray:
     """Submit the candidates that score best before physics; return the geometric S_sem of all."""
-    before = evaluation.before_physics(r, layouts, placed)
-    poses = evaluation.unpadded(placed.poses)
-    order = scorer.best(np.asarray(before.reward))
-    scorer.submit(len(r.rounds), order, evaluation.unpadded(layouts), poses)
-    return np.asarray(before.terms["s_sem"])
+    evaluation = r.evaluation
+    before = evaluation.score_before_physics(layouts, placed)
+    geometric = np.asarray(before.terms["s_sem"])
+    candidates = evaluation.unpadded(layouts), evaluation.unpadded(placed.poses)
+    scorer.submit(len(r.rounds), np.asarray(before.reward), geometric, *candidates)
+    return geometric
 
 
-def _collect(
-    evaluation: Evaluation,
-    r: SearchResult,
-    layouts: Layout,
-    geometric: np.ndarray,
-    scorer: SemanticScorer,
-) -> np.ndarray:
+def _collect(r: SearchResult, geometric: np.ndarray, scorer: SemanticScorer) -> np.ndarray:
     """Wait for scores by a model, and return S_sem of all candidates of an iteration."""
     began = time.perf_counter()
     scorer.collect(len(r.rounds))
-    evaluation.clock["wait"] += time.perf_counter() - began
-    values, sources = scorer.s_sem_of(len(r.rounds), evaluation.unpadded(layouts), geometric)
+    r.evaluation.clock["wait"] += time.perf_counter() - began
+    values, sources = scorer.s_sem_of(len(r.rounds), geometric)
     r.score_sources.append(sources)
     return values
 
 
-def _iterations_done(r: SearchResult) -> int:
-    """Return the number of iterations so far, not counting the initial layout."""
-    return len(r.rounds) - r.run.options.settle.enabled
+def summarize(number: int, scores: Scores) -> Iteration:
+    """Summarize the scores of the iteration with this number."""
+    absolute, valid = np.asarray(scores.absolute, float), np.asarray(scores.valid)
+    finite = np.isfinite(absolute)
+    best = int(np.where(finite, absolute, -np.inf).argmax()) if finite.any() else None
+    return Iteration(
+        number=number,
+        candidates=int(np.sum(np.asarray(scores.status) != NOT_SAMPLED)),
+        valid=int(np.sum(valid)),
+        best=None if best is None else float(absolute[best]),
+        mean=None if best is None else float(absolute[finite].mean()),
+        merit=float(np.asarray(scores.merit)[valid].max()) if valid.any() else None,
+        terms={}
+        if best is None
+        else {name: float(np.asarray(x)[best]) for name, x in scores.terms.items()},
+    )
 
 
 def _line(r: SearchResult, scores: Scores) -> str:
     best = float(np.asarray(scores.absolute).max())
     return (
-        f"iteration {_iterations_done(r)}/{r.run.options.cem.iterations}: best {best:.3f}, "
+        f"iteration {r.iterations_done}/{r.evaluation.options.cem.iterations}: best {best:.3f}, "
         f"elites {float(r.state.elite_mean):.3f}, {float(np.mean(scores.valid)):.0%} valid"
     )
 
 
-def _update_progress(
-    results: Sequence[SearchResult], runs: Sequence[SearchRun], began: float
-) -> None:
+def _update_progress(r: SearchResult) -> None:
     """Report the number of iterations, the candidates per second and the longest remaining time."""
-    seconds = time.perf_counter() - began
-    done = sum(map(_iterations_done, results))
-    total = sum(run.options.cem.iterations for run in runs)
-    candidates = sum(r.rollouts for r in results)
+    seconds = time.perf_counter() - r.began
+    done, total = r.iterations_done, r.evaluation.options.cem.iterations
     update_progress(
         done=done,
         of=total,
         unit="iteration",
-        rate=candidates / max(seconds, 1e-9),
+        rate=r.rollouts / max(seconds, 1e-9),
         left_s=seconds / max(done, 1) * (total - done),
     )

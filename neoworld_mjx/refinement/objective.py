@@ -28,7 +28,6 @@ from .rewards import (
     drift_by_object,
     measured_rollout,
     penetration,
-    photo_agreement,
     semantics,
     source,
     symmetric_depth,
@@ -71,15 +70,8 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         cap=o.reward.d_drift_cap,
         padded=True,
     ),
-    "s_photo": lambda o: Term("s_photo", photo_agreement, 1.0, padded=True),
 }
-"""Factories of the built-in terms, by name.
-
-The weights of the terms in DEFAULT_TERMS have options of their own. Any other term is used only if
-`refine.reward.terms` names it, with the weight given there.
-"""
-DEFAULT_TERMS = ("s_sem", "prior", "d_pen", "d_drift")
-"""Names of the terms that every objective has."""
+"""Factories of the built-in terms, by name. Every objective has these terms."""
 PHYSICAL = ("d_pen", "d_drift")
 """Terms whose values the bounds of a valid candidate limit."""
 RESERVED = (
@@ -137,9 +129,7 @@ def open_objective(
     def scalar(x: float) -> Array:
         return jax.device_put(np.float32(x))
 
-    all_terms = (
-        [TERMS[name](options) for name in DEFAULT_TERMS] + named_terms(options) + list(terms)
-    )
+    all_terms = [term(options) for term in TERMS.values()] + named_terms(options) + list(terms)
     names = [term.name for term in all_terms]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
@@ -159,35 +149,30 @@ def open_objective(
 
 
 def has_builtin_terms_only(objective: Objective) -> bool:
-    """Return whether the objective has only the terms of DEFAULT_TERMS.
+    """Return whether the objective has only the built-in terms.
 
     Any other term may reward moving an object that already rests.
     """
-    return all(term.name in DEFAULT_TERMS for term in objective.terms)
+    return all(term.name in TERMS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
-    """Return the terms of `refine.reward.terms`, given by name or by import path.
+    """Return the terms of `refine.reward.terms`, given by import path.
 
     A term with the import path "package.module:function" gets the name of its function. If that
     name is taken, the name of the term is the whole path.
 
     Raises:
-        ConfigError: a name is unknown, or a path is malformed or does not name a function.
+        ConfigError: a path is malformed, does not name a function, or names a built-in term.
     """
     terms: list[Term] = []
     taken = {*TERMS, *RESERVED}
     for path, weight in options.reward.terms.items():
-        if path in DEFAULT_TERMS:
+        if path in TERMS:
             raise ConfigError(
                 f"refine.reward.terms: {path} is always included; its weight has a separate option"
             )
-        if path in TERMS:
-            terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
-            continue
-        fn = import_function(
-            "refine.reward.terms", path, {n: t for n, t in TERMS.items() if n not in DEFAULT_TERMS}
-        )
+        fn = import_function("refine.reward.terms", path, {})
         function_name = path.partition(":")[2]
         terms.append(Term(path if function_name in taken else function_name, fn, weight))
         taken.add(terms[-1].name)

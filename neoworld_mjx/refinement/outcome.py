@@ -10,10 +10,10 @@ from ..measure import SceneMeasure, scene_checks
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..spec import SceneSpec
-from .choosing import Winner
-from .objective import Objective, Scores
-from .rounds import NOT_SAMPLED, Round, stack_padded
-from .search_run import SearchResult, TimeToValid
+from .choosing import NOT_SAMPLED, Round, Winner, stack_padded
+from .loop import SearchResult, TimeToValid
+from .objective import Objective
+from .scorer import SemanticScorer
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,7 +32,7 @@ class Refined:
     """Arrays of all candidates, with leading axes [iteration, pop].
 
     The keys are `reward`, `absolute`, `merit`, `status`, `valid`, the name of each term, `xy`,
-    `yaw` and `log_scale`, and `s_sem_from` (see `scorer.Mark`) if a model scored candidates. The
+    `yaw` and `log_scale`, and `s_sem_from` (a `ScoreSource`) if a model scored candidates. The
     keys `object_names`, `term_names` and `term_weights` hold arrays without these axes.
     """
     engine: str
@@ -82,45 +82,6 @@ class Refined:
         return int(np.sum(self.history["status"] != NOT_SAMPLED))
 
 
-@dataclass(frozen=True)
-class Iteration:
-    """Summary of one iteration of a search, which `refine` passes to `on_iteration`."""
-
-    number: int
-    """Number of the iteration, counted from 1. With settling, the initial layout comes before them
-    as number 0."""
-    candidates: int
-    """Number of candidates that were rolled out."""
-    valid: int
-    """Number of valid candidates."""
-    best: float | None
-    """Largest finite absolute reward; None if no candidate has one."""
-    mean: float | None
-    """Mean of the finite absolute rewards; None if there are none."""
-    merit: float | None
-    """Largest merit of a valid candidate; None if no candidate is valid."""
-    terms: dict[str, float]
-    """Reward terms of the candidate with the best absolute reward; empty if `best` is None."""
-
-
-def summarize(number: int, scores: Scores) -> Iteration:
-    """Summarize the scores of the iteration with this number."""
-    absolute, valid = np.asarray(scores.absolute, float), np.asarray(scores.valid)
-    finite = np.isfinite(absolute)
-    best = int(np.where(finite, absolute, -np.inf).argmax()) if finite.any() else None
-    return Iteration(
-        number=number,
-        candidates=int(np.sum(np.asarray(scores.status) != NOT_SAMPLED)),
-        valid=int(np.sum(valid)),
-        best=None if best is None else float(absolute[best]),
-        mean=None if best is None else float(absolute[finite].mean()),
-        merit=float(np.asarray(scores.merit)[valid].max()) if valid.any() else None,
-        terms={}
-        if best is None
-        else {name: float(np.asarray(x)[best]) for name, x in scores.terms.items()},
-    )
-
-
 def outcome(
     model: SceneModel,
     result: SearchResult,
@@ -130,9 +91,7 @@ def outcome(
     engine: str,
     clock: dict[str, float],
     delivered: dict[str, float],
-    semantic: np.ndarray | None = None,
-    scoring: dict[str, Any] | None = None,
-    fallbacks: tuple[str, ...] = (),
+    scorer: SemanticScorer | None = None,
 ) -> Refined:
     """Assemble the outcome of a refinement.
 
@@ -143,18 +102,17 @@ def outcome(
         winner: the winner.
         engine: name of the physics engine.
         clock: seconds spent on each step.
-        delivered: scores of the final scene; see `delivery.final_scene_scores`.
-        semantic: source of each candidate's S_sem (see `scorer.Mark`); shape [iteration, pop].
-        scoring: summary of the semantic scorer.
-        fallbacks: descriptions of the fallbacks of earlier steps.
+        delivered: scores of the final scene; see `Evaluation.score_final`.
+        scorer: source of S_sem by a model.
     """
-    o = result.run.options
+    o = result.evaluation.options
     moves = np.asarray(model.optimised)
     count = len(model.names)
     layout: Layout = jax.tree.map(lambda x: np.asarray(x)[:, :count], winner.layout)
     logs = layout.log_scale[0][moves]
     shift = np.linalg.norm(layout.xy[0][moves], axis=-1)
     turn = np.degrees(np.abs(layout.yaw[0][moves]))
+    fallbacks = () if scorer is None else scorer.fallbacks
     if result.stuck:
         fallbacks += (
             f"the search ended after {len(rounds)} iterations: in no candidate did "
@@ -169,8 +127,8 @@ def outcome(
             f"used: {'; '.join(failed)}",
         )
     history = _history(model, rounds, result.problem.objective)
-    if semantic is not None:
-        history["s_sem_from"] = semantic
+    if scorer is not None:
+        history["s_sem_from"] = stack_padded(result.score_sources, 0)
     rests = result.initial.rests(o)
     return Refined(
         scene=winner.scene,
@@ -189,7 +147,7 @@ def outcome(
         seconds=clock,
         fallbacks=fallbacks,
         kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
-        scoring=scoring or {},
+        scoring={} if scorer is None else scorer.summary(),
         delivered=delivered,
         first_valid=result.first_valid,
     )

@@ -1,6 +1,6 @@
 """Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-`d_pen`, `d_drift`, `s_sem` and `s_photo` are compiled at the first call with given array shapes.
+`d_pen`, `d_drift` and `s_sem` are compiled at the first call with given array shapes.
 You can call them inside `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` adds such a function,
 built-in or user-defined, to the reward.
 """
@@ -21,17 +21,15 @@ from ..physics.array_types import AnyArray
 from ..physics.engine import Rollout
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import pair_depths
+from ..physics.placed import pair_depths, pair_gaps
 from ..physics.scene_arrays import SceneArrays
 from ..physics.visibility import Visible, visibility
 from ..spec.pose import angle_between, length
-from .motion import gaps, speeds
 from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
-__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "gaps"]
-__all__ += ["s_photo", "s_sem", "speeds"]
+__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "gaps", "s_sem", "speeds"]
 
 
 class TermValue(eqx.Module):
@@ -144,17 +142,6 @@ def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = Non
     visible = _visible(scene, layouts, rollout)
     scored = semantic_score(scene, _depth(scene, layouts, rollout), visible)
     return TermValue(scored.total, scored.total, scored.by_object)
-
-
-def photo_agreement(
-    scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
-) -> TermValue:
-    """Compute S_photo, and the contribution of each object; see `s_photo`."""
-    visible = _visible(scene, layouts, rollout)
-    informed = jnp.any(jnp.asarray(scene.photo.evidence) != 0, axis=(1, 2))
-    by_object = jnp.where(informed, visible.evidence, 0.0) / jnp.maximum(jnp.sum(informed), 1)
-    total = jnp.sum(by_object, axis=1)
-    return TermValue(total, total, by_object)
 
 
 class Drift(eqx.Module):
@@ -336,25 +323,6 @@ def s_sem(
     return _call(semantics, "s_sem", scene, layouts, rollout)
 
 
-def s_photo(
-    scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
-) -> Float[Array, " pop"]:
-    """Compute S_photo, the agreement of the placed candidates with the colors of the photograph.
-
-    S_photo is the mean of a score over the objects whose colors differ from their surroundings. The
-    score is the sum of the log likelihood ratios (object against background) of the pixels that
-    show the object, divided by the sum of their absolute values in the composed scene. It is about
-    1 if all pixels have the object's colors, and 0 without a photograph (see `with_photo`).
-
-    `rollout` is unused. The function is compiled; it can be jitted and vmapped. It has no gradient.
-
-    Raises:
-        TypeError: an argument is of another type.
-        ValueError: an axis does not fit the scene.
-    """
-    return _call(photo_agreement, "s_photo", scene, layouts, rollout)
-
-
 def term_value(term: Term, fn: TermFunction, *args: Any) -> TermValue:
     """Call the function of a term, and wrap a plain array into a TermValue."""
     value = fn(*args)
@@ -428,3 +396,39 @@ def source(fn: Any) -> str:
         return f"{inspect.getsourcefile(inner)}:{inspect.getsourcelines(inner)[1]}"
     except (TypeError, OSError, ValueError):
         return f"{getattr(fn, '__module__', None) or 'a built-in'}, no source file"
+
+
+def gaps(
+    scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None
+) -> Float[Array, "pop object object"]:
+    """Return the signed distance [m] of each pair of objects, negative where they penetrate.
+
+    The distance is measured from surface samples of one object to the convex pieces of the other.
+    Outside an edge of a convex polytope, it is at most the true distance. It is inf between
+    environment supports and on the diagonal. This function can be jitted and differentiated.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        rollout: rollout of the candidates. Distances are measured at its start, or at the placed
+            poses if it is None.
+    """
+    return pair_gaps(scene, scene.place(layouts) if rollout is None else rollout.start)
+
+
+def speeds(
+    rollout: Rollout,
+) -> tuple[Float[Array, "pop time object"], Float[Array, "pop time object"]]:
+    """Return each object's mean speed [m/s] and angular speed [rad/s] between successive records.
+
+    The first interval begins at the start of the rollout. Engines record only poses, every
+    `refine.rollout.record_every_s`, and a rollout that stopped early repeats its last pose. To
+    measure peak speeds, record often and set `refine.rollout.early_stop: false`. This function can
+    be jitted.
+    """
+    start: Any = rollout.start
+    pos = jnp.concatenate([start.pos[:, None], rollout.pos], axis=1)
+    quat = jnp.concatenate([start.quat[:, None], rollout.quat], axis=1)
+    time = jnp.diff(jnp.concatenate([jnp.zeros(1), rollout.time]))[:, None]
+    moved = length(jnp.diff(pos, axis=1), jnp)
+    return moved / time, angle_between(quat[:, :-1], quat[:, 1:], jnp) / time

@@ -12,22 +12,19 @@ import numpy as np
 from ..config import RefineOptions
 from ..engines import EngineChoice
 from ..mllm import Panel, Picture
-from ..physics.automatic import AutomaticEngine
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
-from .choosing import choose_winner
-from .compiling import compile_for_search, with_evidence
-from .delivery import final_scene_scores
-from .loop import CLOCKS, search
+from .choosing import Round, Winner, choose_winner
+from .compiling import compile_for_search
+from .evaluation import named_scores
+from .loop import CLOCKS, Iteration, SearchResult, search
 from .optimizer import Optimizer
-from .outcome import Iteration, Refined, outcome
+from .outcome import Refined, outcome
 from .rewards import Term
-from .rounds import Round, rank_candidates, stack_padded
 from .scorer import ScoreSource, SemanticScorer
-from .search_run import SearchRun
 
 COMPOSED = "compose/scene.json"
 """Path of the composed scene in a run folder."""
@@ -46,8 +43,6 @@ def refine(
     optimizer: Optimizer | None = None,
     photo: Picture | None = None,
     panel: Panel | None = None,
-    scores: Path | None = None,
-    recorded: Path | None = None,
     progress: Callable[[str], None] | None = None,
     on_iteration: Callable[[Iteration], bool | None] | None = None,
 ) -> Refined:
@@ -72,11 +67,8 @@ def refine(
         engine: physics engine or its name. If None, the options name the engine.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
-        photo: the photograph, for S_photo and for S_sem by a model.
+        photo: the photograph, for S_sem by a model.
         panel: models, of which the critic scores candidates.
-        scores: file into which the scores by a model are written.
-        recorded: file of the scores of an earlier run. Each score is used in the iteration in which
-            that run first used it, and no requests are sent.
         progress: called with one line per iteration.
         on_iteration: called with a summary of each iteration as soon as it is complete. The search
             ends if it returns True.
@@ -95,18 +87,17 @@ def refine(
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
         began = time.perf_counter()
         model = open_scene(scene, o)
-        model = with_evidence(model, o, None if photo is None else photo.rgb)
         clock["compile"] = time.perf_counter() - began
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
-            scorer = SemanticScorer(
-                model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
-            )
+            scorer = SemanticScorer(model, photo, panel, o.semantic)
         try:
-            (result,) = search(
+            result = search(
                 model,
-                [SearchRun(o, seed, start)],
+                o,
                 engine,
+                seed=seed,
+                start=start,
                 terms=terms,
                 optimizer=optimizer,
                 scorer=scorer,
@@ -114,16 +105,15 @@ def refine(
                 progress=progress,
                 on_iteration=on_iteration,
             )
-            rounds, score_sources = result.rounds, result.score_sources
-            began = time.perf_counter()
+            rounds = result.rounds
             if scorer is not None:
-                scorer.await_for([index for index, _ in rank_candidates(rounds)][: o.finalists])
-                weight = o.reward.w_sem
+                scorer.collect(len(rounds))
                 rounds = [
-                    _with_late_scores(scorer, t, round_, score_sources[t], weight)
-                    for t, round_ in enumerate(rounds)
+                    _with_late_scores(scorer, t, round_, sources, o.reward.w_sem)
+                    for t, (round_, sources) in enumerate(
+                        zip(rounds, result.score_sources, strict=True)
+                    )
                 ]
-            clock["wait"] += time.perf_counter() - began
         finally:
             if scorer is not None:
                 scorer.close()
@@ -134,14 +124,14 @@ def refine(
             o,
             result.initial,
             start,
-            result.scene,
+            result.evaluation.scene,
             accept_initial=result.accept_initial,
         )
         by_model = None
         if scorer is not None and winner.index[0] >= 0:
             t, k = winner.index
             by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
-        (values,) = final_scene_scores([result], [winner], engine, by_model)
+        delivered = _delivered_scores(result, winner, by_model)
         clock["check"] = time.perf_counter() - began
         return outcome(
             model,
@@ -150,11 +140,8 @@ def refine(
             winner,
             engine=engine.name,
             clock=clock | {"to_valid": result.first_valid_s},
-            delivered=values,
-            semantic=None if scorer is None else stack_padded(score_sources, 0),
-            scoring=None if scorer is None else scorer.summary(),
-            fallbacks=(tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
-            + (() if scorer is None else scorer.fallbacks),
+            delivered=delivered,
+            scorer=scorer,
         )
 
 
@@ -197,6 +184,17 @@ def read_composed(path: Path) -> SceneSpec:
     return read_scene(composed if composed.is_file() else path)
 
 
+def _delivered_scores(
+    result: SearchResult, winner: Winner, by_model: float | None
+) -> dict[str, float]:
+    """Return `absolute`, `merit` and the terms of the winner's final scene, by name."""
+    settles = result.evaluation.options.settle.enabled
+    if winner.index == (0, 0) and winner.passed and settles and by_model is None:
+        # The search has already scored the initial layout at its settled poses.
+        return named_scores(result.rounds[0].scores)
+    return result.evaluation.score_final(winner.scene, winner.layout, by_model)
+
+
 def _with_late_scores(
     scorer: SemanticScorer, t: int, round_: Round, score_sources: np.ndarray, weight: float
 ) -> Round:
@@ -205,8 +203,8 @@ def _with_late_scores(
     change = np.zeros(len(score_sources), np.float32)
     for k in range(len(score_sources)):
         late = scorer.known((t, k))
-        if late is not None and late.value is not None:
-            change[k] = late.value - float(s_sem[k])
+        if late is not None:
+            change[k] = late - float(s_sem[k])
             score_sources[k] = ScoreSource.SCORED
     scores = eqx.tree_at(
         lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.merit),

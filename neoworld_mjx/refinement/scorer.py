@@ -1,72 +1,158 @@
-"""S_sem by a model, which scores the best candidates while rollouts run.
+"""S_sem by a model (Appendix B), which scores the best candidates while their rollouts run.
 
-    with SemanticScorer(model, photo, panel, options, log=path) as scorer:
-        scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
-        ...                                                       # run the rollout
-        scorer.collect(t)                                         # waits according to options.wait
-        s_sem, sources = scorer.s_sem_of(t, layouts, geometric)         # for every candidate
+    scorer.submit(t, reward, geometric, layouts, poses)  # returns at once
+    ...                                                  # run the rollout
+    scorer.collect(t)                                    # waits, at most `timeout_s`
+    s_sem, sources = scorer.s_sem_of(t, geometric)       # for every candidate
 
-Before the winner is chosen, `await_for` waits for the scores of the finalists. After that,
-`s_sem_of` computes the S_sem of any iteration from all known scores.
+A score that arrives too late for its own iteration counts from the iteration in which it arrives.
+A candidate without a score has the geometric S_sem plus the mean difference between the model's
+scores and the geometric ones, so that scored and other candidates are comparable.
+
+The panel records the responses on its tape. A run that replays them, or that is resumed, gives the
+same scores; the result is the same if no score was late.
 """
 
+import threading
 import time
-from collections.abc import Iterable, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from enum import IntEnum
-from pathlib import Path
-from typing import Any
+from functools import cache
+from importlib import resources
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int8
+from jaxtyping import Float, Int8
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ..config import CEMOptions, SemanticOptions
-from ..errors import ConfigError
-from ..mllm import Panel, Picture
+from ..config import SemanticOptions
+from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
+from ..mllm import Panel, Picture, Request
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from .score_log import (
-    CandidateId,
-    RecordedScores,
-    Score,
-    ScoreLog,
-    ScoringJob,
-    Stage,
-    layout_digest,
+from ..render import render_plain
+from ..spec import SceneSpec
+
+CandidateId = tuple[int, int]
+"""(iteration, candidate)."""
+PICTURE_PX = 320
+"""Width of the rendered image of a candidate [px]. Rendering competes with physics for the CPU."""
+GIVE_UP_AFTER = 5
+"""Number of consecutive failures after which no more scores are requested."""
+
+Level = Literal[0, 1, 2, 3, 4]
+MAX_LEVEL = max(get_args(Level))
+CRITERIA = ("depth_ordering", "relative_size", "relative_orientation", "intersections")
+PROMPT = (
+    "The objects and their supports:\n\n{listing}\n\n"
+    "Compare the arrangement of the objects in the candidate with that in the photograph."
 )
-from .score_worker import Draw, ScoreWorkers
-from .surrogate import surrogate_scores
+
+
+class Judged(BaseModel):
+    """One criterion; the reason comes first, so that the level follows from it."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: str = Field(description="What agrees and what does not, in one or two sentences.")
+    level: Level = Field(description="0 (most pairs disagree) to 4 (all agree).")
+
+    @field_validator("level", mode="before")
+    @classmethod
+    def _reject_bool(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            raise ValueError("a level is a number from 0 to 4, not true or false")
+        return value
+
+
+class Judgement(BaseModel):
+    """The critic's judgement of one candidate."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    depth_ordering: Judged
+    relative_size: Judged
+    relative_orientation: Judged
+    intersections: Judged
+
+    @property
+    def value(self) -> float:
+        """S_sem: the sum of the levels over its maximum, in [0, 1]."""
+        return sum(getattr(self, name).level for name in CRITERIA) / (MAX_LEVEL * len(CRITERIA))
+
+
+@cache
+def system_text() -> str:
+    """Return the critic's system text."""
+    return resources.files("neoworld_mjx.refinement").joinpath("scorer.md").read_text("utf-8")
+
+
+def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Request[Judgement]:
+    """Build the request that scores one candidate.
+
+    The system text and the photograph come first and are equal for all candidates of a run, so a
+    server with a prompt cache charges their full price only once.
+
+    Args:
+        photo: the photograph; pass the same Python object for all candidates.
+        candidate: the rendered image of the candidate, labeled "candidate".
+        scene: the scene of any candidate, for the names and the hierarchy of its objects.
+    """
+    return Request(
+        role="critic",
+        name="score",
+        system=system_text(),
+        prompt=PROMPT.format(listing=listing(scene)),
+        schema=Judgement,
+        pictures=[photo, candidate],
+    )
+
+
+def listing(scene: SceneSpec) -> str:
+    """List the objects of a scene with their supports, one object per line."""
+    lines = []
+    for item in scene.objects:
+        place = "the environment" if item.environment else "stands by itself"
+        if item.parent is not None:
+            place = f"{item.relation} {item.parent}"
+            if item.parent_link is not None:
+                place += f" ({item.parent_link})"
+        lines.append(f"- {item.name}: {place}")
+    return "\n".join(lines)
 
 
 class ScoreSource(IntEnum):
     """Source of a candidate's S_sem."""
 
     GEOMETRIC = 0
-    """Computed from the parsed boxes and depths."""
-    ESTIMATED = 1
-    """Estimated by the surrogate from the scores of other candidates."""
-    SCORED = 2
+    """Geometric score plus the mean difference of the model's scores."""
+    SCORED = 1
     """Scored by the model."""
 
 
+class Score(NamedTuple):
+    """Score of one candidate."""
+
+    value: float | None
+    """S_sem in [0, 1]; None if scoring failed."""
+    error: str
+    """Reason why scoring failed, or an empty string."""
+    counted: int
+    """Iteration from which the score counts; larger than that of its candidate if it was late."""
+
+
 class SemanticScorer:
-    """Scores candidates by a model, and estimates the scores of all others by a surrogate.
+    """Requests scores of candidates from a model, in threads.
 
     Args:
         model: the compiled scene.
-        photo: the photograph; not needed for a replay.
-        panel: models, of which the critic scores candidates; not needed for a replay.
-        options: options such as the number of candidates to score and the scores to wait for.
-        cem: options whose initial standard deviations normalize layouts for the surrogate.
-        log: scores.jsonl to write; an existing file is replaced.
-        recorded: scores.jsonl of an earlier run. Each score is used in the iteration in which that
-            run first used it. Nothing is rendered, and no requests are sent.
-        draw: function that renders the scene of a candidate as RGB bytes [height, width, 3]. If
-            None, scenes are rendered through the parsed camera.
+        photo: the photograph.
+        panel: models, of which the critic scores candidates.
+        options: number of candidates per iteration, and time limit.
 
     Raises:
-        ConfigError: the photograph or the panel is missing, the scene has no camera, or costs
-            are limited but the price of the model is unknown.
-        ModelError: a file cannot be read or written.
+        ConfigError: the photograph, the panel or the scene's camera is missing.
     """
 
     def __init__(
@@ -74,235 +160,154 @@ class SemanticScorer:
         model: SceneModel,
         photo: Picture | None,
         panel: Panel | None,
-        options: SemanticOptions | None = None,
-        *,
-        cem: CEMOptions | None = None,
-        log: Path | None = None,
-        recorded: Path | None = None,
-        draw: Draw | None = None,
+        options: SemanticOptions,
     ) -> None:
-        self.options = options or SemanticOptions(scorer="mllm")
-        self.waited_s = 0.0
-        self._model = model
-        self._sigma = cem or CEMOptions()
-        self._optimised = np.asarray(model.optimised)
-        self._source: ScoreWorkers | RecordedScores
-        if recorded is not None:
-            # Read this file before the log is opened, because both may be the same file.
-            self._source = RecordedScores(recorded)
-        elif photo is None or panel is None:
+        if photo is None or panel is None:
             raise ConfigError(
                 "refine.semantic.scorer: mllm needs the photograph and a model; "
                 "choose geometric without them"
             )
-        elif draw is None and model.spec.camera is None:
+        if model.spec.camera is None:
             raise ConfigError(
                 "refine.semantic.scorer: mllm needs the parsed camera, but the scene has none; "
                 "add it to the scene, or choose geometric"
             )
-        else:
-            self._source = ScoreWorkers(panel, photo, self.options, draw)
-        self._log = ScoreLog(log)
-        self._jobs: dict[CandidateId, ScoringJob] = {}
+        self.stopped: str | None = None
+        """Reason why no more requests are sent; None while requests are sent."""
+        self._model, self._photo, self._panel, self._options = model, photo, panel, options
+        self._scores: dict[CandidateId, Score] = {}
         self._geometric: dict[CandidateId, float] = {}
-        self._known: dict[CandidateId, Score] = {}
-        """All scores taken so far, including failed ones."""
-        self._untaken: list[Score] = []
-        """Scores that had not been taken when the scorer was closed."""
+        """Geometric scores of the candidates that were submitted."""
+        self._pending: dict[CandidateId, Future[float]] = {}
+        self._requests: list[Future[Any]] = []
+        self._lock, self._failed_in_row, self._requested_at = threading.Lock(), 0, 0.0
         self._closed = False
-
-    def best(self, reward: Float[ArrayLike, " pop"], top: int | None = None) -> list[int]:
-        """Return the candidates to score, best first. Candidates of non-finite reward are omitted.
-
-        Args:
-            reward: reward that ranks the candidates. Candidates of equal reward keep the order of
-                the population.
-            top: largest number of candidates. If None, it is `options.top`.
-        """
-        rewards = np.asarray(reward, float)
-        order = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
-        return [int(k) for k in order[: top or self.options.top] if np.isfinite(rewards[k])]
+        self._spent_before = panel.ledger.spent_usd
+        # One thread renders while the others wait for responses.
+        self._threads = ThreadPoolExecutor(panel.options.concurrency + 1, "neoworld-score")
 
     def submit(
-        self, iteration: int, candidates: Sequence[int], layouts: Layout, poses: Poses
+        self,
+        iteration: int,
+        reward: Float[AnyArray, " pop"],
+        geometric: Float[AnyArray, " pop"],
+        layouts: Layout,
+        poses: Poses,
     ) -> None:
-        """Submit candidates for scoring and return at once.
-
-        Candidates that were submitted before are skipped.
+        """Request scores of the `top` candidates of highest finite reward, and return at once.
 
         Args:
             iteration: iteration of the candidates.
-            candidates: indices in the population, the most urgent first.
-            layouts: layouts of the whole population.
-            poses: poses of the whole population.
-
-        Raises:
-            ModelError: scores are replayed, but this run differs from the recorded run.
+            reward: reward that ranks the candidates; equal ones keep the order of the population.
+            geometric: geometric S_sem of the candidates.
+            layouts: layouts of the population, on the host.
+            poses: poses of the population, on the host.
         """
-        host = Layout(*(np.asarray(x) for x in (layouts.xy, layouts.yaw, layouts.log_scale)))
-        placed = Poses(*(np.asarray(x) for x in (poses.pos, poses.quat, poses.scale, poses.height)))
-        jobs = []
-        for rank, k in enumerate(candidates):
-            if (iteration, k) in self._jobs:
-                continue
-            single = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
-            rendered = isinstance(self._source, ScoreWorkers)
-            scene = self._model.apply(host, k, placed) if rendered else None
-            job = ScoringJob((iteration, k), rank, layout_digest(single), single, scene)
-            jobs.append(job)
-            self._jobs[job.identity] = job
-        self._source.put(jobs)
+        rewards = np.asarray(reward, float)
+        best = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
+        for k in best[: self._options.top].tolist():
+            if np.isfinite(rewards[k]):
+                scene = self._model.apply(layouts, k, poses)
+                self._pending[iteration, k] = self._threads.submit(self._request_score, scene)
+                self._geometric[iteration, k] = float(geometric[k])
+        self._requested_at = time.monotonic()
 
-    def collect(self, iteration: int) -> list[Score]:
-        """Collect scores before the elites of an iteration are selected; return the new scores.
+    def collect(self, iteration: int) -> None:
+        """Wait for the scores of an iteration, and count all scores that have arrived.
 
-        The option `wait` selects the scores to wait for:
-
-        - `all`: scores of all submitted candidates. The result then does not depend on the order in
-          which responses arrive.
-        - `bounded`: scores of candidates that were submitted at least `late` iterations ago.
-        - `none`: no scores.
-
-        All other scores that have arrived are collected, too.
+        The wait ends `timeout_s` after the request. It has no time limit if the provider is
+        offline, such as a tape or a person.
         """
-        wait, late = self.options.wait, self.options.late
-        newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
-        required = [key for key in self._jobs if key[0] <= newest and key not in self._known]
-        return self._take(iteration, required, others=True)
+        current = [future for key, future in self._pending.items() if key[0] == iteration]
+        left = self._requested_at + self._options.timeout_s - time.monotonic()
+        wait(current, max(left, 0.0) if self._panel.provider.online else None)
+        for key in [key for key, future in self._pending.items() if future.done()]:
+            value, error = None, ""
+            try:
+                value = self._pending.pop(key).result()
+            except (NeoWorldError, ValueError, CancelledError) as failure:
+                error = str(failure) or type(failure).__name__
+            self._scores[key] = Score(value, error, iteration)
 
-    def await_for(self, identities: Iterable[CandidateId]) -> list[Score]:
-        """Wait for the scores of the given candidates, and return the new scores.
-
-        These candidates are requested before all others.
-
-        Args:
-            identities: (iteration, candidate) of each. Candidates that were never submitted are
-                skipped.
-        """
-        required = [key for key in identities if key in self._jobs and key not in self._known]
-        return self._take("final", required, others=False)
-
-    def known(self, identity: CandidateId) -> Score | None:
-        """Return the score of a candidate; None if it is pending or has failed."""
-        score = self._known.get(identity)
-        return score if score is not None and score.value is not None else None
+    def known(self, identity: CandidateId) -> float | None:
+        """Return the model's score of a candidate; None if it is pending or has failed."""
+        score = self._scores.get(identity)
+        return None if score is None else score.value
 
     def s_sem_of(
-        self, iteration: int, layouts: Layout, geometric: Float[ArrayLike, " pop"]
+        self, iteration: int, geometric: Float[AnyArray, " pop"]
     ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
-        """Return the S_sem of a whole population, based on the scores that are known now.
+        """Return the S_sem of a population in [0, 1], and the `ScoreSource` of each candidate.
 
         Args:
             iteration: iteration of the population.
-            layouts: layouts of the population.
             geometric: geometric S_sem of the population.
-
-        Returns:
-            S_sem of each candidate in [0, 1] (float32), and the `ScoreSource` of each candidate. As
-            long as no candidate of the run has a score, all candidates have the geometric S_sem.
         """
-        geometric_scores = np.asarray(geometric, float)
-        for key in self._jobs:
-            if key[0] == iteration:
-                self._geometric[key] = float(geometric_scores[key[1]])
-        scored = sorted(key for key in self._geometric if self.known(key) is not None)
-        sources = np.full(
-            len(geometric_scores),
-            ScoreSource.ESTIMATED if scored else ScoreSource.GEOMETRIC,
-            np.int8,
-        )
-        values = geometric_scores
-        if scored:
-            variables = [self._normalized_variables(self._jobs[key].layouts) for key in scored]
-            base_scores = np.array([self._geometric[key] for key in scored])
-            model_scores = np.array([self._known[key].value for key in scored])
-            values = surrogate_scores(
-                self._normalized_variables(layouts),
-                geometric_scores,
-                np.concatenate(variables),
-                base_scores,
-                model_scores,
-            )
-        for key in scored:
-            if key[0] == iteration:
-                values[key[1]], sources[key[1]] = self._known[key].value, ScoreSource.SCORED
-        return np.asarray(values, np.float32), sources
-
-    @property
-    def stopped(self) -> str | None:
-        """Reason why no more requests are sent; None while requests are sent."""
-        return self._source.stopped
+        known = {key: value for key in self._geometric if (value := self.known(key)) is not None}
+        difference = sum(value - self._geometric[key] for key, value in known.items())
+        # The mean is shrunk as if there were one more candidate, with a difference of zero.
+        shifted = np.asarray(geometric, float) + difference / (len(known) + 1)
+        values = np.clip(shifted, 0.0, 1.0).astype(np.float32)
+        sources = np.full(len(values), ScoreSource.GEOMETRIC, np.int8)
+        for (t, k), value in known.items():
+            if t == iteration:
+                values[k], sources[k] = value, ScoreSource.SCORED
+        return values, sources
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
-        """Descriptions of missing scores; empty if no score is missing."""
-        scores = list(self._known.values())
-        failed = [score for score in scores if score.error is not None]
-        if self.stopped is not None:
-            source = "geometry alone" if len(failed) == len(scores) else "estimates"
-            unrequested = sum(score.asked is None for score in failed)
-            return (
-                f"S_sem comes from {source}, because scores of {unrequested} of {len(self._jobs)} "
-                f"candidates were not requested: {self.stopped}",
-            )
-        if failed:
-            return (
-                f"S_sem is estimated for {len(failed)} of {len(scores)} candidates, because "
-                f"their scores failed; the first error: {failed[0].error}",
-            )
-        return ()
+        """Descriptions of missing and late scores; empty if there are none."""
+        score_of = {key: self._scores.get(key) for key in self._geometric}
+        in_time = [s is not None and not s.error and s.counted == k[0] for k, s in score_of.items()]
+        if all(in_time):
+            return ()
+        errors = [s.error for s in score_of.values() if s is not None and s.error]
+        reason = self.stopped or (errors or [f"later than {self._options.timeout_s:g} s"])[0]
+        return (
+            f"the geometric S_sem took the place of {in_time.count(False)} of {len(in_time)} "
+            f"requested scores: {reason}",
+        )
 
     def summary(self) -> dict[str, Any]:
-        """Return the statistics for run.json. They are complete after `close`."""
-        scores = [*self._known.values(), *self._untaken]
-        live = self._source if isinstance(self._source, ScoreWorkers) else None
+        """Return the statistics for run.json."""
+        scores = self._scores
         return {
-            "scorer": "recorded" if live is None else "mllm",
-            "submitted": len(self._jobs),
-            "scored": sum(s.value is not None for s in self._known.values()),
-            "equal_pictures": sum(s.cached for s in scores),
-            "failed": sum(s.error is not None for s in self._known.values()),
-            "unused": len(self._untaken),
+            "submitted": len(self._geometric),
+            "scored": sum(not s.error for s in scores.values()),
+            "late": sum(not s.error and s.counted > key[0] for key, s in scores.items()),
+            "failed": sum(bool(s.error) for s in scores.values()),
             "stopped": self.stopped,
-            "cost_usd": None if live is None else round(live.cost_usd, 6),
-            "drawing_s": None if live is None else round(live.drawing_s, 3),
-            "waited_s": round(self.waited_s, 3),
+            "cost_usd": round(self._panel.ledger.spent_usd - self._spent_before, 6),
         }
 
     def close(self) -> None:
-        """End all requests. In the log, pending candidates are marked as abandoned."""
-        if not self._closed:
+        """End all requests, and abandon scores that have not been collected."""
+        with self._lock:
             self._closed = True
-            self._untaken = self._source.close()
-            self._log.add(self._untaken)
+            for request in self._requests:
+                request.cancel()
+        self._threads.shutdown(cancel_futures=True)
 
-    def __enter__(self) -> "SemanticScorer":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _take(self, stage: Stage, required: Sequence[CandidateId], *, others: bool) -> list[Score]:
-        began = time.perf_counter()
-        scores = self._source.take(stage, required, others=others)
-        self.waited_s += time.perf_counter() - began
-        self._known |= {score.identity: score for score in scores}
-        self._log.add(scores)
-        return scores
-
-    def _normalized_variables(self, layouts: Layout) -> np.ndarray:
-        """Divide the variables of optimized objects by their initial standard deviations.
-
-        Returns:
-            Array [pop, variable].
-        """
-        o, moves = self._sigma, self._optimised
-        diagonal = np.asarray(self._model.diagonal, float)[moves]
-        xy = np.asarray(layouts.xy, float)[:, moves] / (_nonzero(o.sigma_xy) * diagonal[:, None])
-        yaw = np.asarray(layouts.yaw, float)[:, moves] / _nonzero(np.radians(o.sigma_yaw_deg))
-        log = np.asarray(layouts.log_scale, float)[:, moves] / _nonzero(o.sigma_log_scale)
-        return np.concatenate([xy.reshape(len(xy), -1), yaw, log], axis=1)
-
-
-def _nonzero(sigma: float) -> float:
-    return max(float(sigma), 1e-6)
+    def _request_score(self, scene: SceneSpec) -> float:
+        """Render a candidate and return its score by the model; runs in a worker thread."""
+        assert scene.camera is not None
+        with self._lock:  # One thread renders at a time.
+            if self.stopped is not None or self._closed:
+                raise ModelError(f"not requested: {self.stopped or 'the search has ended'}")
+            rgb = render_plain(scene, scene.camera, width=PICTURE_PX)
+            request = score_request(self._photo, Picture.of("candidate", rgb), scene)
+            future = self._panel.ask_soon(request)
+            self._requests.append(future)
+        try:
+            value = future.result().value.value
+        except ModelError as error:
+            with self._lock:
+                self._failed_in_row += 1
+                if isinstance(error, BudgetError):
+                    self.stopped = str(error)
+                elif self._failed_in_row >= GIVE_UP_AFTER:
+                    self.stopped = f"{GIVE_UP_AFTER} consecutive scores failed; the last: {error}"
+            raise
+        with self._lock:
+            self._failed_in_row = 0
+        return value

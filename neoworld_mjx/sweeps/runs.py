@@ -14,7 +14,8 @@ from ..physics.model import SceneModel
 from ..physics.native import NativeEngine
 from ..physics.simulate import open_engine
 from ..refinement.compiling import compile_for_search
-from ..refinement.outcome import Iteration, Refined
+from ..refinement.loop import Iteration
+from ..refinement.outcome import Refined
 from ..refinement.scene_refinement import read_composed, refine
 from ..spec import SceneSpec
 from .plan import Point

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.evidence_picture import evidence_picture
-from neoworld_mjx.align.photo_evidence import WIDTH_PX
+from neoworld_mjx.align.evidence_picture import WIDTH_PX, evidence_picture
 from tests.align import desk
 
 

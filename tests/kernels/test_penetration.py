@@ -1,3 +1,5 @@
+"""Penetration depths: values and gradients, with culling and in plain jnp."""
+
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,11 +10,8 @@ import pytest
 from neoworld_kernels import (
     Colliders,
     PieceGroup,
-    blocks,
-    pair_depth,
     pair_depth_culled,
     pair_depth_reference,
-    penetration_depth,
 )
 from scipy.spatial.transform import Rotation
 
@@ -127,42 +126,11 @@ def test_gradient_is_that_of_finite_differences(mixed, impl):
         assert (np.abs(derivative) > 0.05 * size)[even].mean() > 0.5, "most candidates overlap"
 
 
-def test_the_gradient_of_the_reference_stores_no_distances(mixed):
-    # Those of 8 192 candidates among 40 convex pieces would take 750 GiB.
-    drop = [kind for kind in Colliders._fields if kind != "box"]
-    boxes = without(mixed.colliders, *drop).box
-
-    def memory(pieces):
-        group = PieceGroup(*(jnp.repeat(x, pieces, axis=0) for x in boxes))
-        some = without(mixed.colliders, *drop)._replace(box=group)
-        depth = lambda *where: jnp.sum(pair_depth_reference(*where, mixed.samples, some))
-        compiled = jax.jit(jax.grad(depth, (0, 1, 2))).lower(*mixed.where).compile()
-        return compiled.memory_analysis().temp_size_in_bytes
-
-    assert memory(32) < 2 * memory(1)
-
-
-def test_interpreted_kernel_agrees_with_the_reference(mixed):
-    kernel = jax.jit(lambda *x: pair_depth(*x, impl="pallas", interpret=True))
-    depths = np.asarray(kernel(*mixed.where, mixed.samples, mixed.colliders))
-    assert np.abs(depths - mixed.truth).max() <= 1e-5
-    met = (mixed.truth > 1e-3).mean(axis=0) + np.eye(len(SHAPES))
-    assert met.min() > 0.05, "all meet each other"
-
-
 def test_culled_agrees_with_the_reference_on_all_kinds(mixed):
     depths, _ = mixed.run["culled"](*mixed.where)
     assert np.abs(depths - mixed.truth).max() <= 1e-6
-
-
-def test_culled_agrees_in_small_blocks(mixed, monkeypatch):
-    subset = mixed.samples[:, :7]
-    colliders = without(mixed.colliders, "capsule", "cylinder", "ellipsoid", "sector")
-    truth = jax.jit(pair_depth_reference)(*mixed.where, subset, colliders)
-    assert (truth > 0).mean() > 0.02
-    monkeypatch.setattr(blocks, "BLOCK", 3)
-    depths = jax.jit(lambda *x: pair_depth_culled(*x))(*mixed.where, subset, colliders)
-    assert np.abs(np.asarray(depths - truth)).max() <= 1e-6
+    met = (mixed.truth > 1e-3).mean(axis=0) + np.eye(len(SHAPES))
+    assert met.min() > 0.05, "all meet each other"
 
 
 def test_culled_agrees_with_the_reference_on_a_crowded_scene():
@@ -203,41 +171,3 @@ def test_depth_is_zero_without_pieces_or_samples(mixed):
     assert not np.asarray(pair_depth_culled(*mixed.where, mixed.samples, none)).any()
     nobody = [x[:0] for x in mixed.where]
     assert pair_depth_culled(*nobody, mixed.samples, mixed.colliders).shape == (0, 7, 7)
-
-
-def test_the_implementation_is_selected_by_device_and_size(mixed, monkeypatch):
-    pieces = sum(len(group.owner) for group in mixed.colliders)
-    choose = lambda pop: penetration_depth.choose(pop, 7, 50, mixed.colliders)
-    assert [choose(1), choose(10**6)] == ["culled", "culled"]
-
-    class Device:
-        device_kind, platform = "Measured", "gpu"
-
-    monkeypatch.setattr(jax, "devices", lambda _: [Device()])
-    assert choose(10**6) == "jnp", "a GPU that was not measured"
-    least = {"pallas_from": 8 * 7 * 50 * pieces}
-    monkeypatch.setitem(penetration_depth.KERNEL_TIMES["devices"], "Measured", least)
-    assert [choose(7), choose(8)] == ["jnp", "pallas"]
-    monkeypatch.setitem(
-        penetration_depth.KERNEL_TIMES["devices"], "Measured", {"pallas_from": None}
-    )
-    assert choose(10**6) == "jnp"
-    Device.platform = "tpu"
-    assert choose(10**6) == "jnp"
-    monkeypatch.undo()
-    with jax.default_device(jax.devices("cpu")[0]):
-        assert choose(10**6) == "culled", "the device that was asked for"
-
-
-def test_auto_uses_the_selected_implementation(mixed, monkeypatch):
-    taken, none = [], jnp.zeros((70, 7, 7))
-    monkeypatch.setattr(
-        penetration_depth, "pair_depth_culled", lambda *_: taken.append("culled") or none
-    )
-    monkeypatch.setattr(
-        penetration_depth, "pair_depth_reference", lambda *_: taken.append("jnp") or none
-    )
-    pair_depth(*mixed.where, mixed.samples, mixed.colliders)
-    monkeypatch.setattr(penetration_depth, "choose", lambda *_: "jnp")
-    pair_depth(*mixed.where, mixed.samples, mixed.colliders)
-    assert taken == ["culled", "jnp"]

@@ -5,12 +5,16 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions, SettleOptions
-from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.refinement import choosing
-from neoworld_mjx.refinement.choosing import choose_winner
+from neoworld_mjx.refinement.choosing import (
+    Round,
+    choose_winner,
+    rank_candidates,
+    stack_padded,
+)
 from neoworld_mjx.refinement.finishing import finish
 from neoworld_mjx.refinement.objective import Scores
-from neoworld_mjx.refinement.rounds import Round
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -64,12 +68,6 @@ def test_an_initial_layout_that_passes_wins_over_better_candidates(models):
     assert not np.asarray(chosen.layout.xy).any()
 
 
-def test_it_is_ranked_as_a_candidate_if_objects_may_move_for_other_reasons(models):
-    model, rounds, o, initial = searched(models[0.0], [STANDS], [True])
-    chosen = choose_winner(model, rounds, o, initial, accept_initial=False)
-    assert chosen.passed and chosen.index == (1, 0) and chosen.tried == 1
-
-
 @pytest.mark.parametrize("plate_x", [[STANDS, 0.0], [FALLS, STANDS], [FALLS, FALLS, STANDS]])
 def test_the_first_candidate_that_passes_wins(models, plate_x):
     chosen = choose_winner(*searched(models[FALLS], plate_x, [True] * len(plate_x)))
@@ -79,11 +77,6 @@ def test_the_first_candidate_that_passes_wins(models, plate_x):
     assert len(chosen.layout.xy) == 1
     plate = chosen.scene.object("plate").xy[0]
     assert plate == pytest.approx(STANDS, abs=2e-3)
-
-
-def test_no_more_finalists_are_checked_than_the_options_say(models):
-    chosen = choose_winner(*searched(models[FALLS], [*NEAR, STANDS], [True] * 7))
-    assert not chosen.passed and chosen.tried == OPTIONS.finalists
 
 
 def test_invalid_candidates_are_checked_after_valid_ones(models):
@@ -134,3 +127,34 @@ def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models
     assert not chosen.passed and chosen.index[0] == 0 and chosen.tried == 3
     nothing = choose_winner(model, [], UNSETTLED, initial)
     assert nothing.index == (-1, -1) and nothing.finished is initial
+
+
+def iteration(valid, merit, absolute):
+    pop = len(valid)
+    zero = np.zeros((pop, 1), np.float32)
+    poses = Poses(*(np.zeros((pop, 1, *last), np.float32) for last in ((3,), (4,), (), ())))
+    merit, absolute = np.float32(merit), np.float32(absolute)
+    scores = Scores(
+        {}, np.array(valid), np.zeros(pop, np.int32), absolute, absolute, merit, zero, zero,
+        np.ones((pop, 1), bool), None,
+    )  # fmt: skip
+    return Round(Layout.zero(pop, 1), poses, scores)
+
+
+def test_valid_candidates_are_ranked_by_merit_and_the_others_by_absolute_reward():
+    first = iteration([False], [9.0], [0.5])
+    second = iteration([True, False, True, False], [1.0, 8.0, 3.0, 7.0], [2.0, 0.9, -1.0, -np.inf])
+    order = rank_candidates([first, second])
+    found = [entry for entry, absolute in order if np.isfinite(absolute)]
+    assert found == [(1, 2), (1, 0), (1, 1), (0, 0)]
+    assert dict(order)[1, 2] == -1.0 and dict(order)[0, 0] == 0.5
+    # Entries that fill up the first iteration come last, with failed candidates.
+    assert len(order) == 8 and {entry for entry, _ in order[4:]} == {(1, 3), (0, 1), (0, 2), (0, 3)}
+    assert rank_candidates([]) == []
+
+
+def test_shorter_iterations_are_filled_up():
+    rows = stack_padded([np.float32([[1, 2]]), np.float32([[3, 4], [5, 6], [7, 8]])], -np.inf)
+    assert rows.dtype == np.float32 and rows.shape == (2, 3, 2)
+    np.testing.assert_array_equal(rows[1], [[3, 4], [5, 6], [7, 8]])
+    np.testing.assert_array_equal(rows[0], [[1, 2], [-np.inf] * 2, [-np.inf] * 2])

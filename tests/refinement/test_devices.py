@@ -1,7 +1,6 @@
-"""Eight simulated devices give the winners of one, whether they share runs or candidates."""
+"""Eight simulated devices that share the candidates give the winner of one."""
 
 import numpy as np
-import pytest
 
 from tests.support.simulated_devices import run_with_devices
 
@@ -13,14 +12,13 @@ import numpy as np
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import batching, loop
+from neoworld_mjx.refinement import evaluation, loop
 from neoworld_mjx.refinement.compiling import compile_for_search
-from neoworld_mjx.refinement.rounds import rank_candidates
-from neoworld_mjx.refinement.search_run import SearchRun
+from neoworld_mjx.refinement.choosing import rank_candidates
 from tests.support.scenes import stored_scene
 
 used = set()
-mapped = batching.shard
+mapped = evaluation.shard
 
 
 def split(tree, length):
@@ -31,7 +29,7 @@ def split(tree, length):
     return result
 
 
-batching.shard = split
+evaluation.shard = split
 o = RefineOptions.model_validate({
     "cem": {"population": 16, "iterations": 2, "hold_resting": False, "stop_gain": 0.0},
     "settle": {"enabled": False},
@@ -40,36 +38,25 @@ o = RefineOptions.model_validate({
 })
 model = compile_for_search(stored_scene("crowded_2"), o)
 saved = {"devices": len(jax.local_devices())}
-tiles = {"candidates": 1, "runs": 8}
-for name, device, tile in (
-    ("alone", jax.local_devices()[0], 1), ("shared", None, tiles[sys.argv[2]])
-):
+for name, device in (("alone", jax.local_devices()[0]), ("shared", None)):
     used.clear()
-    loop.tile_size = lambda runs, population: tile
-    runs = [SearchRun(o, seed) for seed in range(8)]
     with jax.default_device(device):
-        results = loop.search(model, runs, NativeEngine(threads=1))
-    first = [rank_candidates(r.rounds)[0] for r in results]
+        result = loop.search(model, o, NativeEngine(threads=1), seed=1)
+    index, reward = rank_candidates(result.rounds)[0]
     saved |= {
-        f"{name}_index": [index for index, _ in first],
-        f"{name}_reward": [value for _, value in first],
-        f"{name}_xy": [np.asarray(r.rounds[1].layouts.xy) for r in results],
+        f"{name}_index": index,
+        f"{name}_reward": reward,
+        f"{name}_xy": np.asarray(result.rounds[1].layouts.xy),
         f"{name}_used": sorted(used),
     }
 np.savez(sys.argv[1], **saved)
 """
 
 
-def search(shared, folder):
-    """Search on one and on all devices of a process that has eight."""
-    out = folder / "found.npz"
-    run_with_devices(8, SCRIPT, str(out), shared)
-    return np.load(out)
-
-
-@pytest.mark.parametrize("shared", ["candidates", pytest.param("runs", marks=pytest.mark.slow)])
-def test_eight_devices_give_the_winners_of_one(shared, tmp_path):
-    found = search(shared, tmp_path)
+def test_eight_devices_give_the_winner_of_one(tmp_path):
+    out = tmp_path / "found.npz"
+    run_with_devices(8, SCRIPT, str(out))
+    found = np.load(out)
     assert found["devices"] == 8
     assert not found["alone_used"].size and list(found["shared_used"]) == [8]
     np.testing.assert_array_equal(found["shared_index"], found["alone_index"])

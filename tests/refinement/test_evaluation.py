@@ -1,6 +1,5 @@
-"""Placement, settling, rollout and scores of populations, on padded arrays, run by run."""
+"""Placement, settling, rollout and scores of populations, on padded arrays."""
 
-import itertools
 from types import SimpleNamespace
 
 import jax
@@ -11,26 +10,46 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
-from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
+from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
+from neoworld_mjx.physics.sharding import REPLICATED, SHARDED
 from neoworld_mjx.refinement import evaluation as module
 from neoworld_mjx.refinement.compiling import compile_for_search
-from neoworld_mjx.refinement.evaluation import Evaluation
-from neoworld_mjx.refinement.loop import CLOCKS, _initial_scenes, _initialize_runs
-from neoworld_mjx.refinement.objective import evaluate
-from neoworld_mjx.refinement.search_run import SearchRun
+from neoworld_mjx.refinement.evaluation import (
+    Evaluation,
+    early_stop_rule,
+    named_scores,
+    pad_rollout,
+    shard,
+)
+from neoworld_mjx.refinement.finishing import finish
+from neoworld_mjx.refinement.loop import CLOCKS
+from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import world_poses
-from tests.support.scenes import noisy_layouts, stored_scene
+from tests.support import scenes
+from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
 
 POP = 8
-ENGINE = NativeEngine(threads=1)
 
 
-def options(*, settled=True):
+class Noted(NativeEngine):
+    """Notes the arguments of each rollout."""
+
+    def __init__(self):
+        super().__init__(threads=1)
+        self.calls = []
+
+    def rollout(self, scene, poses, **given):
+        self.calls.append(given)
+        return super().rollout(scene, poses, **given)
+
+
+def options(*, settled=True, **rollout):
+    rollout = {"engine": "native", "duration_s": 0.2, "samples_per_object": 32, **rollout}
     return RefineOptions.model_validate(
         {
             "cem": {"population": POP, "iterations": 1, "hold_resting": False},
             "settle": {"enabled": settled, "duration_s": 0.4},
-            "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 32},
+            "rollout": rollout,
             "check_duration_s": 0.1,
         }
     )
@@ -41,166 +60,124 @@ def model():
     return compile_for_search(stored_scene("crowded_2"), options())
 
 
-def opened(model, o, starts=(None, None)):
-    """An evaluation of two runs on a padded scene, and the runs."""
-    runs = [SearchRun(o, seed, start) for seed, start in enumerate(starts)]
-    clock = dict.fromkeys(CLOCKS, 0.0)
-    evaluation = Evaluation(model, *[pad_scene(model)] * 2, ENGINE, o, len(runs), 1, clock, 0.0)
-    initials = _initial_scenes(model, runs, None)
-    return evaluation, _initialize_runs(evaluation, runs, initials, (), None, builtin_only=True)
+def opened(model, o):
+    arrays, clock = pad_scene(model), dict.fromkeys(CLOCKS, 0.0)
+    return Evaluation(model, arrays, arrays, Noted(), o, open_objective(o), clock)
 
 
 @pytest.fixture(scope="module")
-def settled(model):
-    return opened(model, options(), (None, noisy_layouts(model, 1, seed=3, xy=0.02, yaw=0.1)))
+def evaluation(model):
+    return opened(model, options())
 
 
-def populations(evaluation, model):
-    count = evaluation.arrays.count
-    return [pad_objects(noisy_layouts(model, POP, seed=k, xy=0.02), count) for k in range(2)]
+@pytest.fixture(scope="module")
+def layouts(model, evaluation):
+    return pad_objects(noisy_layouts(model, POP, seed=1, xy=0.02), evaluation.arrays.count)
 
 
 def assert_near(a, b):
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-5), a, b)
 
 
-def test_populations_are_measured_where_they_settled(model, settled):
-    evaluation, _ = settled
-    layouts = populations(evaluation, model)
-    evaluation.clock.update(dict.fromkeys(CLOCKS, 0.0))
+def test_populations_are_measured_where_they_settled(evaluation, layouts, model):
     placed = evaluation.place(layouts)
     assert evaluation.clock["settle"] > 0 and evaluation.clock["score"] > 0
-    assert evaluation.clock["rollout"] == evaluation.clock["propose"] == 0
-    for z, candidates in zip(layouts, placed, strict=True):
-        start = jax.device_get(evaluation.arrays.place(z))
-        moved = np.abs(np.asarray(candidates.poses.pos) - start.pos).max(axis=(1, 2))
-        assert (moved > 1e-5).all()
-        assert_near(candidates, measure_settled(evaluation.arrays, start, candidates.poses))
-        assert np.asarray(candidates.settled).any()
-    assert not np.array_equal(placed[0].poses.pos, placed[1].poses.pos)
+    assert evaluation.clock["propose"] == 0
+    start = jax.device_get(evaluation.arrays.place(layouts))
+    shift = np.abs(np.asarray(placed.poses.pos) - start.pos).max(axis=2)
+    assert (shift[:, : model.count].max(axis=1) > 1e-5).all()
+    assert not shift[:, model.count :].any(), "padding does not move"
+    assert_near(placed, measure_settled(evaluation.arrays, start, placed.poses))
+    unsettled = opened(model, options(settled=False)).place(layouts)
+    assert_near(unsettled.poses, evaluation.arrays.place(layouts))
+    assert np.asarray(placed.settled).any() and not np.asarray(unsettled.settled).any()
 
 
-def test_without_settling_they_are_measured_as_placed(model):
-    evaluation, _ = opened(model, options(settled=False))
-    layouts = populations(evaluation, model)
+def test_scores_of_a_model_replace_the_geometric_ones(evaluation, layouts):
     placed = evaluation.place(layouts)
-    for z, candidates in zip(layouts, placed, strict=True):
-        assert_near(candidates.poses, evaluation.arrays.place(z))
-        assert not np.asarray(candidates.settled).any()
-
-
-def test_each_run_is_scored_with_its_own_layouts_motion_and_objective(model, settled):
-    evaluation, runs = settled
-    layouts = populations(evaluation, model)
-    placed = evaluation.place(layouts)
-    before = dict(evaluation.clock)
-    rollouts = evaluation.roll_out(placed)
-    assert evaluation.clock["rollout"] > before["rollout"]
-    assert evaluation.clock["score"] == before["score"]
-    scores = evaluation.score(runs, layouts, placed, rollouts)
-    assert evaluation.clock["score"] > before["score"]
-    assert all(len(r.pos) == POP and r.pos.shape[2] == model.count for r in rollouts)
-    for run, z, candidates, found in zip(runs, layouts, placed, scores, strict=True):
-        (alone,) = evaluation.roll_out([candidates])
-        (again,) = evaluation.score([run], [z], [candidates], [alone])
-        assert_near(found, again)
-    assert not np.array_equal(scores[0].reward, scores[1].reward)
-
-
-def test_scores_of_a_model_replace_the_geometric_ones(model, settled):
-    evaluation, runs = settled
-    layouts = populations(evaluation, model)[:1]
-    placed = evaluation.place(layouts)
-    rollouts = evaluation.roll_out(placed)
+    rollout = evaluation.roll_out(placed.poses)
     given = np.linspace(0, 1, POP, dtype=np.float32)
-    (geometric,) = evaluation.score(runs[:1], layouts, placed, rollouts)
-    (by_model,) = evaluation.score(runs[:1], layouts, placed, rollouts, given)
+    geometric = evaluation.score(layouts, placed, rollout)
+    by_model = evaluation.score(layouts, placed, rollout, given)
     np.testing.assert_array_equal(by_model.terms["s_sem"], given)
-    weight = runs[0].run.options.reward.w_sem
-    change = weight * (given - np.asarray(geometric.terms["s_sem"]))
+    change = evaluation.options.reward.w_sem * (given - np.asarray(geometric.terms["s_sem"]))
     np.testing.assert_allclose(by_model.absolute - geometric.absolute, change, atol=1e-5)
-
-
-def test_before_physics_nothing_has_moved(model, settled):
-    evaluation, runs = settled
-    layouts = populations(evaluation, model)[0]
-    (placed,) = evaluation.place([layouts])
-    scores = evaluation.before_physics(runs[0], layouts, placed)
+    before = evaluation.score_before_physics(layouts, placed)
     still = zero_duration_rollout(evaluation.arrays, placed.poses)
-    assert_near(
-        scores, evaluate(evaluation.arrays, layouts, placed, still, runs[0].problem.objective)
-    )
-    assert isinstance(scores.reward, np.ndarray)
+    assert_near(before, evaluate(evaluation.arrays, layouts, placed, still, evaluation.objective))
 
 
-def test_an_initial_layout_is_scored_where_it_exactly_rests(model, settled):
-    evaluation, runs = settled
-    rounds = evaluation.score_initials(runs)
-    assert len(rounds) == 2
-    for run, round_ in zip(runs, rounds, strict=True):
-        exact = world_poses(run.initial.scene)
-        for k, name in enumerate(model.names):
-            np.testing.assert_allclose(round_.poses.pos[0, k], exact[name].pos, atol=1e-6)
-            np.testing.assert_allclose(round_.poses.quat[0, k], exact[name].quat, atol=1e-6)
-        scale = np.exp(np.asarray(run.problem.origin.log_scale))[:, : model.count]
-        np.testing.assert_allclose(round_.poses.scale, scale, rtol=1e-6)
-        assert np.asarray(round_.poses.pos).dtype == np.float32
-        assert round_.layouts.xy.shape == (1, model.count, 2)
-        assert round_.scores.drift.shape == (1, model.count)
-        assert round_.scores.depth.shape == round_.scores.rested.shape == (1, model.count)
-        assert round_.scores.reward.shape == (1,) and np.isfinite(round_.scores.reward).all()
-        # At rest nothing overlaps or moves, whatever the layout was before.
-        assert float(round_.scores.terms["d_drift"][0]) < 0.5 and bool(round_.scores.valid[0])
-    assert not np.array_equal(rounds[0].poses.pos, rounds[1].poses.pos)
+def test_a_final_scene_is_scored_where_it_exactly_rests(model, evaluation):
+    layout = noisy_layouts(model, 1, seed=3, xy=0.02, yaw=0.1)
+    final = finish(model, layout, 0, evaluation.options)
+    padded = pad_objects(layout, evaluation.arrays.count)
+    round_ = evaluation.score_initial(final.scene, padded)
+    exact = world_poses(final.scene)
+    for k, name in enumerate(model.names):
+        np.testing.assert_allclose(round_.poses.pos[0, k], exact[name].pos, atol=1e-6)
+        np.testing.assert_allclose(round_.poses.quat[0, k], exact[name].quat, atol=1e-6)
+    scale = np.exp(np.asarray(layout.log_scale))
+    np.testing.assert_allclose(round_.poses.scale, scale, rtol=1e-6)
+    for array in (round_.layouts.yaw, round_.scores.drift, round_.scores.depth):
+        assert array.shape == (1, model.count)
+    # At rest nothing overlaps or moves, whatever the layout was before.
+    assert float(round_.scores.terms["d_drift"][0]) < 0.5 and bool(round_.scores.valid[0])
+    delivered, initial = evaluation.score_final(final.scene, layout), named_scores(round_.scores)
+    assert delivered.keys() == {"absolute", "merit", "s_sem", "prior", "d_pen", "d_drift"}
+    assert delivered["d_pen"] == pytest.approx(initial["d_pen"], abs=1e-6)
+    assert delivered["merit"] <= initial["merit"], "displacement by settling costs"
+    by_model = evaluation.score_final(final.scene, layout, 0.125)
+    assert by_model["s_sem"] == 0.125
+    change = evaluation.options.reward.w_sem * (0.125 - delivered["s_sem"])
+    assert by_model["absolute"] - delivered["absolute"] == pytest.approx(change, abs=1e-5)
 
 
-def test_one_candidate_is_measured_against_the_pose_that_it_settled_from(model, settled):
-    evaluation, runs = settled
-    rests = [evaluation.settled_poses(r.initial.scene, r.problem.origin) for r in runs]
-    layouts = [r.problem.origin for r in runs]
-    starts = [jax.tree.map(np.array, rest) for rest in rests]
-    starts[1].pos[:, 1:, 0] += 0.5
-    same, moved = evaluation.score_each(runs, layouts, starts, rests)
-    (alone,) = evaluation.score_each(runs[1:], layouts[1:], rests[1:], rests[1:])
-    assert float(moved.merit[0]) < float(alone.merit[0]), "displacement by settling costs"
-    np.testing.assert_allclose(moved.terms["d_pen"], alone.terms["d_pen"], atol=1e-6)
-    assert len(same.reward) == len(moved.reward) == 1
-    (known,) = evaluation.score_each(
-        runs[:1], layouts[:1], rests[:1], rests[:1], np.float32([0.25])
-    )
-    assert float(known.terms["s_sem"][0]) == 0.25
-
-
-def test_accelerators_compute_what_a_cpu_computes(model, settled, monkeypatch):
-    evaluation, runs = settled
-    layouts = populations(evaluation, model)
-
-    def everything():
-        placed = evaluation.place(layouts)
-        return placed, evaluation.score_initials(runs)
-
-    on_cpu = everything()
+def test_accelerators_compute_what_a_cpu_computes(model, evaluation, layouts, monkeypatch):
+    origin = jax.tree.map(lambda x: np.asarray(x)[:1], layouts)
+    scene = finish(model, evaluation.unpadded(origin), 0, evaluation.options).scene
+    both = lambda: (evaluation.place(layouts), evaluation.score_initial(scene, origin))
+    on_cpu = both()
     monkeypatch.setattr(module, "computes_on_cpu", lambda: False)
-    calls, mapped = [], module.map_runs
-
-    def noted(fn, scene, rows, tile, population=0):
-        calls.append((fn, tile, population))
-        return mapped(fn, scene, rows, tile, population)
-
-    monkeypatch.setattr(module, "map_runs", noted)
-    assert_near(everything(), on_cpu)
-    assert {measure_settled, module.SceneArrays.place} <= {fn for fn, *_ in calls}
-    assert {call[1:] for call in calls} == {(1, POP)}
+    assert_near(both(), on_cpu)
 
 
-def test_the_time_of_each_step_is_what_has_passed_since_it_began(model, settled, monkeypatch):
-    evaluation, runs = settled
-    layouts = populations(evaluation, model)
-    ticks = (2.0**k for k in itertools.count())  # 1, 2, 4, ... s: no interval is like another.
-    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
-    evaluation.clock.update(dict.fromkeys(CLOCKS, 0.0))
-    placed = evaluation.place(layouts)
-    assert (evaluation.clock["settle"], evaluation.clock["score"]) == (2.0, 5.0)
-    rollouts = evaluation.roll_out(placed)
-    evaluation.score(runs, layouts, placed, rollouts)
-    assert (evaluation.clock["rollout"], evaluation.clock["score"]) == (16.0, 69.0)
+def test_rollouts_have_the_options_and_stop_where_the_penalty_of_drift_is_capped(model, layouts):
+    o = options(early_stop=False, record_every_s=0.05)
+    evaluation = opened(model, o)
+    poses = evaluation.arrays.place(layouts)
+    rollout = evaluation.roll_out(poses)
+    assert evaluation.engine.calls == [{"duration": 0.2, "record_every": 0.05, "early_stop": None}]
+    assert rollout.pos.shape == (POP, 4, model.count, 3)
+    still = opened(model, options(duration_s=0.0))
+    np.testing.assert_array_equal(still.roll_out(poses).pos[:, 0], poses.pos[:, : model.count])
+    assert not still.engine.calls
+    reward = {"drift_scale_m": 0.02, "tilt_scale_deg": 9.0, "d_drift_cap": 4.0}
+    rule = early_stop_rule(RefineOptions.model_validate({"reward": reward}))
+    assert (rule.distance, rule.drift) == pytest.approx((0.02, 0.08))
+    assert (rule.angle, rule.tilt) == pytest.approx((np.radians(9.0), np.radians(36.0)))
+
+
+def test_objects_and_joints_that_pad_a_rollout_do_not_move():
+    scene = compile_scene(scenes.furnished(), samples=16)
+    wide = pad_scene(scene, Bucket(*(64,) * len(Bucket._fields)))
+    poses = jax.device_get(scene.place(scenes.random_layout(scene, 2, seed=0)))
+    rollout = opened(scene, options()).roll_out(poses)
+    padded, joints = pad_rollout(rollout, wide), rollout.joint_shift.shape[2]
+    assert padded.pos.shape == (2, 2, 64, 3) and padded.joint_shift.shape == (2, 2, 64)
+    np.testing.assert_array_equal(padded.pos[:, :, : scene.count], rollout.pos)
+    np.testing.assert_array_equal(padded.joint_shift[..., :joints], rollout.joint_shift)
+    assert joints and not padded.joint_shift[..., joints:].any()
+    for name in ("pos", "quat"):
+        still = getattr(padded, name)[:, :, scene.count :]
+        start = getattr(padded.start, name)[:, None, scene.count :]
+        np.testing.assert_array_equal(still, np.broadcast_to(start, still.shape))
+
+
+def test_arrays_of_the_split_length_are_divided_and_others_copied(monkeypatch):
+    tree = {"part": np.zeros((4, 2)), "whole": np.zeros(3), "number": np.float32(1), "name": "x"}
+    assert shard(tree, 4) is tree, "a single device keeps everything"
+    monkeypatch.setattr(module, "device_mesh", lambda devices: SimpleNamespace(size=2))
+    monkeypatch.setattr(module, "put", lambda array, mesh, spec: spec)
+    divided = shard(tree, 4)
+    assert divided == {"part": SHARDED, "whole": REPLICATED, "number": REPLICATED, "name": "x"}
+    assert all(shard(tree, length) is tree for length in (3, 5, 0, -2))

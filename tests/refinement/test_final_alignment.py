@@ -8,7 +8,7 @@ from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.measure import passes
 from neoworld_mjx.refinement import final_alignment
-from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final, moved_in_image
+from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.align import desk
@@ -57,16 +57,6 @@ def test_the_other_objects_and_the_camera_keep_their_poses(final, refined):
 def test_the_result_passes_the_final_check_and_keeps_the_uncertainty(final):
     assert passes(final.measure, RefineOptions())
     assert all(item.uncertainty == KNOWN for item in final.scene.objects)
-
-
-def test_only_displacements_that_show_in_the_image_count(five):
-    moved = desk.displaced(five, box=(0.1, 0.1, 0.0, 0.0), can=(0.0, 2.0, 0.0, 0.0))
-    assert moved_in_image(five, moved) == {"can"}
-
-
-def test_nothing_is_aligned_if_nothing_moved(five, photo, monkeypatch):
-    monkeypatch.setattr(final_alignment, "align_again", None)  # It is not called.
-    assert align_final(five, five, photo) == FinalAlignment(five)
 
 
 def test_objects_to_keep_are_not_aligned(five, refined, photo):
@@ -154,10 +144,3 @@ def test_a_scene_that_fails_its_check_is_not_used(five, refined, photo):
     assert align_final(five, refined, photo, strict) == FinalAlignment(refined)
     # The check decides, not the options of the alignment.
     assert align_final(five, refined, photo, RefineOptions()).aligned
-
-
-def test_an_alignment_that_fails_changes_nothing(monkeypatch, five, refined, photo):
-    failed = Alignment(refined, failure="the solver failed: singular matrix")
-    monkeypatch.setattr(final_alignment, "align_again", lambda *args: failed)
-    found = align_final(five, refined, photo)
-    assert found == FinalAlignment(refined, failure="the solver failed: singular matrix")

@@ -10,15 +10,13 @@ from neoworld_mjx.physics import model
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import (
     SMALLEST_BUCKET,
-    Bucket,
-    bucket_of,
     pad_objects,
     pad_scene,
 )
 from neoworld_mjx.physics.simulate import rollout
 from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.batching import pad_rollout
 from neoworld_mjx.refinement.cem import open_cem
+from neoworld_mjx.refinement.evaluation import pad_rollout
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import Box
 from tests.support import scenes
@@ -33,12 +31,6 @@ def scene():
 
 def unpadded(tree, scene):
     return jax.tree.map(lambda x: np.asarray(x)[:, : scene.count], tree)
-
-
-def test_a_bucket_is_the_smallest_doubled(scene):
-    assert bucket_of(scene) == SMALLEST_BUCKET
-    wide = bucket_of(pad_scene(scene, Bucket(*(2 * n for n in SMALLEST_BUCKET))))
-    assert wide == Bucket(*(2 * n for n in SMALLEST_BUCKET))
 
 
 def test_a_padded_layout_applies_as_the_unpadded_one(scene):

@@ -1,22 +1,20 @@
 """User-defined reward terms and optimizers, and drift of joints."""
 
-from inspect import unwrap
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import CEMOptions, RefineOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
+from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import OPTIMIZERS, Term, algorithm, refine
 from neoworld_mjx.refinement.objective import Scores
+from neoworld_mjx.refinement.optimizer import from_evosax
 from neoworld_mjx.refinement.rewards import d_drift
-from neoworld_mjx.refinement.scene_refinement import open_scene
 from neoworld_mjx.spec import Box, ObjectSpec
 from tests.support import scenes
 from tests.support.mechanisms import geom, joint, part
@@ -62,37 +60,24 @@ def test_one_loop_runs_every_optimizer(scene, name):
     assert repr(refined).count("\n") == 3
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["evosax:SNES", "evosax:PSO", pytest.param("evosax:Open_ES", marks=pytest.mark.slow), "cma_es"],
-)
+@pytest.mark.parametrize("name", ["evosax:SNES", "evosax:Open_ES", "cma_es"])
 def test_a_strategy_draws_what_evosax_draws_by_itself(scene, name):
     """The same keys give the same populations as evosax's own loop on the same losses."""
     algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
-    o = options(optimizer=name)
-    problem = algorithm.open_problem(scene, o)
+    problem = algorithm.open_problem(scene, options(optimizer=name))
     state = algorithm.init(problem, seed=5)
     free, sigma = np.asarray(problem.optimizer.free), flat(problem.optimizer.sigma)[0]
-    label = name.partition(":")[2] or "CMA_ES"
-    es = algorithms.algorithms[label](8, jnp.zeros(len(free)))
-    params, inner = es.default_params, None
-    if label != "PSO":
-        inner = es.init(jax.random.key(0), jnp.zeros(len(free)), params)
+    es = algorithms.algorithms[name.partition(":")[2] or "CMA_ES"](8, jnp.zeros(len(free)))
+    params = es.default_params
+    inner = es.init(jax.random.key(0), jnp.zeros(len(free)), params)
     for t in range(4):
         layouts = algorithm.propose(scene, problem, state, 8)
         key = jax.random.fold_in(jax.random.key(np.uint32(5)), t)
-        if inner is None:  # A population-based strategy begins with a Gaussian population.
-            drawn = jax.random.normal(key, (8, len(free)))
-        else:
-            drawn, inner = es.ask(key, inner, params)
+        drawn, inner = es.ask(key, inner, params)
         found = flat(layouts)[:, free] / sigma[free]
         np.testing.assert_allclose(found, drawn, rtol=2e-4, atol=2e-4)
         loss = jnp.sum((drawn - 0.7) ** 2, axis=1)
-        later = jax.random.fold_in(key, 1)
-        if inner is None:
-            inner = es.init(later, drawn, loss, params)
-        else:
-            inner, _ = es.tell(later, drawn, loss, inner, params)
+        inner, _ = es.tell(jax.random.fold_in(key, 1), drawn, loss, inner, params)
         state = algorithm.update(scene, problem, state, layouts, only_losses(scene, loss))
 
 
@@ -110,69 +95,24 @@ def only_losses(scene, loss):
     return Scores({}, no, status, reward, reward, reward, zero, zero, rested, None)
 
 
-REFUSED = ("RandomSearch", "SV_CMA_ES", "SV_Open_ES")
-"""Strategies that need arguments of their own."""
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of optax, by strategies of evosax
-def test_every_strategy_of_evosax_searches_or_is_refused(scene):
-    algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
-    for name in algorithms.algorithms:
-        o = options(optimizer=f"evosax:{name}")
-        if name in REFUSED:
-            with pytest.raises(ConfigError, match=f"evosax:{name} cannot search"):
-                algorithm.open_problem(scene, o)
-            continue
-        problem = algorithm.open_problem(scene, o)
-        state, best = algorithm.init(problem, seed=3), []
-        for _ in range(12):
-            layouts = algorithm.propose(scene, problem, state, 8)
-            loss = jnp.sum((jnp.asarray(layouts.yaw)[:, 1:] - 0.2) ** 2, axis=1)
-            best.append(float(loss.min()))
-            state = algorithm.update(scene, problem, state, layouts, only_losses(scene, loss))
-        assert min(best) < 0.5 * best[0], name
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"optimizer": "evosax:SNESS"}, "evosax: .*did you mean 'SNES'"),
-        ({"optimizer": "evosax:SNES", "strategy": {"std_int": 1}}, "did you mean 'std_init'"),
-        ({"optimizer": "evosax:PSO", "strategy": {"learning_rate": 1}}, "takes no learning_rate"),
-        ({"strategy": {"std_init": 1}}, "only evosax:STRATEGY has parameters, not cem"),
-        ({"optimizer": "evosax:GuidedES", "cem": {"population": 7}}, "population 7.*even"),
-    ],
-)
-def test_a_strategy_that_cannot_be_is_one_message(scene, change, message):
+def test_a_strategy_has_parameters_and_errors_of_one_line(scene):
     pytest.importorskip("evosax", reason="needs the extra baselines")
-    with pytest.raises(ConfigError, match=message) as error:
-        algorithm.open_problem(scene, options(**change))
-    assert "\n" not in str(error.value)
-
-
-def test_a_strategy_has_parameters_and_they_matter(scene):
-    pytest.importorskip("evosax", reason="needs the extra baselines")
+    layouts = Layout.zero(1, len(scene.names))
     spread = []
     for size in (0.2, 1.0):
-        o = options(optimizer="evosax:SNES", strategy={"std_init": size})
-        problem = algorithm.open_problem(scene, o)
-        layouts = algorithm.propose(scene, problem, algorithm.init(problem), 8)
-        spread.append(float(np.asarray(layouts.xy)[:, 1:].std()))
+        snes = from_evosax("SNES", scene, options().cem, std_init=size)
+        drawn = snes.ask(jax.random.key(0), snes.init(layouts), 8)
+        spread.append(float(np.asarray(drawn.xy)[:, 1:].std()))
     assert spread[0] == pytest.approx(0.2 * spread[1], rel=1e-4)
-    fast, slow = (
-        algorithm.open_problem(
-            scene, options(optimizer="evosax:Open_ES", strategy={"learning_rate": rate})
-        ).optimizer
-        for rate in (0.5, 1e-6)
-    )
-    moved = []
-    for strategy in (fast, slow):
-        key, state = jax.random.key(0), strategy.init(Layout.zero(1, len(scene.names)))
-        layouts = strategy.ask(key, state, 8)
-        state = strategy.tell_with_key(key, state, layouts, -jnp.sum(layouts.yaw**2, axis=1))
-        moved.append(float(jnp.abs(state.inner.mean).max()))
-    assert moved[0] > 0.1 > 1e-5 > moved[1]
+    odd = CEMOptions(population=7)
+    for name, cem, more, message in (
+        ("SNESS", options().cem, {}, "evosax: .*did you mean 'SNES'"),
+        ("SNES", options().cem, {"std_int": 1.0}, "std_int"),
+        ("GuidedES", odd, {}, "population 7.*even"),
+    ):
+        with pytest.raises(ConfigError, match=message) as error:
+            from_evosax(name, scene, cem, **more)
+        assert "\n" not in str(error.value)
 
 
 class Still(eqx.Module):
@@ -244,11 +184,6 @@ def test_a_term_is_tried_before_the_search(scene, fn, message):
     assert error.match(rf"reward term custom \(.*{where}\)")
 
 
-def test_a_duplicate_name_is_an_error(scene):
-    with pytest.raises(ConfigError, match="reward term d_pen: the name is taken"):
-        refine(scene, options(), terms=[Term("d_pen", right, 1.0)])
-
-
 def sometimes(scene, layouts, rollout):
     """Return the shift to the right, and NaN for a shift to the left."""
     shift = jnp.sum(layouts.xy, axis=(1, 2))
@@ -284,15 +219,6 @@ def test_a_term_may_be_nan_for_a_candidate_whose_rollout_has_failed(scene):
     assert np.all(history["reward"][bad] == -np.inf)
 
 
-def test_a_scene_is_a_specification_or_a_path(scene, tmp_path):
-    (tmp_path / "scene.json").write_text(scene.spec.to_json())
-    o = options(rollout={"duration_s": 0.0, "samples_per_object": 32})
-    by_path = refine(str(tmp_path), o, engine="native")
-    assert by_path.history["reward"].shape == (2, 8)
-    with pytest.raises(TypeError, match="SceneSpec"):
-        unwrap(open_scene)(3, o)
-
-
 def gate(tilt):
     """A post on the ground whose leaf hangs on a hinge without friction, the axis tilted [rad]."""
     axis = (0.0, np.sin(tilt), np.cos(tilt))
@@ -305,16 +231,6 @@ def gate(tilt):
     )
     spec = ObjectSpec(name="gate", materials=(scenes.WOOD,), parts=parts, joints=(hinge,))
     return scenes.on_table((spec, (0, 0), 0.0, {"fixed_base": True}))
-
-
-def test_a_door_that_swings_open_has_drifted():
-    scene = compile_scene(gate(0.0), samples=16)
-    zero = Layout.zero(2, 2)
-    still = zero_duration_rollout(scene, scene.place(zero))
-    assert np.all(np.asarray(d_drift(scene, zero, still)) == 0.0)
-    shift = still.joint_shift.at[1, 0, 0].set(np.radians(10.0))
-    swung = eqx.tree_at(lambda r: r.joint_shift, still, shift)
-    assert d_drift(scene, zero, swung) == pytest.approx([0.0, 2.0], rel=1e-5)
 
 
 @pytest.mark.parametrize(("tilt", "drifts"), [(0.0, False), (0.5, True)])

@@ -88,16 +88,6 @@ def test_the_object_beyond_a_bound_is_the_one_that_does_not_rest(judged):
     assert not np.asarray(scores.rested)[[STATES.index("failed"), STATES.index("truncated")]].any()
 
 
-def test_drift_and_depth_are_the_largest_of_each_object(judged):
-    scores, _, a, b = judged
-    drift, depth = np.asarray(scores.drift), np.asarray(scores.depth)
-    assert drift[STATES.index("settled below it"), b] == pytest.approx(0.5)
-    assert drift[STATES.index("moved below"), a] == pytest.approx(0.98, rel=1e-3)
-    assert drift[STATES.index("turned beyond"), b] == pytest.approx(1.01, rel=1e-3)
-    below = depth[STATES.index("deep below it")]
-    assert below[[a, b]] == pytest.approx(0.99 * DEPTH) and below.sum() == below[[a, b]].sum()
-
-
 def test_candidates_that_were_not_simulated_keep_their_status_and_have_no_reward(judged):
     for scores in judged[:2]:
         for state in ("truncated", "failed"):

@@ -15,21 +15,14 @@ class ConstantScorer(SemanticScorer):
     def __init__(self, *_: Any, **__: Any) -> None:
         self.seen: list[Any] = []
 
-    def best(self, reward: Any, top: Any = None) -> Any:
-        return [0]
-
-    def submit(self, iteration: Any, candidates: Any, layouts: Any, poses: Any) -> None:
+    def submit(self, iteration: Any, reward: Any, geometric: Any, layouts: Any, poses: Any) -> None:
         self.seen.append(layouts)
 
-    def collect(self, iteration: Any) -> Any:
-        return []
+    def collect(self, iteration: Any) -> None:
+        pass
 
-    def s_sem_of(self, iteration: Any, layouts: Any, geometric: Any) -> Any:
-        np.testing.assert_array_equal(layouts.xy, self.seen[-1].xy)
+    def s_sem_of(self, iteration: Any, geometric: Any) -> Any:
         return np.full(len(geometric), 0.25), np.full(len(geometric), ScoreSource.SCORED, np.int8)
-
-    def await_for(self, identities: Any) -> Any:
-        return []
 
     def known(self, identity: Any) -> Any:
         return None

@@ -11,7 +11,7 @@ from PIL import Image
 from neoworld_mjx.checks.verdict import Verdict
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.refinement import rounds
+from neoworld_mjx.refinement.choosing import NOT_SAMPLED
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.view.report import convergence
 from neoworld_mjx.view.report.changes import changes
@@ -511,14 +511,14 @@ def test_every_reward_term_is_shown_by_name(tmp_path):
 
 
 def test_failed_candidates_are_counted(tmp_path):
-    assert convergence.NOT_SAMPLED == rounds.NOT_SAMPLED
+    assert convergence.NOT_SAMPLED == NOT_SAMPLED
     path = tmp_path / "history.npz"
     _history(path, iterations=2, population=8)
     with np.load(path) as data:
         history = {key: data[key] for key in data.files}
     history["absolute"][:] = 0.1
     history["status"] = np.zeros((2, 8), int)
-    history["status"][0, 3:] = rounds.NOT_SAMPLED
+    history["status"][0, 3:] = NOT_SAMPLED
     history["absolute"][0, 3:] = history["absolute"][1, 0] = -np.inf
     np.savez(path, **history)
     page = str(convergence.convergence(path))

@@ -3,7 +3,6 @@
 One row for each implementation; the row of one that cannot run on this device has the reason.
 """
 
-import functools
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -63,7 +62,6 @@ def implementations() -> dict[str, Depth]:
     return {
         "jnp": pair_depth_reference,
         "culled": pair_depth_culled,
-        "pallas": functools.partial(pair_depth, impl="pallas"),
         "auto": pair_depth,
     }
 

@@ -93,7 +93,6 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
     **dict.fromkeys(EVIDENCE, ours),
-    "with_s_photo": partial(changed, change={"reward": {"terms": {"s_photo": 1.0}}}),
 }
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")

@@ -1,4 +1,8 @@
-"""Deepest penetration with culling by bounding volumes, for CPUs.
+"""Deepest penetration of surface samples into convex colliders, for a population of poses.
+
+For every candidate and ordered pair of objects (i, j), `pair_depth` is the depth of the deepest
+surface sample of i in the convex pieces of j: the maximum over samples and pieces of the negated
+signed distance, clipped at zero. On CPUs it is computed with culling by bounding volumes.
 
 Most objects of a scene are apart. If two objects touch, most of their samples are far from the
 contact. A piece is tested against an object only if, in some candidate, the bounding box of the
@@ -23,11 +27,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
 
-from .blocks import Blocks, bounding_sphere, sample_blocks
-from .coarse_distance import depths, fold_into_sector, to_depth
-from .convex_pieces import SPARE, Colliders, PieceGroup, distance
+from .coarse_depth import coarse_depth, fold_into_sector
+from .convex_pieces import (
+    SPARE,
+    Colliders,
+    ObjectPoses,
+    PieceGroup,
+    distance,
+    dot,
+    pair_depth_reference,
+    true_indices,
+)
 
+BLOCK = 32
+"""Largest number of samples in a block."""
 UNROLL = 4
 """Number of planes that are evaluated per pass over the samples of a block."""
 PAIRS = 32
@@ -39,12 +54,12 @@ planes."""
 Index = Int[Array, "object object pop"]
 
 
-class ObjectPoses(NamedTuple):
-    """Poses of all objects of all candidates; the population is last, for vectorization."""
+class Blocks(NamedTuple):
+    """Samples of all objects in blocks, with bounding spheres."""
 
-    pos: Float[Array, "object 3 pop"]
-    rot: Float[Array, "object 3 3 pop"]
-    scale: Float[Array, "object pop"]
+    points: Float[Array, "object block sample 3"]
+    centre: Float[Array, "object block 3"]
+    radius: Float[Array, "object block"]
 
 
 class Pieces(NamedTuple):
@@ -70,6 +85,74 @@ class Deepest(NamedTuple):
     """Index of the piece that contains the sample, over all kinds."""
     face: Index
     """Index of the plane of a polytope that is nearest to the sample."""
+
+
+def sorted_samples(
+    samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
+) -> Float[NDArray, "object sample 3"]:
+    """Reorder each object's samples so that each block of BLOCK consecutive samples is compact.
+
+    The first `first` samples are the most important ones. They stay in front and are reordered
+    among themselves.
+    """
+
+    def split_in_half(points: NDArray) -> NDArray:
+        if len(points) <= BLOCK:
+            return points
+        order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
+        half = -(-len(points) // (2 * BLOCK)) * BLOCK
+        return np.concatenate(
+            [split_in_half(points[order[:half]]), split_in_half(points[order[half:]])]
+        )
+
+    return np.stack(
+        [np.concatenate([split_in_half(x[:first]), split_in_half(x[first:])]) for x in samples]
+    )
+
+
+def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
+    """Split the samples of each object into blocks of consecutive samples."""
+    count, number, _ = samples.shape
+    size = min(BLOCK, number)
+    points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")
+    points = points.reshape(count, -1, size, 3)
+    return Blocks(points, *bounding_sphere(points))
+
+
+def bounding_sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]:
+    """Return the centers [..., 3] and radii [...] of spheres that bound points [m]."""
+    centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
+    radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
+    # The radius is slightly enlarged, so that rounding never culls a contact.
+    return centre, radius * 1.00001 + 1e-6
+
+
+def pair_depth(
+    pos: Float[Array, "pop object 3"],
+    rot: Float[Array, "pop object 3 3"],
+    scale: Float[Array, "pop object"],
+    samples: Float[Array, "object sample 3"],
+    colliders: Colliders,
+) -> Float[Array, "pop object object"]:
+    """Compute the depth of i's deepest sample in j's colliders [m], at [candidate, i, j].
+
+    On CPUs only pairs that can touch are evaluated, on accelerators all pairs. Differentiable
+    almost everywhere.
+
+    Args:
+        pos: object origins in the world [m].
+        rot: object rotations.
+        scale: isotropic scale of each object about its origin.
+        samples: surface points in object frames at scale 1 [m]. Repeat points for padding.
+        colliders: convex pieces in object frames at scale 1.
+
+    Returns:
+        Depths, zero for pairs that do not penetrate and on the diagonal.
+    """
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    device = jax.devices(chosen)[0] if chosen is None or isinstance(chosen, str) else chosen
+    depth = pair_depth_culled if device.platform == "cpu" else pair_depth_reference
+    return depth(pos, rot, scale, samples, colliders)
 
 
 def pair_depth_culled(
@@ -165,15 +248,6 @@ def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
     return deepest
 
 
-def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[Array, ""]]:
-    """Return the flat indices of the true elements, in order, and the number of true elements."""
-    flat = mask.reshape(-1)
-    place = jnp.where(flat, jnp.cumsum(flat, dtype=jnp.int32) - 1, flat.size)
-    order = jnp.zeros(flat.size, jnp.int32)
-    order = order.at[place].set(jnp.arange(flat.size, dtype=jnp.int32), mode="drop")
-    return order, jnp.sum(flat, dtype=jnp.int32)
-
-
 DepthOf = Callable[[list[Array]], Array]
 """Function of points in a piece's frame, given by separate coordinates, that returns their depths
 below the piece's surface."""
@@ -249,10 +323,11 @@ def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
     safe = jnp.where(code == SIZE_KINDS.index("ellipsoid"), size, 1.0)
 
     def depth(local: list[Array]) -> Array:
-        value = jnp.zeros_like(local[0])
+        x, y, z = local
+        value = jnp.zeros_like(x)
         for c, kind in enumerate(SIZE_KINDS):
             sizes = list(safe if kind == "ellipsoid" else size)
-            kind_depth = to_depth(kind, depths(kind, [local], sizes, lambda f, k: f, 0)[0], sizes)
+            kind_depth = coarse_depth(kind, x, y, z, sizes)
             value = jnp.where(code == c, kind_depth, value)
         return value
 
@@ -377,8 +452,3 @@ def _depth_at(
         beyond = n[0] * x + n[1] * y + n[2] * z - n[3]
         far = jnp.where(code < 0, beyond, far)
     return jnp.where(deepest.depth > 0, jnp.maximum(-far * placed.scale[j], 0.0), 0.0)
-
-
-def dot(a: Any, b: Any) -> Array:
-    """Return the dot product of two triples of arrays; a matrix product might use TF32."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
