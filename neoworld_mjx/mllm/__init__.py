@@ -13,8 +13,16 @@ from .ledger import Ledger, Price, load_prices
 from .panel import Panel
 from .provider import PROVIDERS, bundled_tapes, open_panel
 from .replay import Tape, find_tape
-from .requests import Model, Picture, Request, Response, Usage, package_text
-from .revision import ask_or_record, revise
+from .requests import (
+    Model,
+    Picture,
+    Request,
+    Response,
+    Usage,
+    ask_or_record,
+    package_text,
+)
+from .revision import revise
 
 __all__ = [
     "PROVIDERS",

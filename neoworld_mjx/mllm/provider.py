@@ -3,7 +3,6 @@
 To add a provider, write a module for it and add an entry to `PROVIDERS`.
 """
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import NamedTuple, get_args
 
 from ..config import MLLMOptions, Role
 from ..errors import ConfigError, MissingResponseError, ModelError, choices
-from .ledger import Ledger
 from .mailbox import Mailbox
 from .panel import Panel
 from .replay import SUFFIX, Replay, find_tape
@@ -41,13 +39,11 @@ def open_panel(
     mailbox_timeout_s: float | None = None,
     record: Path | None = None,
     made: str = "",
-    ledger: Ledger | None = None,
 ) -> Panel:
     """Open the panel of models for a run.
 
     `auto` uses a key from the environment. If there is no key, it replays the recorded responses (a
-    tape) of this photo. OPENAI_API_KEY is used only if the extra `openai` is installed and no role
-    uses a model of Anthropic.
+    tape) of this photo. OPENAI_API_KEY is used only if no role uses a model of Anthropic.
 
     Args:
         options: models, limits and cap.
@@ -59,7 +55,6 @@ def open_panel(
             no limit.
         record: tape file. New responses are written to it, and recorded responses are reused.
         made: origin of the responses, written to the recorded tape.
-        ledger: ledger of the calls, such as the ledger of a resumed run. If None, a new ledger.
 
     Raises:
         ConfigError: the provider is unknown, or lacks a required argument.
@@ -71,7 +66,7 @@ def open_panel(
     searched = (*map(Path, tapes), bundled_tapes())
     inputs = ProviderInputs(options, photo, searched, mailbox, mailbox_timeout_s)
     client = PROVIDERS[provider](inputs)
-    return Panel(client, options, ledger=ledger, record=record, photo=photo, made=made)
+    return Panel(client, options, record=record, photo=photo, made=made)
 
 
 def bundled_tapes() -> Path:
@@ -82,13 +77,13 @@ def bundled_tapes() -> Path:
 def _auto(inputs: ProviderInputs) -> Provider:
     if environment_key("ANTHROPIC_API_KEY"):
         return _anthropic(inputs)
-    openai_key = environment_key("OPENAI_API_KEY") is not None
-    if openai_key and _has_openai() and not _claude_models(inputs.options):
+    models = [getattr(inputs.options, role).model for role in get_args(Role)]
+    if environment_key("OPENAI_API_KEY") and not any(m.startswith("claude") for m in models):
         return _openai(inputs)
     tape = find_tape(inputs.photo, inputs.tapes)
     if tape is not None:
         return Replay(*tape)
-    raise ModelError(_remedies(openai_key, inputs.options))
+    raise ModelError(_REMEDIES)
 
 
 def _anthropic(inputs: ProviderInputs) -> Provider:
@@ -131,31 +126,10 @@ PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
 }
 """Functions that open a provider, by the provider's name."""
 
-
-def _remedies(openai_key: bool, options: MLLMOptions) -> str:
-    lines = [
-        "no key in the environment and no tape for this photo. Options:",
-        "  - set ANTHROPIC_API_KEY",
-        "  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name "
-        "its models in the config (mllm.reasoner.model, ...)",
-        "  - run a local model: --provider anthropic or openai with mllm.base_url in the config",
-        "  - answer yourself: --provider mailbox",
-        f"  - give a tape (*{SUFFIX}) that was recorded for this exact file: --provider replay",
-    ]
-    if openai_key:
-        obstacles = [] if _has_openai() else ["the extra 'openai' is not installed"]
-        if _claude_models(options):
-            obstacles.append("roles still name models of Anthropic")
-        lines[0] = (
-            f"OPENAI_API_KEY is set, but {' and '.join(obstacles)}; no other key and no tape for "
-            f"this photo. Options:"
-        )
-    return "\n".join(lines)
-
-
-def _has_openai() -> bool:
-    return importlib.util.find_spec("openai") is not None
-
-
-def _claude_models(options: MLLMOptions) -> bool:
-    return any(getattr(options, role).model.startswith("claude") for role in get_args(Role))
+_REMEDIES = f"""no key in the environment and no tape for this photo. Options:
+  - set ANTHROPIC_API_KEY
+  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name OpenAI's \
+models in the config (mllm.reasoner.model, mllm.programmer.model, mllm.critic.model)
+  - run a local model: --provider anthropic or openai with mllm.base_url in the config
+  - answer yourself: --provider mailbox
+  - give a tape (*{SUFFIX}) that was recorded for this exact file: --provider replay"""

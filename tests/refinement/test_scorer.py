@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -47,8 +48,9 @@ def options(**given):
 
 @contextmanager
 def panel_to(url, record=None, **given):
-    requests = MLLMOptions(**{"base_url": url, "timeout_s": 5.0, "retries": 4, **given})
-    with Panel(Anthropic(requests), requests, record=record, backoff_s=0.01) as panel:
+    requests = MLLMOptions(**{"base_url": url, **given})
+    quick = patch("anthropic._base_client.INITIAL_RETRY_DELAY", 0.01)
+    with quick, Panel(Anthropic(requests), requests, record=record) as panel:
         yield panel
 
 
@@ -228,7 +230,7 @@ def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rou
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
     log = tmp_path / "scores.jsonl"
     with (
-        panel_to(url, retries=1) as panel,
+        panel_to(url) as panel,
         SemanticScorer(model, PHOTO, panel, options(give_up_after=5), log=log) as scorer,
     ):
         seen = play(scorer, rounds)
@@ -251,7 +253,7 @@ def test_an_unreachable_server_falls_back_to_geometry_and_is_reported(model, rou
 def test_scores_are_estimated_after_the_server_fails(model, rounds):
     with MessagesServer(delay_s=0.02, failing=0.0) as server:
         with (
-            panel_to(server.url, retries=0) as panel,
+            panel_to(server.url) as panel,
             SemanticScorer(model, PHOTO, panel, options()) as scorer,
         ):
             play(scorer, rounds[:2])
@@ -273,7 +275,7 @@ def test_a_failed_score_is_estimated(model, rounds):
 
     with (
         MessagesServer(answer, delay_s=0.0, failing=0.0) as server,
-        panel_to(server.url, validation_rounds=1) as panel,
+        panel_to(server.url) as panel,
         SemanticScorer(model, PHOTO, panel, options(top=POP, give_up_after=50)) as scorer,
     ):
         (_, marks), *_ = play(scorer, rounds[:1])

@@ -28,7 +28,7 @@ def plan(url="", **more):
         "check_duration_s": 0.1,
         "finalists": 2,
     }
-    mllm = {"base_url": url, "retries": 0, "timeout_s": 5.0, **more.pop("mllm", {})}
+    mllm = {"base_url": url, **more.pop("mllm", {})}
     return {
         "base": {"provider": "anthropic", "mllm": mllm, "refine": search},
         "seeds": [0, 1],
