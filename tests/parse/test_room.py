@@ -80,12 +80,12 @@ def test_a_polygon_runs_anticlockwise_and_fills_its_box():
     ],
 )
 def test_a_bad_outline_is_refused_by_name_and_reason(outline, words):
-    with pytest.raises(ValidationError, match=f"object table: .*{words}"):
+    with pytest.raises(ValidationError, match=f"(?s)objects.0\n.*{words}"):
         parsed(outline)
 
 
 def test_an_object_has_no_outline():
-    with pytest.raises(ValidationError, match="object can: outline is for environment supports"):
+    with pytest.raises(ValidationError, match="node can has an outline, which only an environment"):
         parsed(None, answers.item("can", outline={"shape": "round"}))
 
 
@@ -152,9 +152,12 @@ def test_every_material_of_a_surface_is_one_of_programs():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"colour": [0.5, 0.5]}, r"surface.colour must be three numbers, got 2"),
-        ({"second_colour": [0.5, 0.5, 90]}, r"surface.second_colour must lie in 0 .. 1, got 90"),
-        ({"step": 0}, r"surface.step must lie in 0.0001 .. 10, got 0"),
+        ({"colour": [0.5, 0.5]}, r"surface.colour\n.*must be three numbers, got 2"),
+        (
+            {"second_colour": [0.5, 0.5, 90]},
+            r"second_colour.2\n.*must lie in 0 .. 1, got 90",
+        ),
+        ({"step": 0}, r"surface.step\n.*must lie in 0.0001 .. 10, got 0"),
         ({"material": "cheese"}, "material"),
     ],
 )
@@ -164,7 +167,7 @@ def test_a_bad_surface_is_refused_by_name(change, words):
 
 
 def test_an_object_has_no_surface():
-    with pytest.raises(ValidationError, match="object can: surface is for environment supports"):
+    with pytest.raises(ValidationError, match="node can has a surface, which only an environment"):
         parsed(None, answers.item("can", surface=SURFACE))
 
 
@@ -229,7 +232,7 @@ def test_furniture_is_no_slab():
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"furniture": True}, "furniture is for environment supports only"),
+        ({"furniture": True}, "node can has furniture, which only an environment support"),
         (
             {"furniture": True, "environment": True, "outline": {"shape": "round"}},
             "furniture is built from the picture; leave outline null",
@@ -237,5 +240,5 @@ def test_furniture_is_no_slab():
     ],
 )
 def test_contradictory_furniture_is_rejected(fields, words):
-    with pytest.raises(ValidationError, match=f"object can: {words}"):
+    with pytest.raises(ValidationError, match=words):
         parsed(None, answers.item("can", **fields))
