@@ -6,6 +6,7 @@ without a price is reported as unknown, not as zero.
 """
 
 import asyncio
+import re
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass, field
@@ -18,6 +19,7 @@ from ..config import read_yaml
 from ..errors import BudgetError, ConfigError
 from .requests import Rejection, Request, Usage
 
+_DATE = re.compile(r"-(\d{8}|\d{4}-\d{2}-\d{2}|latest)$")
 _PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
 _CHARS_PER_TOKEN = 2.5
 _PIXELS_PER_TOKEN = 750
@@ -62,17 +64,7 @@ def load_prices(path: Path | None = None) -> dict[str, Price]:
 
 def price_of(model: str, prices: dict[str, Price]) -> Price | None:
     """Return a model's price by its full name, or by its name without the date at its end."""
-    if model in prices:
-        return prices[model]
-    stem, _, tail = model.rpartition("-")
-    dated = (tail.isdigit() and len(tail) == 8) or tail == "latest"
-    if dated:
-        return prices.get(stem)
-    for name, price in prices.items():
-        suffix = model.removeprefix(name + "-")
-        if suffix != model and suffix.replace("-", "").isdigit() and len(suffix) == 10:
-            return price
-    return None
+    return prices.get(model) or prices.get(_DATE.sub("", model))
 
 
 def token_bound(

@@ -193,8 +193,7 @@ class Panel:
             return Response(value, reply.text, usage, model)
         raise self._error(
             f"{request.name}: {model} gave no valid response in {rounds} "
-            f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}",
-            [rejection.text for rejection in rejected],
+            f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
 
     async def _call(
@@ -243,8 +242,7 @@ class Panel:
             reason = f": {reply.detail}" if reply.detail else ""
             raise self._error(
                 f"{request.name}: {reply.model} refused to answer{reason}; "
-                f"try another photo or another model (mllm.{request.role}.model)",
-                [reply.text],
+                f"try another photo or another model (mllm.{request.role}.model)"
             )
         if reply.stop == "length":
             raise self._error(
@@ -252,11 +250,9 @@ class Panel:
                 f"tokens; raise mllm.{request.role}.max_tokens"
             )
 
-    def _error(self, message: str, texts: Sequence[str] = ()) -> ModelError:
-        """Return an error with this message and these responses, from which keys are removed."""
-        error = ModelError(scrub(message, self.provider.secrets))
-        error.texts = tuple(hide(text, self.provider.secrets) for text in texts)
-        return error
+    def _error(self, message: str) -> ModelError:
+        """Return an error with this message, from which keys are removed."""
+        return ModelError(scrub(message, self.provider.secrets))
 
     @contextmanager
     def _waiting(self) -> Iterator[None]:

@@ -28,8 +28,6 @@ MODEL_MIN_SIDE_PX = 512
 """Minimum length of the longer side of a picture that models receive [px]."""
 DRAFT_MPX = 40
 """Number of megapixels above which a JPEG is decoded at half its size."""
-_ROWS = 256
-"""Number of rows that are converted to 8 bits at once."""
 
 
 @dataclass(frozen=True)
@@ -143,35 +141,17 @@ def _upright(image: Image.Image) -> Image.Image:
 
 def _to_rgb(image: Image.Image) -> Image.Image:
     if image.mode.startswith(("I", "F")):
-        return Image.fromarray(_to_bytes(np.asarray(image))).convert("RGB")
+        # White is 65535 for integers, 1 for floats that do not exceed 1, and 255 for other floats.
+        values = np.asarray(image, np.float32)
+        values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        white = 65535.0 if image.mode[0] == "I" else 1.0 if values.max() <= 1.0 else 255.0
+        grey = np.clip(np.rint(values * (255.0 / white)), 0, 255).astype(np.uint8)
+        return Image.fromarray(grey).convert("RGB")
     if image.has_transparency_data:
         image = image.convert("RGBA")
         white = Image.new("RGBA", image.size, "white")
         return Image.alpha_composite(white, image).convert("RGB")
     return image.convert("RGB")
-
-
-def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
-    """Convert gray values of 16 or 32 bits, or floats, to 8 bits.
-
-    The value of white is 65535 for integers, 1 for floats that do not exceed 1, and 255 for other
-    floats. If the maximum of the picture is larger than 65535 or 255, the maximum is white.
-    """
-    blocks = range(0, len(values), _ROWS)
-    top = max(float(_grey(values[row : row + _ROWS]).max()) for row in blocks)
-    if np.issubdtype(values.dtype, np.floating):
-        white = 1.0 if top <= 1.0 else max(255.0, top)
-    else:
-        white = max(65535.0, top)
-    result = np.empty(values.shape, np.uint8)
-    for row in blocks:
-        grey = _grey(values[row : row + _ROWS]) * (255.0 / white)
-        result[row : row + _ROWS] = np.clip(np.rint(grey), 0, 255)
-    return result
-
-
-def _grey(values: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.ndarray:

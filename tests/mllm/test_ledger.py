@@ -21,18 +21,6 @@ def test_cost_counts_every_kind_of_token():
     assert Price(input=3, output=0).cost(Usage(cache_read=10**6, cache_write=10**6)) == 6
 
 
-def test_default_models_have_a_price_and_users_prices_win(tmp_path):
-    from neoworld_mjx.config import RoleOptions
-
-    prices = load_prices()
-    assert price_of(RoleOptions().model, prices) is not None
-    path = tmp_path / "p.yaml"
-    path.write_text("claude-sonnet-5-5: {input: 7, output: 8}\nmine: {input: 0, output: 0}\n")
-    mixed = load_prices(path)
-    assert mixed["claude-sonnet-5-5"].input == 7
-    assert mixed["claude-haiku-4-5"] == prices["claude-haiku-4-5"]
-
-
 @pytest.mark.parametrize(
     ("model", "found"),
     [

@@ -11,7 +11,7 @@ from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import SceneCritique, correction_request, listing, parse_request
+from neoworld_mjx.parse.prompts import correction_request, listing, parse_request
 from neoworld_mjx.parse.response_to_tree import tilt_quat
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Camera, Cues
@@ -63,11 +63,6 @@ def test_cues_are_in_original_pixels_axes_and_radians():
     assert (read.position_sd, read.size_sd) == (0.03, None)
     assert read.yaw_sd == pytest.approx(math.pi / 2)
     assert scene.node("table").cues == Cues()
-
-
-def test_an_uncertainty_of_zero_is_rejected_by_name():
-    with pytest.raises(ValidationError, match=r"doubt\.size\n.* must lie in 1e-06 .. 10, got 0"):
-        tree(answers.answer(answers.item("cup", doubt={"size": 0})))
 
 
 @pytest.mark.parametrize(
@@ -165,25 +160,12 @@ def test_objects_with_occluders_are_occluded():
     assert node.occluded_by == ("b",)
 
 
-def test_the_schema_has_only_keywords_that_servers_accept():
-    for schema in (ParsedScene, SceneCritique):
-        message = str(schema.model_json_schema())
-        assert "prefixItems" not in message
-        assert "minimum" not in message
-
-
 def test_the_example_of_the_instructions_is_valid():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And a cabinet")]
     result = to_tree(read_response(example, ParsedScene), answers.photo())
     assert all(agreement(result, node) > 0.7 for node in result.nodes)
     assert check_tree(result) == ()
-
-
-def test_the_instructions_name_every_field_that_is_not_self_evident():
-    guide = package_text("neoworld_mjx.parse", "reasoner")
-    for field in ("environment", "fixed_base", "parent_link", "occluded_by", "tilt", "opening"):
-        assert re.search(rf"`{field}`", guide), field
 
 
 def test_a_repair_request_repeats_the_response_and_the_findings():
@@ -203,38 +185,6 @@ def test_the_listing_gives_the_critic_supports_and_openings():
     assert "- can (soda can): on left; box 10 10 90 90" in message
     assert "lid revolute 50% open" in message
     assert "no support" in message
-
-
-def test_the_instructions_have_one_rule_for_tables_robots_cloths_and_cut_objects():
-    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
-    for rule in (
-        "its `parent` is null, even if the floor is listed",
-        "Robots, hands and people are left out",
-        "It may have moving parts",
-        "is true for an object that never moves as a whole",
-        "A cloth that is draped",
-        "A side of the box that lies on the picture's edge is a side in `cut_sides`",
-        "`camera.pitch_doubt_deg`",
-        "Objects that usually lie (a spoon, a book, a banana, a cloth) are described as they lie, "
-        "without tilt",
-        "The patch on which an object rests lies within its parent's footprint",
-    ):
-        assert rule in guide, rule
-    assert "A table on a listed floor has the floor as parent" not in guide
-    critic = package_text("neoworld_mjx.parse", "critic")
-    assert "robots, hands and people are left out on purpose" in critic
-    # A correction contains only what changes, and the camera has a check of its own.
-    assert "is corrected: the model sees your faults and gives what changes" in critic
-    assert "one about the camera from the photograph's\nstraight edges" in critic
-
-
-def test_the_instructions_say_what_of_the_background_which_end_of_a_knob_and_what_is_too_heavy():
-    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
-    critic = " ".join(package_text("neoworld_mjx.parse", "critic").split())
-    assert "What stands in the background on something that you do not list" in guide
-    assert "things in the background whose support is not listed" in critic
-    assert "of a knob, 0 is its lowest position (off) and 1 its highest" in guide
-    assert "too heavy for a robot arm to push (a fridge or a wardrobe; a microwave oven" in guide
 
 
 def test_the_uncertainty_of_the_camera_reaches_the_tree():
