@@ -79,6 +79,7 @@ def scoring(
     physics_s: float = 3.0,
     real: bool = False,
     population: int = 64,
+    backoff_s: float = 0.5,
     late: int = 1,
     seed: int = 0,
     options: SemanticOptions | None = None,
@@ -97,6 +98,7 @@ def scoring(
         real: whether physics is rollouts on all cores, repeated until `physics_s` are filled;
             otherwise it is a pause.
         population: candidates of an iteration.
+        backoff_s: first wait after a failed call.
         late: iterations that scores may be late by, if `wait` is bounded.
         seed: seed of layouts and failures.
         options: further options of scoring.
@@ -118,7 +120,7 @@ def scoring(
     alone = _timed(lambda: [physics(layouts) for layouts in draws])
 
     def search(url: str, work: Physics) -> tuple[float, SemanticScorer, Panel]:
-        with _panel(url, at_once) as panel:
+        with _panel(url, at_once, backoff_s) as panel:
             scorer = SemanticScorer(model, photo, panel, o, cem=CEMOptions())
 
             def run() -> None:
@@ -190,9 +192,9 @@ def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> 
 
 
 @contextmanager
-def _panel(url: str, at_once: int) -> Iterator[Panel]:
+def _panel(url: str, at_once: int, backoff_s: float) -> Iterator[Panel]:
     options = MLLMOptions(base_url=url, concurrency=at_once)
-    with Panel(Anthropic(options), options) as panel:
+    with Panel(Anthropic(options), options, backoff_s=backoff_s) as panel:
         yield panel
 
 

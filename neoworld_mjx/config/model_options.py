@@ -15,12 +15,6 @@ class RoleOptions(Options):
     """Options of the model that plays one role (Section 3.2 of the paper)."""
 
     model: str = option("claude-sonnet-5-5", "Name of the model, as its provider calls it.")
-    max_tokens: int = option(
-        16384,
-        "Maximum length of a response, including the reasoning that some models write first.",
-        unit="token",
-        ge=256,
-    )
 
 
 class MLLMOptions(Options):
@@ -29,8 +23,14 @@ class MLLMOptions(Options):
     model_config = ConfigDict(hide_input_in_errors=True)
 
     reasoner: RoleOptions = RoleOptions()
-    programmer: RoleOptions = RoleOptions(max_tokens=32768)
+    programmer: RoleOptions = RoleOptions()
     critic: RoleOptions = RoleOptions()
+    max_tokens: int = option(
+        32768,
+        "Maximum length of a response, including the reasoning that some models write first.",
+        unit="token",
+        ge=256,
+    )
     base_url: str | None = option(
         None,
         "URL of a server that offers the provider's API, such as vLLM or Ollama. If null, the "

@@ -28,7 +28,7 @@ class Anthropic(ServerProvider):
     of the form `name: value`.
 
     Args:
-        options: models and base_url.
+        options: base_url and maximum length of a response.
 
     Raises:
         ModelError: there is neither a key nor a base_url.
@@ -61,7 +61,7 @@ class Anthropic(ServerProvider):
             messages.append({"role": speaker, "content": [_text(text)]})
         params: dict[str, Any] = {
             "model": role.model,
-            "max_tokens": role.max_tokens,
+            "max_tokens": self.max_tokens,
             "messages": messages,
         }
         if request.system:

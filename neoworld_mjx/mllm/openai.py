@@ -16,7 +16,7 @@ class OpenAI(ServerProvider):
     """Provider for the chat completions API.
 
     Args:
-        options: models and base_url.
+        options: base_url and maximum length of a response.
 
     Raises:
         ModelError: the extra `openai` is not installed, or there is neither a key nor a base_url.
@@ -54,7 +54,7 @@ class OpenAI(ServerProvider):
         params: dict[str, Any] = {
             "model": role.model,
             "messages": messages,
-            limit: role.max_tokens,
+            limit: self.max_tokens,
         }
         if schema is not None:
             body = {

@@ -180,7 +180,7 @@ class Panel:
         while len(rejected) < rounds:
             reply = await self._call(request, role, rejected)
             model, usage = reply.model, usage + (reply.usage or Usage())
-            self._check_stop(request, role, reply)
+            self._check_stop(request, reply)
             try:
                 value = read_response(reply.text, request.schema)
             except InvalidResponse as error:
@@ -205,7 +205,7 @@ class Panel:
                 reply = await self._reply(request, role, rejected)
             self.ledger.add(request.role, reply.model, reply.usage or Usage(), billed=False)
             return reply
-        bound = token_bound(request, role.max_tokens, rejected)
+        bound = token_bound(request, self.options.max_tokens, rejected)
         limit_s = self.options.call_timeout_s
         with self._waiting():
             async with self._slots, self.ledger.reserve(request, role.model, bound):
@@ -237,7 +237,7 @@ class Panel:
             reason = f"{type(error).__name__}: {error}"
             raise self._error(f"{request.name}: {self.name} failed: {reason}") from None
 
-    def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
+    def _check_stop(self, request: Request[Any], reply: Reply) -> None:
         if reply.stop == "refusal":
             reason = f": {reply.detail}" if reply.detail else ""
             raise self._error(
@@ -246,8 +246,8 @@ class Panel:
             )
         if reply.stop == "length":
             raise self._error(
-                f"{request.name}: the response of {reply.model} was cut off at {role.max_tokens} "
-                f"tokens; raise mllm.{request.role}.max_tokens"
+                f"{request.name}: the response of {reply.model} was cut off at "
+                f"{self.options.max_tokens} tokens; raise mllm.max_tokens"
             )
 
     def _error(self, message: str) -> ModelError:

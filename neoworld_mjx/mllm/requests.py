@@ -110,9 +110,13 @@ class Picture:
         """Width and height in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]
 
-    @cached_property
+    @property
     def pixels(self) -> str:
         """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""
+        return self._pixel_digest
+
+    @cached_property
+    def _pixel_digest(self) -> str:
         width, height = self.size
         return digest(f"{width}x{height}:".encode() + self.rgb.tobytes())
 

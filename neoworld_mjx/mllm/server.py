@@ -37,7 +37,7 @@ class ServerProvider(ABC):
     """A provider that calls a server's API.
 
     Args:
-        options: models and base_url.
+        options: base_url and maximum length of a response.
 
     Raises:
         ModelError: there is neither a key nor a base_url.
@@ -59,6 +59,7 @@ class ServerProvider(ABC):
             )
         self.key = key or "none"
         self.secrets: tuple[str, ...] = () if key is None else (key,)
+        self.max_tokens = options.max_tokens
         self._client: Any = None
         self._rejected_schemas: set[tuple[str, str]] = set()
         """Model and digest of each schema that the server rejected."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from neoworld_mjx.config import MLLMOptions, RoleOptions, load_config
+from neoworld_mjx.config import MLLMOptions, load_config
 from neoworld_mjx.errors import ModelError, NeoWorldError
 from tests.mllm.conftest import KEY
 from tests.support.model_server import (
@@ -24,7 +24,7 @@ from tests.support.model_server import (
     sends,
 )
 
-SOME_MODEL = RoleOptions(model="some-model", max_tokens=512)
+SOME_MODEL: dict[str, Any] = {"reasoner": {"model": "some-model"}, "max_tokens": 512}
 both = pytest.mark.parametrize("dialect", ["anthropic", "openai"])
 
 
@@ -81,7 +81,7 @@ HOSTILE = {
     "a large request": Hostile(fails(413), "rejected the request", 1),
     "a refusal": Hostile(says("Sorry.", "refusal"), "parse: some-model refused to answer", 1),
     "a cut-off answer": Hostile(
-        says(GOOD[:8], "length"), r"cut off at 512 tokens; raise mllm\.reasoner\.max_tokens", 1
+        says(GOOD[:8], "length"), r"cut off at 512 tokens; raise mllm\.max_tokens", 1
     ),
     "the wrong schema": Hostile(
         says('{"name": 3}'), "no valid response in 4 tries.*name: Input should be a valid string", 4
@@ -101,7 +101,7 @@ HOSTILE = {
 def test_a_hostile_server_ends_in_one_message_without_the_key(connect, make, dialect, name, caplog):
     caplog.set_level("DEBUG")
     hostile = HOSTILE[name]
-    server, panel = connect(dialect, hostile.script, reasoner=SOME_MODEL, **hostile.options)
+    server, panel = connect(dialect, hostile.script, **SOME_MODEL, **hostile.options)
     with pytest.raises(ModelError) as caught:
         panel.ask_sync(make.request())
     message = str(caught.value)

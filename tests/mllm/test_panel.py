@@ -72,7 +72,8 @@ def test_the_cap_stops_before_the_call_and_the_run_resumes(connect, make, dialec
     prices.write_text("m: {input: 0, output: 1000}\n")
     options: dict[str, Any] = {
         "prices": prices,
-        "reasoner": RoleOptions(model="m", max_tokens=512),
+        "reasoner": RoleOptions(model="m"),
+        "max_tokens": 512,
         "record": tmp_path / "kept.tape.json",
     }
     requests = [make.request(prompt=str(i)) for i in range(6)]
@@ -110,9 +111,9 @@ def test_late_and_uncounted_calls_are_recorded_at_their_bound(
 ):
     prices = tmp_path / "prices.yaml"
     prices.write_text("m: {input: 0, output: 1000}\n")
-    model = RoleOptions(model="m", max_tokens=512)
+    options: dict[str, Any] = {"prices": prices, "reasoner": {"model": "m"}, "max_tokens": 512}
     limit = 0.2 if script is hangs else 10.0
-    _, panel = connect(dialect, script, call_timeout_s=limit, prices=prices, reasoner=model)
+    _, panel = connect(dialect, script, call_timeout_s=limit, **options)
     if script is hangs:
         with pytest.raises(ModelError, match="took longer"):
             panel.ask_sync(make.request())

@@ -96,7 +96,7 @@ def test_one_cap_holds_for_the_whole_sweep_and_a_higher_one_resumes_it(recorded,
         request = plan(
             server.url,
             axes={"refine.reward.w_sem": [0.5, 1.0]},
-            mllm={"max_cost_usd": 1.2 * whole, "critic": {"max_tokens": 256}},
+            mllm={"max_cost_usd": 1.2 * whole, "max_tokens": 256},
         )
         with pytest.raises(BudgetError, match="--resume"):
             sweep(request, tmp_path / "capped", cases=[case])
