@@ -29,9 +29,6 @@ class ProgramError(NeoWorldError):
 class ModelError(NeoWorldError):
     """Raised if a request to a multimodal model fails or has no valid response."""
 
-    texts: tuple[str, ...] = ()
-    """Invalid responses as received, with API keys removed."""
-
 
 class MissingResponseError(ModelError):
     """Raised if the recorded responses (tape) contain no response to a request."""

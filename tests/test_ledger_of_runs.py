@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from neoworld_mjx.config import Config, load_config
-from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.config import Config
+from neoworld_mjx.errors import RunError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.requests import Usage
 from neoworld_mjx.pipeline import reconstruction
@@ -42,14 +42,3 @@ def test_a_damaged_ledger_is_named(tmp_path):
         with pytest.raises(RunError, match=r"run\.json: the costs under mllm are damaged"):
             with reconstruction.recorded_costs(run, Panel(ScriptedModel())):
                 pass
-
-
-def test_omitted_headers_must_be_given_again(tmp_path):
-    options = {"mllm": {"headers": {"x-route": "one"}}, "refine": {"semantic": {"scorer": "mllm"}}}
-    config = load_config(None, options)
-    with RunFolder(tmp_path / "run", config) as run:
-        data = run.data["config"]
-    with pytest.raises(ConfigError, match=r"headers x-route: give mllm\.headers again"):
-        reconstruction.earlier_options(tmp_path, data, {})
-    again = reconstruction.earlier_options(tmp_path, data, {"mllm": {"headers": {"x-route": "b"}}})
-    assert again.mllm.headers == {"x-route": "b"}

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import ConfigDict, field_validator
 
@@ -10,19 +10,11 @@ from ..options import Options, option
 
 Role = Literal["reasoner", "programmer", "critic"]
 
-_KEY_HEADER = re.compile(r"authorization|key|token|secret|cookie", re.IGNORECASE)
-
 
 class RoleOptions(Options):
     """Options of the model that plays one role (Section 3.2 of the paper)."""
 
     model: str = option("claude-sonnet-5-5", "Name of the model, as its provider calls it.")
-    max_tokens: int = option(
-        16384,
-        "Maximum length of a response, including the reasoning that some models write first.",
-        unit="token",
-        ge=256,
-    )
 
 
 class MLLMOptions(Options):
@@ -31,41 +23,28 @@ class MLLMOptions(Options):
     model_config = ConfigDict(hide_input_in_errors=True)
 
     reasoner: RoleOptions = RoleOptions()
-    programmer: RoleOptions = RoleOptions(max_tokens=32768)
+    programmer: RoleOptions = RoleOptions()
     critic: RoleOptions = RoleOptions()
+    max_tokens: int = option(
+        32768,
+        "Maximum length of a response, including the reasoning that some models write first.",
+        unit="token",
+        ge=256,
+    )
     base_url: str | None = option(
         None,
         "URL of a server that offers the provider's API, such as vLLM or Ollama. If null, the "
         "provider's own server is used.",
     )
-    headers: dict[str, str] = option(
-        {},
-        "Headers that are sent with every request. Give keys as environment variables: "
-        '`{"x-api-key": "${MY_KEY}"}`.',
-    )
-    timeout_s: float = option(
-        120.0,
-        "Maximum time to wait for the next data from the server.",
-        unit="s",
-        gt=0,
-    )
     call_timeout_s: float = option(
         600.0,
-        "Maximum time that the server may take for one request, including all retries.",
+        "Maximum time that the server may take for one request, including all retries. Transient "
+        "errors are retried four times.",
         unit="s",
         gt=0,
         le=600,
     )
-    retries: int = option(
-        4,
-        "Maximum number of retries after transient errors: rate limits, overload, lost "
-        "connections.",
-        ge=0,
-    )
     concurrency: int = option(8, "Maximum number of concurrent requests.", ge=1)
-    validation_rounds: int = option(
-        3, "Maximum number of attempts to get a response that matches the schema.", ge=1
-    )
     max_cost_usd: float | None = option(
         None,
         "Maximum cost of a run. The run stops before a call that would exceed this limit, and can "
@@ -78,13 +57,13 @@ class MLLMOptions(Options):
         "YAML file of prices in USD per million tokens. If null, the built-in prices are used.",
     )
 
-    @field_validator("headers", "base_url")
+    @field_validator("base_url")
     @classmethod
-    def _keep_keys_out(cls, value: Any) -> Any:
+    def _keep_keys_out(cls, value: str | None) -> str | None:
         """Reject keys, because the configuration is written into run.json."""
-        for name, text in value.items() if isinstance(value, dict) else ():
-            if _KEY_HEADER.search(name) and "${" not in text:
-                raise ValueError(f"{name} would be written into run.json: give it as ${{VARIABLE}}")
-        if isinstance(value, str) and re.search(r"://[^/]*@|[?&][^=]*(key|token)=", value, re.I):
-            raise ValueError("contains a key, which would be written into run.json: use headers")
+        if value is not None and re.search(r"://[^/]*@|[?&][^=]*(key|token)=", value, re.I):
+            raise ValueError(
+                "contains a key, which would be written into run.json: give keys as environment "
+                "variables"
+            )
         return value

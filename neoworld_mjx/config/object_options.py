@@ -23,14 +23,6 @@ class ParseOptions(Options):
         ge=64,
         le=8192,
     )
-    min_side_px: int = option(
-        512,
-        "Minimum length of the longer side of a photograph. A smaller photograph is enlarged by an "
-        "integer factor.",
-        unit="px",
-        ge=16,
-        le=1024,
-    )
     fit: bool = option(
         True,
         "Fit the camera and the 3D boxes of the model's response to its 2D boxes by least squares.",

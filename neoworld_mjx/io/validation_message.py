@@ -6,8 +6,8 @@ from pydantic import BaseModel, ValidationError
 
 from ..errors import choices
 
-_SECRET = ("headers", "base_url")
-"""Options whose invalid values are not displayed because they may contain API keys."""
+_SECRET = "base_url"
+"""Option whose invalid values are not displayed because they may contain API keys."""
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
@@ -18,7 +18,7 @@ def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
         if item["type"] == "extra_forbidden":
             keys = _keys_at(model, item["loc"][:-1])
             lines.append(f"unknown key {key}: {choices(str(item['loc'][-1]), keys)}")
-        elif any(name in item["loc"] for name in _SECRET):
+        elif _SECRET in item["loc"]:
             lines.append(f"{key}: {item['msg']}")
         else:
             value = repr(item["input"])

@@ -1,23 +1,32 @@
-"""Multimodal models: requests, validated responses, and the loop that revises them.
+"""Multimodal models: requests, validated responses, recorded responses, and costs.
 
     panel = open_panel(config.mllm, "auto", photo=photo.sha256)
     response = panel.ask_sync(Request("reasoner", "parse", system, prompt, MySchema, pictures))
     response.value      # a MySchema
 
 Steps of the pipeline send a `Request` with its `Picture`s to a `Model` and receive a `Response`.
-`revise` criticizes and revises a response for several rounds. The pipeline opens a `Panel`, which
-implements `Model`.
+The pipeline opens a `Panel`, which implements `Model`.
 """
 
 from .ledger import Ledger, Price, load_prices
 from .panel import Panel
 from .provider import PROVIDERS, bundled_tapes, open_panel
 from .replay import Tape, find_tape
-from .requests import Model, Picture, Request, Response, Usage, package_text
-from .revision import ask_or_record, revise
+from .requests import (
+    Fallback,
+    Model,
+    Picture,
+    Request,
+    Response,
+    Usage,
+    ask_or_record,
+    package_text,
+)
+from .revision import revise
 
 __all__ = [
     "PROVIDERS",
+    "Fallback",
     "Ledger",
     "Model",
     "Panel",

@@ -5,7 +5,10 @@ Prices are in USD per million tokens and are read from a YAML file. Each model h
 without a price is reported as unknown, not as zero.
 """
 
-from collections.abc import Sequence
+import asyncio
+import re
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ from ..config import read_yaml
 from ..errors import BudgetError, ConfigError
 from .requests import Rejection, Request, Usage
 
+_DATE = re.compile(r"-(\d{8}|\d{4}-\d{2}-\d{2}|latest)$")
 _PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
 _CHARS_PER_TOKEN = 2.5
 _PIXELS_PER_TOKEN = 750
@@ -60,17 +64,7 @@ def load_prices(path: Path | None = None) -> dict[str, Price]:
 
 def price_of(model: str, prices: dict[str, Price]) -> Price | None:
     """Return a model's price by its full name, or by its name without the date at its end."""
-    if model in prices:
-        return prices[model]
-    stem, _, tail = model.rpartition("-")
-    dated = (tail.isdigit() and len(tail) == 8) or tail == "latest"
-    if dated:
-        return prices.get(stem)
-    for name, price in prices.items():
-        suffix = model.removeprefix(name + "-")
-        if suffix != model and suffix.replace("-", "").isdigit() and len(suffix) == 10:
-            return price
-    return None
+    return prices.get(model) or prices.get(_DATE.sub("", model))
 
 
 def token_bound(
@@ -103,14 +97,9 @@ class Ledger:
 
     max_cost_usd: float | None = None
     prices: dict[str, Price] = field(default_factory=load_prices)
-    fallbacks: dict[str, int] = field(default_factory=dict)
     _rows: dict[tuple[str, str], _Row] = field(default_factory=dict)
     _reservations: list[float] = field(default_factory=list)
-
-    @property
-    def reserved_usd(self) -> float:
-        """Maximum cost of the calls in progress [USD]."""
-        return sum(self._reservations, 0.0)
+    _released: asyncio.Condition = field(default_factory=asyncio.Condition)
 
     @property
     def spent_usd(self) -> float:
@@ -127,14 +116,47 @@ class Ledger:
         """Names of the called models that have no price."""
         return sorted({m for (_, m), row in self._rows.items() if row.cost_usd is None})
 
-    def cost_bound(self, model: str, tokens: Usage) -> float:
-        """Return the maximum cost of a call with these tokens [USD]; zero without a cap.
+    @asynccontextmanager
+    async def reserve(
+        self, request: Request[Any], model: str, tokens: Usage
+    ) -> AsyncIterator[None]:
+        """Reserve the maximum cost of a call while the call is in progress.
+
+        Most calls cost less than their reservation. A call that does not fit besides the
+        reservations of other calls therefore waits until they end.
+
+        Args:
+            request: the request.
+            model: name of the model.
+            tokens: upper bound of the tokens of the call.
 
         Raises:
-            BudgetError: a cap is set but cannot be enforced because the model has no price.
+            BudgetError: the call could exceed the cap, or the model has no price, so that the cap
+                cannot be enforced.
         """
-        if self.max_cost_usd is None:
-            return 0.0
+        cap = self.max_cost_usd
+        if cap is None:
+            yield
+            return
+        bound_usd = self._cost_bound(model, tokens)
+        async with self._released:
+            while self.spent_usd + sum(self._reservations) + bound_usd > cap:
+                if not self._reservations or self.spent_usd + bound_usd > cap:
+                    raise BudgetError(
+                        f"{request.name}: cost cap reached: {self.spent_usd:.4f} USD of {cap:g} "
+                        f"are spent and this call may cost up to {bound_usd:.4f}; responses so "
+                        "far are kept: raise mllm.max_cost_usd and resume the run"
+                    )
+                await self._released.wait()
+            self._reservations.append(bound_usd)
+        try:
+            yield
+        finally:
+            async with self._released:
+                self._reservations.remove(bound_usd)
+                self._released.notify_all()
+
+    def _cost_bound(self, model: str, tokens: Usage) -> float:
         price = price_of(model, self.prices)
         if price is None:
             raise BudgetError(
@@ -146,34 +168,6 @@ class Ledger:
         plain = Usage(input=tokens.cache_write, output=tokens.output)
         return max(price.cost(tokens), price.cost(plain))
 
-    def fits(self, bound_usd: float, *, others: bool = True) -> bool:
-        """Return True if a call stays within the cap.
-
-        Args:
-            bound_usd: maximum cost of the call.
-            others: if True, include the reservations of other calls in progress.
-        """
-        if self.max_cost_usd is None:
-            return True
-        reserved = self.reserved_usd if others else 0.0
-        return self.spent_usd + reserved + bound_usd <= self.max_cost_usd
-
-    def reserve(self, bound_usd: float) -> None:
-        """Reserve the maximum cost of a call."""
-        self._reservations.append(bound_usd)
-
-    def release(self, bound_usd: float) -> None:
-        """Release the reservation of a call."""
-        self._reservations.remove(bound_usd)
-
-    def cap_error(self, request: Request[Any], bound_usd: float) -> BudgetError:
-        """Return the error of a call that could exceed the cap."""
-        return BudgetError(
-            f"{request.name}: cost cap reached: {self.spent_usd:.4f} USD of "
-            f"{self.max_cost_usd:g} are spent and this call may cost up to {bound_usd:.4f}; "
-            f"responses so far are kept: raise mllm.max_cost_usd and resume the run"
-        )
-
     def add(
         self,
         role: str,
@@ -182,7 +176,6 @@ class Ledger:
         *,
         billed: bool = True,
         failed: bool = False,
-        share: float = 1.0,
     ) -> None:
         """Add a call.
 
@@ -192,7 +185,6 @@ class Ledger:
             usage: tokens of the call.
             billed: if False, the call costs nothing.
             failed: if True, the call also counts as failed.
-            share: price of the call as a fraction of the list price.
         """
         row = self._rows.setdefault((role, model), _Row())
         row.calls += 1
@@ -200,13 +192,9 @@ class Ledger:
         row.usage = row.usage + usage
         price = price_of(model, self.prices) if billed else Price(input=0, output=0)
         if price is not None and row.cost_usd is not None:
-            row.cost_usd += share * price.cost(usage)
+            row.cost_usd += price.cost(usage)
         elif usage != Usage():
             row.cost_usd = None
-
-    def add_fallback(self, note: str) -> None:
-        """Count a note about a feature that the server does not support."""
-        self.fallbacks[note] = self.fallbacks.get(note, 0) + 1
 
     def to_json(self) -> dict[str, Any]:
         """Return the ledger for run.json; `cost_usd` is null if any cost is unknown."""
@@ -219,7 +207,6 @@ class Ledger:
             "known_cost_usd": round(self.spent_usd, 6),
             "models_without_price": self.unpriced,
             "max_cost_usd": self.max_cost_usd,
-            "fallbacks": dict(sorted(self.fallbacks.items())),
             "by_role_and_model": [
                 {
                     "role": role,
@@ -242,8 +229,6 @@ class Ledger:
             row.usage = row.usage + Usage(**entry["tokens"])
             cost_known = row.cost_usd is not None and entry["cost_usd"] is not None
             row.cost_usd = row.cost_usd + entry["cost_usd"] if cost_known else None
-        for note, count in earlier["fallbacks"].items():
-            self.fallbacks[note] = self.fallbacks.get(note, 0) + count
 
 
 def _read_prices(path: Path) -> dict[str, Price]:

@@ -17,10 +17,12 @@ place: incomplete JSON is not read while the file still changes.
 import asyncio
 import json
 import logging
+import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +39,10 @@ from .responses import InvalidResponse, is_json, read_response
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 """Name of the package and of its logger."""
-_POLL_S = 0.2
-_UNCHANGED_S = 3.0
-"""Time after the last change of a file until incomplete JSON in it is rejected [s]."""
+POLL_S = 0.2
+"""Interval at which the folders are polled [s]."""
+UNCHANGED_S = 3.0
+"""Age of a file from which on incomplete JSON in it is rejected [s]."""
 
 
 class _Ticket(BaseModel):
@@ -51,34 +54,21 @@ class _Ticket(BaseModel):
 class Mailbox:
     """Provider of responses that a person or another program writes into folders.
 
+    Each request is announced by a line in the package's log, or on standard error if the log has no
+    handler.
+
     Args:
         folder: folder in which each request gets a folder; created if missing.
         timeout_s: maximum time to wait for a response [s]. If None, there is no limit.
-        poll_s: interval at which the folders are polled [s].
-        unchanged_s: time after the last change of a file until incomplete JSON in it is rejected
-            [s].
-        report: function that shows a line for each request. If None, the line goes to the package's
-            log, or to standard error if the log has no handler.
     """
 
     name = "mailbox"
     online = False
     secrets: tuple[str, ...] = ()
 
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        timeout_s: float | None = None,
-        poll_s: float = _POLL_S,
-        unchanged_s: float = _UNCHANGED_S,
-        report: Callable[[str], object] | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, *, timeout_s: float | None = None) -> None:
         self._folder = Path(folder)
         self._timeout_s = timeout_s
-        self._poll_s = poll_s
-        self._unchanged_s = unchanged_s
-        self._report = report or _announce
         self._order = asyncio.Lock()
 
     async def reply(
@@ -93,11 +83,9 @@ class Mailbox:
         try:
             # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
-                self._check_entries()
-                await asyncio.to_thread(request.encode_pictures)
-                folder = self._find(request) or self._put(request)
+                folder = await asyncio.to_thread(self._folder_of, request)
             if not (folder / "response.json").exists():
-                self._report(
+                _announce(
                     f"mailbox: {request.name} ({request.role}) waits for {folder / 'response.json'}"
                 )
             text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
@@ -115,21 +103,18 @@ class Mailbox:
     async def close(self) -> None:
         """Do nothing, because a mailbox has no connections."""
 
-    def _check_entries(self) -> None:
-        """Raise ModelError if the mailbox contains a link, a pipe or a device."""
+    def _folder_of(self, request: Request[Any]) -> Path:
+        """Return the folder of a request, which an earlier run may have written."""
         if self._folder.is_dir() and (entry := irregular_entry(self._folder)):
             name, kind = entry
             raise ModelError(f"mailbox {self._folder}: {name} is {kind}; remove it")
-
-    def _find(self, request: Request[Any]) -> Path | None:
-        """Return the folder that an earlier run wrote for a request; None if there is none."""
         for ticket in sorted(self._folder.glob("[0-9]*/request.json")):
             try:
                 if read_model(ticket, _Ticket, ModelError, "a request").key == request.key:
                     return ticket.parent
             except ModelError:
                 continue
-        return None
+        return self._put(request)
 
     def _put(self, request: Request[Any]) -> Path:
         """Write a request's folder under a hidden name, and rename it when it is complete."""
@@ -157,28 +142,20 @@ class Mailbox:
         return partial.rename(folder)
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
-        path = folder / "response.json"
-        last_stamp: tuple[int, int] | None = None
-        last_change = 0.0
+        path, max_bytes = folder / "response.json", file_bounds().max_text_mib * MIB
         while True:
-            stamp = _stamp(path)
-            now = asyncio.get_running_loop().time()
-            if stamp != last_stamp:
-                last_stamp, last_change = stamp, now
-            if stamp is not None:
-                max_bytes = file_bounds().max_text_mib * MIB
+            if os.path.lexists(path):
                 text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")
-                complete = is_json(text)
                 try:
                     read_response(text, request.schema)
                 except InvalidResponse as error:
-                    if complete or now - last_change >= self._unchanged_s:
+                    unchanged = abs(time.time() - path.lstat().st_mtime) >= UNCHANGED_S
+                    if unchanged or is_json(text):
                         self._reject(folder, str(error))
-                        last_stamp = None
                 else:
                     (folder / "error.md").unlink(missing_ok=True)
                     return text
-            await asyncio.sleep(self._poll_s)
+            await asyncio.sleep(POLL_S)
 
     def _reject(self, folder: Path, reason: str) -> None:
         count = 1 + sum(1 for _ in folder.glob("response.rejected-*.json"))
@@ -211,11 +188,3 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
         f"## Response\n\nWrite one JSON object that fits schema.json to response.json in this "
         f"folder. If it does not fit, error.md says why and the run waits again.\n"
     )
-
-
-def _stamp(path: Path) -> tuple[int, int] | None:
-    try:
-        status = path.lstat()
-    except FileNotFoundError:
-        return None
-    return status.st_mtime_ns, status.st_size

@@ -1,21 +1,22 @@
-"""Panel of models: a provider with routing, limits, retries, validation and recording.
+"""Panel of models: a provider with routing, limits, validation, accounting and recording.
 
 For each request, the panel
 
 - chooses the model of the request's role,
-- enforces the concurrency limit and the cost cap,
-- retries failed calls,
+- enforces the concurrency limit, the deadline and the cost cap,
 - sends an invalid response back to the model with the error, a limited number of times,
 - adds every call to the ledger, and records every response.
 
 A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
-`ask_many`, `run`) and in any event loop (`ask`), even in several loops one after another.
+`run`) and in any event loop (`ask`), even in several loops one after another.
 """
 
 import asyncio
 import concurrent.futures
 import threading
-from collections.abc import Coroutine, Sequence
+import time
+from collections.abc import Coroutine, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,15 +24,18 @@ from pydantic import BaseModel
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
-from .calls import Calls
-from .ledger import Ledger, load_prices
+from ..progress import update
+from .ledger import Ledger, load_prices, token_bound
 from .replay import Tape
 from .requests import Provider, Rejection, Reply, Request, Response, Usage
 from .responses import InvalidResponse, read_response
-from .secrets import hide
+from .secrets import hide, scrub
 
 T = TypeVar("T", bound=BaseModel)
 R = TypeVar("R")
+
+CORRECTIONS = 3
+"""Maximum number of times that an invalid response is sent back to the model with the error."""
 
 
 class Panel:
@@ -40,13 +44,11 @@ class Panel:
     Args:
         provider: the source of responses.
         options: models, limits and cap.
-        ledger: ledger of the calls. If None, a new ledger with the cap and the prices of `options`.
         record: file of recorded responses (a tape). The panel writes every response to the tape
             immediately, and sends no request whose response the tape contains. An interrupted run
             therefore loses no response.
         photo: sha256 of the photo's file, written to the tape.
         made: origin of the responses, written to the tape.
-        backoff_s: delay before the first retry of a call [s]; it doubles with every further retry.
 
     Raises:
         ConfigError: the table of prices is invalid.
@@ -58,19 +60,18 @@ class Panel:
         provider: Provider,
         options: MLLMOptions | None = None,
         *,
-        ledger: Ledger | None = None,
         record: Path | None = None,
         photo: str | None = None,
         made: str = "",
-        backoff_s: float = 0.5,
     ) -> None:
         self.provider = provider
         self.options = options or MLLMOptions()
-        self.ledger = ledger or Ledger(self.options.max_cost_usd, load_prices(self.options.prices))
+        self.ledger = Ledger(self.options.max_cost_usd, load_prices(self.options.prices))
         self._record = Path(record) if record is not None else None
         self._tape = _open_record(self._record, photo, made)
-        self._calls = Calls(provider, self.options, self.ledger, backoff_s)
-        self._tasks: dict[tuple[str, type], asyncio.Task[Response[Any]]] = {}
+        self._slots = asyncio.Semaphore(self.options.concurrency)
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._in_flight, self._since, self._waited_s = 0, 0.0, 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -78,7 +79,7 @@ class Panel:
     @property
     def waited_s(self) -> float:
         """Total time during which at least one request waited for the provider [s]."""
-        return self._calls.waited_s
+        return self._waited_s + (time.perf_counter() - self._since if self._in_flight else 0.0)
 
     @property
     def name(self) -> str:
@@ -88,43 +89,23 @@ class Panel:
     async def ask(self, request: Request[T]) -> Response[T]:
         """Return the response to a request.
 
-        Requests may be concurrent; equal requests are sent once.
-
         Raises:
             MissingResponseError: the provider replays a tape that does not contain the response.
             BudgetError: the call could exceed the cost cap; nothing was sent.
             ModelError: there is no valid response for any other reason.
         """
-        return await asyncio.wrap_future(self._submit(self._shared(request)))
+        return await asyncio.wrap_future(self.ask_soon(request))
 
     def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Response[T]]":
-        """Return a future of the response, from any thread; canceling it cancels no request."""
-        return self._submit(self._shared(request))
+        """Return a future of the response, from any thread.
+
+        If the future is canceled, the request continues, so that a paid response is recorded.
+        """
+        return self._submit(self._shielded(request))
 
     def ask_sync(self, request: Request[T]) -> Response[T]:
         """Return the response to a request, in code without an event loop."""
-        return self.run(self._shared(request))
-
-    def ask_many(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        """Send requests concurrently; return the responses in the order of the requests.
-
-        If a request fails, the call still waits for the others, so that no paid response is lost.
-
-        Raises:
-            ModelError: the first failure in the order of the requests; see `ask`.
-        """
-        return self.run(self._gather(requests))
-
-    def batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        """Send requests as one batch if the provider has batches, and return all responses.
-
-        A batch costs less than single calls but may take up to a day. A request for which the batch
-        gives no valid response is sent individually.
-
-        Raises:
-            ModelError: the first failure in the order of the requests; see `ask`.
-        """
-        return self.run(self._batch(requests))
+        return self.run(self._shielded(request))
 
     def run(self, work: Coroutine[Any, Any, R]) -> R:
         """Run a coroutine on the panel's event loop and wait for its result.
@@ -167,35 +148,17 @@ class Panel:
             return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     async def _shut_down(self) -> None:
-        for task in self._tasks.values():
+        tasks = list(self._tasks)
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
-        self._tasks.clear()
+        await asyncio.gather(*tasks, return_exceptions=True)
         await self.provider.close()
 
-    async def _gather(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        results = await asyncio.gather(*map(self._shared, requests), return_exceptions=True)
-        responses = []
-        for result in results:
-            if isinstance(result, BaseException):
-                raise result
-            responses.append(result)
-        return responses
-
-    async def _shared(self, request: Request[T]) -> Response[T]:
-        """Return the response to a request; equal requests share one task."""
-        identity = (request.key, request.schema)
-        task = self._tasks.get(identity)
-        if task is None:
-            task = asyncio.ensure_future(self._respond(request))
-            self._tasks[identity] = task
-            task.add_done_callback(lambda done: self._forget_failure(identity, done))
-        # If one caller is canceled, the other callers still need the response.
+    async def _shielded(self, request: Request[T]) -> Response[T]:
+        task = asyncio.ensure_future(self._respond(request))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
         return await asyncio.shield(task)
-
-    def _forget_failure(self, identity: tuple[str, type], done: "asyncio.Task[Any]") -> None:
-        if done.cancelled() or done.exception() is not None:
-            self._tasks.pop(identity, None)
 
     async def _respond(self, request: Request[T]) -> Response[T]:
         recorded = self._tape.get(request) if self._record is not None else None
@@ -209,72 +172,107 @@ class Panel:
 
     async def _request_until_valid(self, request: Request[T]) -> Response[T]:
         """Send a request; send invalid responses back with the errors for a few rounds."""
-        role = self._role(request)
+        role: RoleOptions = getattr(self.options, request.role)
         rejected: tuple[Rejection, ...] = ()
-        rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
+        rounds = 1 + (CORRECTIONS if self.provider.online else 0)
         usage = Usage()
         model, reason = role.model, ""
         while len(rejected) < rounds:
-            reply = await self._calls.make(request, role, rejected)
-            usage = usage + reply.usage
-            self._check_stop(request, role, reply)
+            reply = await self._call(request, role, rejected)
+            model, usage = reply.model, usage + (reply.usage or Usage())
+            self._check_stop(request, reply)
             try:
                 value = read_response(reply.text, request.schema)
             except InvalidResponse as error:
-                model, reason = reply.model, str(error)
+                reason = str(error)
                 rejected = (*rejected, Rejection(reply.text, reason))
                 continue
-            self._write_record(request, reply)
-            return Response(value, reply.text, usage, reply.model)
-        error = self._calls.error(
+            if self._record is not None:
+                self._tape.put(request, hide(reply.text, self.provider.secrets), model)
+                self._tape.save(self._record)
+            return Response(value, reply.text, usage, model)
+        raise self._error(
             f"{request.name}: {model} gave no valid response in {rounds} "
             f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
-        error.texts = tuple(hide(r.text, self.provider.secrets) for r in rejected)
-        raise error
 
-    def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
+    async def _call(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Make a call within the limits, and add it to the ledger."""
+        if not self.provider.online:
+            with self._waiting():
+                reply = await self._reply(request, role, rejected)
+            self.ledger.add(request.role, reply.model, reply.usage or Usage(), billed=False)
+            return reply
+        bound = token_bound(request, self.options.max_tokens, rejected)
+        limit_s = self.options.call_timeout_s
+        with self._waiting():
+            async with self._slots, self.ledger.reserve(request, role.model, bound):
+                spent, failed = Usage(), True
+                try:
+                    async with asyncio.timeout(limit_s):
+                        reply = await self._reply(request, role, rejected)
+                    # A server that does not count tokens may bill up to the bound.
+                    spent, failed = reply.usage or bound, False
+                    return reply
+                except TimeoutError:
+                    spent = bound  # The server may bill the tokens that it has generated.
+                    raise self._error(
+                        f"{request.name}: {self.name} took longer than {limit_s:g} s including "
+                        "retries; resume the run later, or raise mllm.call_timeout_s"
+                    ) from None
+                finally:
+                    self.ledger.add(request.role, role.model, spent, failed=failed)
+
+    async def _reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Call the provider, and remove keys from the message of any error."""
+        try:
+            return await self.provider.reply(request, role, rejected)
+        except ModelError as error:
+            raise type(error)(scrub(str(error), self.provider.secrets)) from None
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise self._error(f"{request.name}: {self.name} failed: {reason}") from None
+
+    def _check_stop(self, request: Request[Any], reply: Reply) -> None:
         if reply.stop == "refusal":
             reason = f": {reply.detail}" if reply.detail else ""
-            error = self._calls.error(
+            raise self._error(
                 f"{request.name}: {reply.model} refused to answer{reason}; "
                 f"try another photo or another model (mllm.{request.role}.model)"
             )
-            error.texts = (hide(reply.text, self.provider.secrets),)
-            raise error
         if reply.stop == "length":
-            raise self._calls.error(
-                f"{request.name}: the response of {reply.model} was cut off at {role.max_tokens} "
-                f"tokens; raise mllm.{request.role}.max_tokens"
+            raise self._error(
+                f"{request.name}: the response of {reply.model} was cut off at "
+                f"{self.options.max_tokens} tokens; raise mllm.max_tokens"
             )
 
-    def _write_record(self, request: Request[Any], reply: Reply) -> None:
-        if self._record is not None:
-            self._tape.put(request, hide(reply.text, self.provider.secrets), reply.model)
-            self._tape.save(self._record)
+    def _error(self, message: str) -> ModelError:
+        """Return an error with this message, from which keys are removed."""
+        return ModelError(scrub(message, self.provider.secrets))
 
-    def _role(self, request: Request[Any]) -> RoleOptions:
-        return getattr(self.options, request.role)
+    @contextmanager
+    def _waiting(self) -> Iterator[None]:
+        """Count the time of a call, and update the status line."""
+        if not self._in_flight:
+            self._since = time.perf_counter()
+        self._in_flight += 1
+        self._report()
+        try:
+            yield
+        finally:
+            waited = self.waited_s
+            self._in_flight -= 1
+            if not self._in_flight:
+                self._waited_s = waited
+            self._report()
 
-    async def _batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
-        new = {r.key: r for r in requests if (r.key, r.schema) not in self._tasks}
-        waiting = [r for r in new.values() if self._record is None or self._tape.get(r) is None]
-        roles = [self._role(request) for request in waiting]
-        for request, reply in zip(waiting, await self._calls.batch(waiting, roles), strict=True):
-            if reply is None or reply.stop != "end":
-                continue
-            try:
-                value = read_response(reply.text, request.schema)
-            except InvalidResponse:
-                continue  # Sent individually below.
-            self._write_record(request, reply)
-            response = Response(value, reply.text, reply.usage, reply.model)
-            self._tasks[request.key, request.schema] = asyncio.ensure_future(_ready(response))
-        return await self._gather(requests)
-
-
-async def _ready(response: Response[T]) -> Response[T]:
-    return response
+    def _report(self) -> None:
+        ledger = self.ledger
+        update(calls=ledger.calls, cost_usd=ledger.spent_usd, unanswered=self._in_flight)
 
 
 def _open_record(path: Path | None, photo: str | None, made: str) -> Tape:

@@ -1,34 +1,20 @@
-"""Table of all providers of responses, and the function that opens one of them.
+"""Providers of responses, and the function that opens a panel with one of them."""
 
-To add a provider, write a module for it and add an entry to `PROVIDERS`.
-"""
-
-import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import get_args
 
 from ..config import MLLMOptions, Role
 from ..errors import ConfigError, MissingResponseError, ModelError, choices
-from .ledger import Ledger
 from .mailbox import Mailbox
 from .panel import Panel
 from .replay import SUFFIX, Replay, find_tape
 from .requests import Provider
 from .secrets import environment_key
 
-
-class ProviderInputs(NamedTuple):
-    """Inputs of the functions in `PROVIDERS`."""
-
-    options: MLLMOptions
-    photo: str | None = None
-    """sha256 of the photo's file."""
-    tapes: Sequence[Path] = ()
-    """Files of recorded responses (tapes), and folders of tapes, in search order."""
-    mailbox: Path | None = None
-    mailbox_timeout_s: float | None = None
+PROVIDERS = ("auto", "anthropic", "openai", "replay", "mailbox")
+"""Names of the providers of responses."""
 
 
 def open_panel(
@@ -41,13 +27,11 @@ def open_panel(
     mailbox_timeout_s: float | None = None,
     record: Path | None = None,
     made: str = "",
-    ledger: Ledger | None = None,
 ) -> Panel:
     """Open the panel of models for a run.
 
     `auto` uses a key from the environment. If there is no key, it replays the recorded responses (a
-    tape) of this photo. OPENAI_API_KEY is used only if the extra `openai` is installed and no role
-    uses a model of Anthropic.
+    tape) of this photo. OPENAI_API_KEY is used only if no role uses a model of Anthropic.
 
     Args:
         options: models, limits and cap.
@@ -59,7 +43,6 @@ def open_panel(
             no limit.
         record: tape file. New responses are written to it, and recorded responses are reused.
         made: origin of the responses, written to the recorded tape.
-        ledger: ledger of the calls, such as the ledger of a resumed run. If None, a new ledger.
 
     Raises:
         ConfigError: the provider is unknown, or lacks a required argument.
@@ -68,10 +51,15 @@ def open_panel(
     """
     if provider not in PROVIDERS:
         raise ConfigError(f"provider: {choices(provider, PROVIDERS)}")
-    searched = (*map(Path, tapes), bundled_tapes())
-    inputs = ProviderInputs(options, photo, searched, mailbox, mailbox_timeout_s)
-    client = PROVIDERS[provider](inputs)
-    return Panel(client, options, ledger=ledger, record=record, photo=photo, made=made)
+    client: Provider
+    if provider == "mailbox":
+        if mailbox is None:
+            raise ConfigError("provider mailbox needs a folder for its requests")
+        client = Mailbox(mailbox, timeout_s=mailbox_timeout_s)
+    else:
+        name = _from_environment(options) if provider == "auto" else provider
+        client = _server(name, options) or _replay(provider, photo, tapes)
+    return Panel(client, options, record=record, photo=photo, made=made)
 
 
 def bundled_tapes() -> Path:
@@ -79,83 +67,45 @@ def bundled_tapes() -> Path:
     return Path(str(resources.files("neoworld_mjx") / "data" / "tapes"))
 
 
-def _auto(inputs: ProviderInputs) -> Provider:
+def _from_environment(options: MLLMOptions) -> str:
     if environment_key("ANTHROPIC_API_KEY"):
-        return _anthropic(inputs)
-    openai_key = environment_key("OPENAI_API_KEY") is not None
-    if openai_key and _has_openai() and not _claude_models(inputs.options):
-        return _openai(inputs)
-    tape = find_tape(inputs.photo, inputs.tapes)
+        return "anthropic"
+    models = [getattr(options, role).model for role in get_args(Role)]
+    others = not any(model.startswith("claude") for model in models)
+    return "openai" if others and environment_key("OPENAI_API_KEY") else "replay"
+
+
+def _server(name: str, options: MLLMOptions) -> Provider | None:
+    # Imported on demand: an SDK takes a second to load, and other providers do not need it.
+    if name == "anthropic":
+        from .anthropic import Anthropic
+
+        return Anthropic(options)
+    if name == "openai":
+        from .openai import OpenAI
+
+        return OpenAI(options)
+    return None
+
+
+def _replay(provider: str, photo: str | None, tapes: Sequence[Path]) -> Replay:
+    searched = (*map(Path, tapes), bundled_tapes())
+    tape = find_tape(photo, searched)
     if tape is not None:
         return Replay(*tape)
-    raise ModelError(_remedies(openai_key, inputs.options))
+    if provider == "auto":
+        raise ModelError(_REMEDIES)
+    raise MissingResponseError(
+        f"no tape was recorded for this photo (sha256 {(photo or 'unknown')[:16]}); searched "
+        f"{', '.join(map(str, searched))}. Use the exact file that a tape was recorded for, name "
+        f"a tape, or choose another provider: {', '.join(PROVIDERS)}"
+    )
 
 
-def _anthropic(inputs: ProviderInputs) -> Provider:
-    # Imported on demand: an SDK takes a second to load, and other providers do not need it.
-    from .anthropic import Anthropic
-
-    return Anthropic(inputs.options)
-
-
-def _openai(inputs: ProviderInputs) -> Provider:
-    from .openai import OpenAI
-
-    return OpenAI(inputs.options)
-
-
-def _replay(inputs: ProviderInputs) -> Provider:
-    tape = find_tape(inputs.photo, inputs.tapes)
-    if tape is None:
-        searched = ", ".join(map(str, inputs.tapes))
-        raise MissingResponseError(
-            f"no tape was recorded for this photo (sha256 {(inputs.photo or 'unknown')[:16]}); "
-            f"searched {searched}. Use the exact file that a tape was recorded for, name a tape, "
-            f"or choose another provider: {', '.join(PROVIDERS)}"
-        )
-    return Replay(*tape)
-
-
-def _mailbox(inputs: ProviderInputs) -> Provider:
-    if inputs.mailbox is None:
-        raise ConfigError("provider mailbox needs a folder for its requests")
-    return Mailbox(inputs.mailbox, timeout_s=inputs.mailbox_timeout_s)
-
-
-PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
-    "auto": _auto,
-    "anthropic": _anthropic,
-    "openai": _openai,
-    "replay": _replay,
-    "mailbox": _mailbox,
-}
-"""Functions that open a provider, by the provider's name."""
-
-
-def _remedies(openai_key: bool, options: MLLMOptions) -> str:
-    lines = [
-        "no key in the environment and no tape for this photo. Options:",
-        "  - set ANTHROPIC_API_KEY",
-        "  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name "
-        "its models in the config (mllm.reasoner.model, ...)",
-        "  - run a local model: --provider anthropic or openai with mllm.base_url in the config",
-        "  - answer yourself: --provider mailbox",
-        f"  - give a tape (*{SUFFIX}) that was recorded for this exact file: --provider replay",
-    ]
-    if openai_key:
-        obstacles = [] if _has_openai() else ["the extra 'openai' is not installed"]
-        if _claude_models(options):
-            obstacles.append("roles still name models of Anthropic")
-        lines[0] = (
-            f"OPENAI_API_KEY is set, but {' and '.join(obstacles)}; no other key and no tape for "
-            f"this photo. Options:"
-        )
-    return "\n".join(lines)
-
-
-def _has_openai() -> bool:
-    return importlib.util.find_spec("openai") is not None
-
-
-def _claude_models(options: MLLMOptions) -> bool:
-    return any(getattr(options, role).model.startswith("claude") for role in get_args(Role))
+_REMEDIES = f"""no key in the environment and no tape for this photo. Options:
+  - set ANTHROPIC_API_KEY
+  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name OpenAI's \
+models in the config (mllm.reasoner.model, mllm.programmer.model, mllm.critic.model)
+  - run a local model: --provider anthropic or openai with mllm.base_url in the config
+  - answer yourself: --provider mailbox
+  - give a tape (*{SUFFIX}) that was recorded for this exact file: --provider replay"""

@@ -9,7 +9,6 @@ encoder, but not with a renderer that changes a pixel. The order of the requests
 Entries are sorted, so recording the same responses gives the same bytes.
 """
 
-import difflib
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
@@ -110,18 +109,14 @@ class Tape(BaseModel):
         """Return the entry of a request; None if the tape has none."""
         return self.answers.get(request.key)
 
-    def nearest(self, request: Request[Any]) -> str:
-        """Describe the entry with the name closest to a request's, and the parts that differ."""
-        names = sorted({entry.name for entry in self.answers.values()})
-        close = difflib.get_close_matches(request.name, names, n=1)
-        if not close:
+    def differences(self, request: Request[Any]) -> str:
+        """Describe which parts of a request differ from the entry with the request's name."""
+        named = [entry for entry in self.answers.values() if entry.name == request.name]
+        if not named:
+            names = sorted({entry.name for entry in self.answers.values()})
             return f"the tape contains: {', '.join(names) or 'nothing'}"
-        differing = min(
-            (_differing(entry, request) for entry in self.answers.values() if entry.name in close),
-            key=len,
-        )
-        parts = ", ".join(differing) or "the key"
-        return f"the nearest entry is {close[0]!r}, which differs in: {parts}"
+        differing = min((_differing(entry, request) for entry in named), key=len)
+        return f"its entry {request.name!r} differs in: {', '.join(differing) or 'the key'}"
 
 
 class Replay:
@@ -148,7 +143,7 @@ class Replay:
         if entry is None:
             raise MissingResponseError(
                 f"tape {self._path} has no response for {request.name!r} (role {request.role}, "
-                f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it again with "
+                f"key {request.key[:16]}); {self._tape.differences(request)}. Record it again with "
                 f"another provider, or undo the change"
             )
         return Reply(entry.text, Usage(), entry.model or "tape")

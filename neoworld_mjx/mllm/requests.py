@@ -13,7 +13,7 @@ import hashlib
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
 from typing import Any, Generic, Literal, Protocol, TypeVar, runtime_checkable
@@ -23,9 +23,11 @@ from PIL import Image
 from pydantic import BaseModel
 
 from ..config import Role, RoleOptions
-from ..errors import ModelError
+from ..errors import BudgetError, MissingResponseError, ModelError
 
 T = TypeVar("T", bound=BaseModel)
+Fallback = tuple[str, str]
+"""A skipped stage, and the reason."""
 
 _MEDIA = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
@@ -42,29 +44,56 @@ def package_text(package: str, name: str) -> str:
     return resources.files(package).joinpath(f"{name}.md").read_text("utf-8")
 
 
-@dataclass(frozen=True)
 class Picture:
-    """A PNG or JPEG picture of a request, with the label by which the prompt refers to it.
+    """A picture of a request, with the label by which the prompt refers to it.
+
+    Args:
+        label: the label.
+        data: a PNG or JPEG file, or pixels (sRGB), uint8 of shape [height, width, 3], which are
+            encoded as PNG on first use.
 
     Raises:
-        ModelError: the data is neither PNG nor JPEG.
+        ModelError: the file is neither PNG nor JPEG, or the array has another type or shape.
     """
 
-    label: str
-    data: bytes = field(repr=False)
-
-    def __post_init__(self) -> None:
-        if not any(self.data.startswith(magic) for magic in _MEDIA):
-            raise ModelError(f"picture {self.label!r} must be PNG or JPEG bytes")
+    def __init__(self, label: str, data: bytes | np.ndarray) -> None:
+        self.label = label
+        if isinstance(data, bytes):
+            if not any(data.startswith(magic) for magic in _MEDIA):
+                raise ModelError(f"picture {label!r} must be PNG or JPEG bytes")
+            self.data = data
+            return
+        if data.dtype != np.uint8 or data.ndim != 3 or data.shape[2] != 3:
+            raise ModelError(
+                f"picture {label!r} must be uint8 of shape [height, width, 3], "
+                f"got {data.dtype} of shape {list(data.shape)}"
+            )
+        self.rgb = np.array(data)  # The caller may modify the array later.
 
     @staticmethod
     def of(label: str, rgb: np.ndarray) -> "Picture":
-        """Return a picture with these pixels (sRGB), uint8 of shape [height, width, 3].
+        """Return a picture with these pixels; see the class."""
+        return Picture(label, rgb)
+
+    @cached_property
+    def data(self) -> bytes:
+        """The PNG or JPEG file."""
+        buffer = io.BytesIO()
+        Image.fromarray(self.rgb).save(buffer, "PNG", compress_level=6)
+        return buffer.getvalue()
+
+    @cached_property
+    def rgb(self) -> np.ndarray:
+        """Pixels (sRGB), uint8 of shape [height, width, 3].
 
         Raises:
-            ModelError: the array has another type or shape.
+            ModelError: the file cannot be decoded.
         """
-        return PixelPicture(label, rgb)
+        try:
+            with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
+                return np.asarray(image.convert("RGB"))
+        except (OSError, SyntaxError, ValueError) as error:
+            raise ModelError(f"picture {self.label!r} cannot be decoded: {error}") from None
 
     @property
     def media_type(self) -> str:
@@ -76,66 +105,20 @@ class Picture:
         """File suffix: .png or .jpg."""
         return ".png" if self.media_type == "image/png" else ".jpg"
 
-    @cached_property
-    def _decoded(self) -> tuple[tuple[int, int], str]:
-        try:
-            with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
-                rgb = image.convert("RGB")
-        except (OSError, SyntaxError, ValueError) as error:
-            raise ModelError(f"picture {self.label!r} cannot be decoded: {error}") from None
-        return rgb.size, _pixel_digest(*rgb.size, rgb.tobytes())
-
-    @property
-    def rgb(self) -> np.ndarray:
-        """Pixels (sRGB), uint8 of shape [height, width, 3]."""
-        with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
-            return np.asarray(image.convert("RGB"))
-
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
-        return self._decoded[0]
+        return self.rgb.shape[1], self.rgb.shape[0]
 
     @property
     def pixels(self) -> str:
         """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""
-        return self._decoded[1]
-
-
-class PixelPicture(Picture):
-    """A picture that is stored as pixels and encoded as PNG on first use.
-
-    Raises:
-        ModelError: the array is not uint8 of shape [height, width, 3].
-    """
-
-    _rgb: np.ndarray
-
-    def __init__(self, label: str, rgb: np.ndarray) -> None:
-        if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-            raise ModelError(
-                f"picture {label!r} must be uint8 of shape [height, width, 3], "
-                f"got {rgb.dtype} of shape {list(rgb.shape)}"
-            )
-        copy = np.array(rgb)  # The caller may modify the array later.
-        for name, value in (("label", label), ("_rgb", copy)):
-            object.__setattr__(self, name, value)  # The dataclass is frozen.
+        return self._pixel_digest
 
     @cached_property
-    def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The PNG file, encoded once."""
-        buffer = io.BytesIO()
-        Image.fromarray(self._rgb).save(buffer, "PNG", compress_level=6)
-        return buffer.getvalue()
-
-    @cached_property
-    def _decoded(self) -> tuple[tuple[int, int], str]:
-        height, width = self._rgb.shape[:2]
-        return (width, height), _pixel_digest(width, height, self._rgb.tobytes())
-
-
-def _pixel_digest(width: int, height: int, rgb: bytes) -> str:
-    return digest(f"{width}x{height}:".encode() + rgb)
+    def _pixel_digest(self) -> str:
+        width, height = self.size
+        return digest(f"{width}x{height}:".encode() + self.rgb.tobytes())
 
 
 @dataclass(frozen=True)
@@ -175,11 +158,6 @@ class Request(Generic[T]):
         for name, title in titles.items():
             text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
         return json.loads(text)
-
-    def encode_pictures(self) -> None:
-        """Encode the pictures that are not encoded yet, which may take seconds."""
-        for picture in self.pictures:
-            _ = picture.data
 
     @cached_property
     def parts(self) -> dict[str, str]:
@@ -262,37 +240,17 @@ class Reply:
     """One reply of a provider, which is not validated yet."""
 
     text: str
-    usage: Usage
+    usage: Usage | None
+    """Tokens of the call; None if the server does not count them."""
     model: str
     stop: Literal["end", "length", "refusal"] = "end"
     detail: str = ""
     """Message of the server about a refusal."""
-    fallback: str | None = None
-    """Note about features that the server does not support, such as structured output."""
-    counted: bool = True
-    """True if the server counted tokens."""
 
     def __post_init__(self) -> None:
         # Unpaired surrogates cannot be encoded, so replace them.
         valid_text = self.text.encode("utf-8", "replace").decode()
         object.__setattr__(self, "text", valid_text)
-
-
-class Transient(Exception):
-    """Raised if a call failed and a retry may help. `Calls` catches this exception.
-
-    Args:
-        message: the reason of the failure.
-        retry_after: delay that the server requests before a retry [s]; None if it requests none.
-        usage: tokens that the server counted before the call failed.
-    """
-
-    def __init__(
-        self, message: str, retry_after: float | None = None, usage: Usage | None = None
-    ) -> None:
-        super().__init__(message)
-        self.retry_after = retry_after
-        self.usage = usage or Usage()
 
 
 @runtime_checkable
@@ -301,15 +259,19 @@ class Provider(Protocol):
 
     name: str
     online: bool
-    """If True, calls cost money and may fail; the panel limits and retries them, and sends invalid
-    responses back."""
+    """If True, calls cost money and may fail; the panel limits them, and sends invalid responses
+    back."""
     secrets: tuple[str, ...]
     """Strings that must never appear in output."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; raise Transient if a retry may help, otherwise ModelError."""
+        """Make one call.
+
+        Raises:
+            ModelError: there is no response; the message states a remedy.
+        """
         ...
 
     async def close(self) -> None:
@@ -321,3 +283,27 @@ def response_rule(request: Request[Any]) -> str:
     """Return instructions with the JSON schema, for servers that do not enforce a schema."""
     schema = json.dumps(request.json_schema, sort_keys=True)
     return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"
+
+
+async def ask_or_record(
+    models: Model, request: Request[T], stage: str, fallbacks: list[Fallback]
+) -> T | None:
+    """Return a model's response; if the model fails, add a fallback and return None.
+
+    Args:
+        models: the models.
+        request: a request that the run can do without.
+        stage: name of the stage that is skipped if the request fails.
+        fallbacks: list to which the stage and the reason of a failure are appended.
+
+    Raises:
+        BudgetError: the cost cap is reached.
+        MissingResponseError: the recorded responses (a tape) do not contain the response.
+    """
+    try:
+        return (await models.ask(request)).value
+    except (BudgetError, MissingResponseError):
+        raise
+    except ModelError as error:
+        fallbacks.append((stage, str(error)))
+        return None

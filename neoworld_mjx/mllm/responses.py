@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -14,8 +15,8 @@ T = TypeVar("T", bound=BaseModel)
 _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
 _OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
-MAX_CHARS, MAX_OBJECTS = 1_000_000, 20
-"""Maximum number of characters of a text, and maximum number of JSON objects in the text."""
+MAX_CHARS, MAX_BLOCKS = 1_000_000, 20
+"""Maximum number of characters of a text, and maximum number of fenced blocks that are read."""
 
 
 class InvalidResponse(Exception):
@@ -25,9 +26,9 @@ class InvalidResponse(Exception):
 def read_response(text: str, schema: type[T]) -> T:
     """Validate the JSON object in a model's text.
 
-    The text may be bare JSON, JSON in a fenced block, or JSON within prose. If there are several
-    objects, the first valid one is returned: first the whole text, then the fenced blocks. Objects
-    within prose are used only if there is neither, from the largest to the smallest.
+    The text may be bare JSON, JSON in fenced blocks, or JSON within prose. The whole text, the
+    fenced blocks, and the text from the first to the last brace are tried in this order, and the
+    first valid object is returned.
 
     Raises:
         InvalidResponse: no object is valid; the message describes the first problem.
@@ -36,16 +37,25 @@ def read_response(text: str, schema: type[T]) -> T:
         raise InvalidResponse(
             f"the response has {len(text)} characters, at most {MAX_CHARS} are read"
         )
-    candidates, reason = _whole_objects(text), ""
-    if not candidates:
-        candidates, reason = _embedded_objects(text)
-    for value in candidates:
+    reason = ""
+    for part in _candidates(text):
+        try:
+            value = _loads(part)
+        except RecursionError:
+            reason = reason or "the JSON is nested too deeply"
+            continue
+        except ValueError as error:
+            reason = reason or f"no JSON object in it ({error}); it starts {text.strip()[:80]!r}"
+            continue
+        if not isinstance(value, dict):
+            reason = f"a JSON object is needed, got {type(value).__name__}"
+            continue
         try:
             # Only validation from JSON converts lists to tuples and strings to enums.
             return schema.model_validate_json(json.dumps(value))
         except ValidationError as error:
-            reason = reason or _shorten(validation_message(error, schema))
-    raise InvalidResponse(reason or _no_object(text))
+            reason = _shorten(validation_message(error, schema))
+    raise InvalidResponse(reason if text.strip() else "the response is empty")
 
 
 def is_json(text: str) -> bool:
@@ -57,45 +67,12 @@ def is_json(text: str) -> bool:
     return True
 
 
-def _whole_objects(text: str) -> list[dict[str, Any]]:
-    """Return the JSON objects that are the whole text or the whole content of a fenced block."""
-    objects = []
-    fenced = (match[1] for match in islice(_FENCE.finditer(text), MAX_OBJECTS))
-    for part in (text, *fenced):
-        try:
-            value = _loads(part)
-        except (ValueError, RecursionError):
-            continue
-        if isinstance(value, dict):
-            objects.append(value)
-    return objects
-
-
-def _embedded_objects(text: str) -> tuple[list[dict[str, Any]], str]:
-    """Return the JSON objects within a text, largest first, and the error that ended the search.
-
-    A malformed object ends the search, because an object nested in it could be mistaken for the
-    response.
-    """
-    decoder = json.JSONDecoder(parse_constant=_reject_constant)
-    objects: list[tuple[int, dict[str, Any]]] = []
-    error_message = ""
-    for match in _OPENING.finditer(text):
-        if objects and match.start() < objects[-1][0]:
-            continue
-        try:
-            value, end = decoder.raw_decode(text, match.start())
-        except RecursionError:
-            error_message = "the JSON is nested too deeply"
-            break
-        except ValueError as error:
-            error_message = f"the JSON object in it is broken ({error})"
-            break
-        objects.append((end, value))
-        if len(objects) > MAX_OBJECTS:
-            return [], f"it holds over {MAX_OBJECTS} JSON objects; give one"
-    largest_first = sorted(objects, key=lambda item: -len(json.dumps(item[1])))
-    return [value for _, value in largest_first], error_message
+def _candidates(text: str) -> Iterator[str]:
+    yield text
+    yield from (match[1] for match in islice(_FENCE.finditer(text), MAX_BLOCKS))
+    if opening := _OPENING.search(text):
+        # A slice to the last brace never takes a nested object of a broken one for the response.
+        yield text[opening.start() : text.rfind("}") + 1]
 
 
 def _loads(text: str) -> Any:
@@ -104,18 +81,6 @@ def _loads(text: str) -> Any:
 
 def _reject_constant(constant: str) -> Any:
     raise ValueError(f"{constant} is not JSON")
-
-
-def _no_object(text: str) -> str:
-    if not text.strip():
-        return "the response is empty"
-    try:
-        value = _loads(text)
-    except RecursionError:
-        return "the JSON is nested too deeply"
-    except ValueError as error:
-        return f"no JSON object in it ({error}); it starts {text.strip()[:80]!r}"
-    return f"a JSON object is needed, got {type(value).__name__}"
 
 
 def _shorten(reason: str) -> str:

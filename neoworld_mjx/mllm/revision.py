@@ -14,15 +14,7 @@ rounds end, and the failure is recorded.
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
-from pydantic import BaseModel
-
-from ..errors import BudgetError, MissingResponseError, ModelError
-from .requests import Model, Request
-
 A = TypeVar("A")
-T = TypeVar("T", bound=BaseModel)
-Fallback = tuple[str, str]
-"""A skipped stage, and the reason."""
 
 
 async def revise(
@@ -61,27 +53,3 @@ async def revise(
         if attempt is None:
             break
     return attempts
-
-
-async def ask_or_record(
-    models: Model, request: Request[T], stage: str, fallbacks: list[Fallback]
-) -> T | None:
-    """Return a model's response; if the model fails, add a fallback and return None.
-
-    Args:
-        models: the models.
-        request: a request that the run can do without.
-        stage: name of the stage that is skipped if the request fails.
-        fallbacks: list to which the stage and the reason of a failure are appended.
-
-    Raises:
-        BudgetError: the cost cap is reached.
-        MissingResponseError: the recorded responses (a tape) do not contain the response.
-    """
-    try:
-        return (await models.ask(request)).value
-    except (BudgetError, MissingResponseError):
-        raise
-    except ModelError as error:
-        fallbacks.append((stage, str(error)))
-        return None

@@ -1,70 +1,72 @@
-"""Base class of the providers that call a server: optional features, streams, errors, replies."""
+"""Providers that call a model server through the SDK of its API.
 
+The SDK retries transient failures. This module adds what the SDKs lack: no redirects, bounded
+bodies, errors that name a remedy, and the schema in words where the server rejects it.
+"""
+
+import asyncio
+import base64
+import io
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from collections.abc import AsyncIterator, Sequence
+from typing import Any, ClassVar
 
 import anthropic
+import httpx2
+from PIL import Image
 
 from ..config import MLLMOptions, RoleOptions
-from .connection import classified, configured_connection, server_message
-from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
+from ..errors import ModelError
+from ..io.files import MIB
+from ..io.names import plain_text
+from .requests import Picture, Rejection, Reply, Request, response_rule
+from .secrets import environment_key
 
-_SCHEMA_IN_PROMPT = (
-    "structured output is not supported (server or schema): the prompt has the schema"
-)
-_UNCOUNTED = "the server gave no token counts: the ledger has their upper bound"
-
-
-@dataclass
-class Received:
-    """The part of a streamed response that has arrived."""
-
-    model: str
-    text: str = ""
-    usage: Usage | None = None
-    """Token counts; None until the server sends them."""
-    stop: Literal["end", "length", "refusal"] | None = None
-    """Reason why the response ended; None until the response is complete."""
-    refusal: str = ""
-    """Message of the server about a refusal."""
+RETRIES = 4
+"""Maximum number of retries of a call after transient errors: rate limits, overload, lost
+connections. The SDKs wait between 0.5 and 8 s before a retry, or as long as the server asks."""
+CONNECT_S = 10.0
+"""Maximum time to connect to a server [s]."""
+MAX_BODY_BYTES = 16 * MIB
+"""Maximum size of a response or an error; a response has some 5 bytes per token."""
+_MAX_PICTURE_BYTES = 3_500_000
+"""Maximum size of a picture that is sent as it is; servers reject pictures over 5 MB in base64."""
 
 
 class ServerProvider(ABC):
-    """A provider that calls a server's API and streams the responses.
-
-    The timeout limits the time without data; `Calls` limits the duration of a whole call. Once a
-    server rejects an optional feature (a JSON schema for the response, token counts in the stream,
-    ...), later calls omit the feature.
+    """A provider that calls a server's API.
 
     Args:
-        options: models, base_url, headers and time limit.
+        options: base_url and maximum length of a response.
 
     Raises:
-        ConfigError: a header needs an environment variable that is not set.
         ModelError: there is neither a key nor a base_url.
     """
 
     name: ClassVar[str]
     key_name: ClassVar[str]
     url_name: ClassVar[str]
-    schema_feature: ClassVar[str]
-    """Parameter that contains the JSON schema of the response."""
-    features: ClassVar[Mapping[str, Sequence[str]]]
-    """Optional parameters, each with the words that refer to it in a server's error message."""
     online = True
 
     def __init__(self, options: MLLMOptions) -> None:
-        self._connection = configured_connection(options, self.key_name, self.url_name)
-        self.secrets = self._connection.secrets
+        self.url = options.base_url or environment_key(self.url_name)
+        """Address of the server. If None, the SDK's default address is used."""
+        key = environment_key(self.key_name)
+        if key is None and self.url is None:
+            raise ModelError(
+                f"no key: set {self.key_name}, or name a local server in mllm.base_url, "
+                "or choose another provider"
+            )
+        self.key = key or "none"
+        self.secrets: tuple[str, ...] = () if key is None else (key,)
+        self.max_tokens = options.max_tokens
         self._client: Any = None
-        self._unsupported: set[tuple[str, str, str]] = set()
-        """Rejected features as (model, feature, digest of the schema or "")."""
+        self._rejected_schemas: set[tuple[str, str]] = set()
+        """Model and digest of each schema that the server rejected."""
 
     @abstractmethod
     def _new_client(self) -> Any:
-        """Return a client of the SDK that does not retry, so that the ledger counts every call."""
+        """Return a client of the SDK."""
 
     @abstractmethod
     def _params(
@@ -73,45 +75,31 @@ class ServerProvider(ABC):
         """Return the parameters of a call."""
 
     @abstractmethod
-    async def _receive(self, params: dict[str, Any], received: Received) -> None:
-        """Make a call and write its stream into `received`."""
+    async def _send(self, params: dict[str, Any]) -> Reply:
+        """Make a call, and convert the SDK's response."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; if the server rejects a feature, repeat the call without the feature.
+        """Make one call. If the server rejects its schema, put the schema into the prompt.
 
         Raises:
-            Transient: a retry may help.
-            ModelError: a retry cannot help; the message states a remedy.
+            ModelError: there is no response; the message states a remedy.
         """
+        if self._client is None:
+            self._client = self._new_client()
+        schema = (role.model, request.parts["schema"])
         while True:
-            params = self._params(request, role, rejected)
-            received = Received(role.model)
+            enforced = schema not in self._rejected_schemas
+            # Encoding pictures may take seconds.
+            params = await asyncio.to_thread(self._params, request, role, rejected)
             try:
-                await self._receive(params, received)
+                return await self._send(params)
             except Exception as error:
-                feature = self._rejected_feature(error, params)
-                rejected_feature = (role.model, feature or "", self._scope(feature, request))
-                if feature is None or rejected_feature in self._unsupported:
-                    usage = received.usage or Usage()
-                    raise classified(error, self._connection, request.role, role, usage) from None
-                self._unsupported.add(rejected_feature)
-                continue
-            if received.stop is None:
-                raise Transient("the response broke off before its end", usage=received.usage)
-            notes = [] if self.schema_feature in params else [_SCHEMA_IN_PROMPT]
-            if received.usage is None:
-                notes.append(_UNCOUNTED)
-            return Reply(
-                received.text,
-                received.usage or Usage(),
-                received.model,
-                received.stop,
-                received.refusal,
-                "; ".join(notes) or None,
-                counted=received.usage is not None,
-            )
+                if not enforced or getattr(error, "status_code", None) not in (400, 422):
+                    reason = self._failure(error, request, role)
+                    raise ModelError(f"{request.name}: {reason}") from None
+            self._rejected_schemas.add(schema)
 
     async def close(self) -> None:
         """Close the connections."""
@@ -119,31 +107,9 @@ class ServerProvider(ABC):
         if client is not None:
             await client.close()
 
-    def _open(self) -> Any:
-        if self._client is None:
-            self._client = self._new_client()
-        return self._client
-
-    def _supports(self, feature: str, request: Request[Any], role: RoleOptions) -> bool:
-        return (role.model, feature, self._scope(feature, request)) not in self._unsupported
-
-    def _scope(self, feature: str | None, request: Request[Any]) -> str:
-        # A server may reject one schema and accept another.
-        return request.parts["schema"] if feature == self.schema_feature else ""
-
-    def _rejected_feature(self, error: Exception, params: dict[str, Any]) -> str | None:
-        """Return the optional feature that a server rejects; None if it rejects none."""
-        if getattr(error, "status_code", None) not in (400, 422):
-            return None
-        message = server_message(error).lower()
-        for feature, words in self.features.items():
-            if feature in params and any(word in message for word in words):
-                return feature
-        return None
-
     def _schema(self, request: Request[Any], role: RoleOptions) -> dict[str, Any] | None:
         """Return the schema for the server to enforce; None if the server cannot enforce it."""
-        if not self._supports(self.schema_feature, request, role):
+        if (role.model, request.parts["schema"]) in self._rejected_schemas:
             return None
         try:
             return anthropic.transform_schema(request.json_schema)
@@ -152,9 +118,75 @@ class ServerProvider(ABC):
 
     def _prompt(self, request: Request[Any], schema: dict[str, Any] | None) -> str:
         # A local server may accept a schema without enforcing it.
-        if schema is not None and not self._connection.local:
+        if schema is not None and self.url is None:
             return request.prompt
         return f"{request.prompt}\n\n{response_rule(request)}"
+
+    def _failure(self, error: Exception, request: Request[Any], role: RoleOptions) -> str:
+        """Describe an exception of a call. Both SDKs' errors have `status_code` and `request`."""
+        for cause in (error, error.__cause__):
+            if isinstance(cause, ModelError):  # Raised by a hook of the HTTP client.
+                return str(cause)
+        status = getattr(error, "status_code", None)
+        if isinstance(status, int) and not (status in (408, 409, 429) or status >= 500):
+            return self._rejection(error, status, request, role)
+        if isinstance(status, int):
+            reason = f"HTTP {status}: {_message(error)}"
+        elif hasattr(error, "request"):
+            cause = error.__cause__ or error
+            reason = f"the connection failed ({type(cause).__name__}: {cause})"
+        else:
+            return (
+                f"{self.url or 'the service'} does not respond as this provider's API does "
+                f"({type(error).__name__}); check mllm.base_url and --provider"
+            )
+        return (
+            f"{self.name} did not answer, with up to {RETRIES} retries: {reason}. "
+            "Resume the run later"
+        )
+
+    def _rejection(self, error: Any, status: int, request: Request[Any], role: RoleOptions) -> str:
+        server = self.url or "the service"
+        reason = f"({status}: {_message(error)})"
+        if status in (401, 403):
+            return f"the key in {self.key_name} was refused {reason}; set a valid one"
+        if status == 404:
+            return (
+                f"{server} does not know the model {role.model!r} or the address {reason}; check "
+                f"mllm.{request.role}.model and mllm.base_url"
+            )
+        if 300 <= status < 400:
+            target = plain_text(error.response.headers.get("location", "another address"), 300)
+            return (
+                f"{server} redirects to {target}, where neither the key nor the photograph is "
+                "sent; if you trust that server, name it in mllm.base_url"
+            )
+        return f"{server} rejected the request for {role.model!r} {reason}"
+
+
+def client_arguments(provider: ServerProvider, sdk: Any) -> dict[str, Any]:
+    """Return the arguments with which a provider opens the client of its SDK."""
+    return {
+        "api_key": provider.key,
+        "base_url": provider.url,
+        "timeout": httpx2.Timeout(None, connect=CONNECT_S),  # `Panel` limits the whole call.
+        "max_retries": RETRIES,
+        "http_client": sdk.DefaultAsyncHttpxClient(
+            follow_redirects=False,  # The SDKs would send keys to every address.
+            headers={"accept-encoding": "identity"},
+            event_hooks={"response": [_bound_body]},
+        ),
+    }
+
+
+def encoded(picture: Picture) -> tuple[str, str]:
+    """Return a picture's media type and base64 text; a file that is too large becomes a JPEG."""
+    data, media_type = picture.data, picture.media_type
+    if len(data) > _MAX_PICTURE_BYTES:
+        buffer, media_type = io.BytesIO(), "image/jpeg"
+        Image.fromarray(picture.rgb).save(buffer, "JPEG", quality=90)
+        data = buffer.getvalue()
+    return media_type, base64.b64encode(data).decode()
 
 
 def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tuple[str, str]]:
@@ -164,3 +196,37 @@ def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tu
         turns.append(("assistant", rejection.text.strip() or "(nothing)"))
         turns.append(("user", rejection.message(request)))
     return turns
+
+
+def _message(error: Exception) -> str:
+    """Return a server's message about an error as one line of at most 300 characters."""
+    body = getattr(error, "body", None)
+    inner = body.get("error", body) if isinstance(body, dict) else None
+    message = inner.get("message") if isinstance(inner, dict) else None
+    return plain_text(str(message or getattr(error, "message", "") or error), 300)
+
+
+async def _bound_body(response: httpx2.Response) -> None:
+    if response.headers.get("content-encoding", "identity") != "identity":
+        raise ModelError("the server compresses its response, although the request forbids it")
+    response.stream = _BoundedBody(response.stream)
+
+
+class _BoundedBody(httpx2.AsyncByteStream):
+    """The body of a response. Reading more than `MAX_BODY_BYTES` raises ModelError."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        size = 0
+        async for chunk in self._stream:
+            size += len(chunk)
+            if size > MAX_BODY_BYTES:
+                raise ModelError(f"the server's response has over {MAX_BODY_BYTES // MIB} MiB")
+            yield chunk
+            # Without this, no deadline can interrupt the reading of a body that has arrived.
+            await asyncio.sleep(0)
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()

@@ -38,7 +38,7 @@ def camera_issue(
             warning and not an error.
     """
     edges = edges_of(rgb, tree)
-    if edges is None or not contradicts(edges):
+    if edges is None or edges.sigma <= SIGMA or _deviation(edges) <= LEAST_DEVIATION:
         return None
     camera = edges.camera
     pitch, roll, fovy, new, turned, sd = (
@@ -66,7 +66,7 @@ def camera_issue(
         severity="warning" if already_asked else "error",
         node=CAMERA,
         code="upright_edges_deg",
-        value=math.degrees(deviation(edges)),
+        value=math.degrees(_deviation(edges)),
         threshold=math.degrees(LEAST_DEVIATION),
         hint=hint,
     )
@@ -88,7 +88,7 @@ def edges_of(rgb: UInt8[np.ndarray, "h w 3"], tree: SceneTree) -> VerticalEdges 
     return vertical_edges(rgb, tree.camera, regions)
 
 
-def deviation(edges: VerticalEdges) -> float:
+def _deviation(edges: VerticalEdges) -> float:
     """Return the larger of the deviations of pitch and roll from the camera [rad].
 
     A deviation within CERTAIN standard deviations counts as 0.
@@ -97,11 +97,6 @@ def deviation(edges: VerticalEdges) -> float:
     off.append((edges.roll - edges.camera.roll, edges.roll_sd))
     certain = [abs(value) for value, sd in off if abs(value) > CERTAIN * sd]
     return float(max(certain, default=0.0))
-
-
-def contradicts(edges: VerticalEdges) -> bool:
-    """Return True if the edges exclude the camera."""
-    return edges.sigma > SIGMA and deviation(edges) > LEAST_DEVIATION
 
 
 def _has_vertical_edges(node: TreeNode) -> bool:

@@ -7,8 +7,7 @@ from jaxtyping import UInt8
 
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
-from .enlarge import enlarged
-from .photo import Photo
+from .photo import Photo, enlarged
 
 MARGIN = 0.12
 """Margin on every side, as a fraction of the longer side of the object's 2D box."""

@@ -11,8 +11,7 @@ score.
 
 import asyncio
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
 
@@ -21,13 +20,13 @@ from ..errors import ModelError, SpecError
 from ..fit.fit_report import FitReport
 from ..fit.fit_tree import fit_tree
 from ..fit.tree_checks import SceneIssue, check_score, check_tree
-from ..mllm import Model, ask_or_record, revise
+from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree
 from .camera_checks import CAMERA, camera_issue
 from .draw import draw_parse
+from .object_schema import error_line
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
-from .room_schema import error_line
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
@@ -96,7 +95,7 @@ class Parsed:
     rounds: tuple[SceneAttempt, ...]
     best_round: int
     """Index of the round that gave `tree`."""
-    fallbacks: tuple[tuple[str, str], ...] = field(default=())
+    fallbacks: tuple[Fallback, ...] = ()
     """Stages that failed, each with the reason."""
 
     @property
@@ -140,43 +139,34 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         ModelError: the first request failed, or no response gave a tree.
     """
     options = options or ParseOptions()
-    fallbacks: list[tuple[str, str]] = []
-
-    async def criticise(attempt: SceneAttempt) -> SceneAttempt:
-        if attempt.tree is None:
-            return attempt
-        # Draw only 2D boxes. The fit does not move them, so every machine draws the same picture.
-        picture = draw_parse(photo, attempt.tree)
-        findings = [issue.phrase() for issue in attempt.checks]
-        request = critic_request(photo, attempt.response, picture, findings)
-        verdict = await ask_or_record(models, request, "no judge round", fallbacks)
-        return replace(attempt, verdict=verdict)
-
-    async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
-        last = attempts[-1]
-        request = correction_request(photo, last.response, last.corrections)
+    fallbacks: list[Fallback] = []
+    attempts: list[SceneAttempt] = []
+    response = (await models.ask(parse_request(photo))).value
+    attempt = await _fit_and_check(photo, response, options)
+    for remaining in range(options.critic_rounds, -1, -1):
+        if options.critic_rounds and attempt.tree is not None:
+            # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
+            drawn = draw_parse(photo, attempt.tree)
+            findings = [issue.phrase() for issue in attempt.checks]
+            request = critic_request(photo, attempt.response, drawn, findings)
+            verdict = await ask_or_record(models, request, "no judge round", fallbacks)
+            attempt = replace(attempt, verdict=verdict)
+        attempts.append(attempt)
+        if not remaining or not attempt.corrections:
+            break
+        request = correction_request(photo, attempt.response, attempt.corrections)
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:
-            return None
+            break
         try:
-            response = correction.applied(last.response, photo.size)
+            response = correction.applied(attempt.response, photo.size)
         except ValidationError as error:
-            return SceneAttempt(last.response, None, None, error_line(error))
-        if response == last.response:
-            return None
-        already_asked = any(
-            issue.node == CAMERA for attempt in attempts for issue in attempt.checks
-        )
-        return await _fit_and_check(photo, response, options, already_asked=already_asked)
-
-    first = (await models.ask(parse_request(photo))).value
-    attempts = await revise(
-        await _fit_and_check(photo, first, options),
-        rounds=options.critic_rounds,
-        accept=lambda attempt: not attempt.corrections,
-        next_attempt=correct,
-        criticise=criticise,
-    )
+            attempt = SceneAttempt(attempt.response, None, None, error_line(error))
+            continue
+        if response == attempt.response:
+            break
+        asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
+        attempt = await _fit_and_check(photo, response, options, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:

@@ -22,13 +22,12 @@ from ..io import file_bounds, open_image
 from ..io.files import MIB, read_bytes
 from ..io.image_files import PLAIN_MPX
 from ..io.limited_worker import call_limited
-from .enlarge import enlarged
 
 MIN_SIDE_PX = 16
+MODEL_MIN_SIDE_PX = 512
+"""Minimum length of the longer side of a picture that models receive [px]."""
 DRAFT_MPX = 40
 """Number of megapixels above which a JPEG is decoded at half its size."""
-_ROWS = 256
-"""Number of rows that are converted to 8 bits at once."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,12 @@ def _upright(image: Image.Image) -> Image.Image:
 
 def _to_rgb(image: Image.Image) -> Image.Image:
     if image.mode.startswith(("I", "F")):
-        return Image.fromarray(_to_bytes(np.asarray(image))).convert("RGB")
+        # White is 65535 for integers, 1 for floats that do not exceed 1, and 255 for other floats.
+        values = np.asarray(image, np.float32)
+        values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        white = 65535.0 if image.mode[0] == "I" else 1.0 if values.max() <= 1.0 else 255.0
+        grey = np.clip(np.rint(values * (255.0 / white)), 0, 255).astype(np.uint8)
+        return Image.fromarray(grey).convert("RGB")
     if image.has_transparency_data:
         image = image.convert("RGBA")
         white = Image.new("RGBA", image.size, "white")
@@ -150,24 +154,37 @@ def _to_rgb(image: Image.Image) -> Image.Image:
     return image.convert("RGB")
 
 
-def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
-    """Convert gray values of 16 or 32 bits, or floats, to 8 bits.
+def enlarged(rgb: UInt8[np.ndarray, "h w 3"], least: int, most: int = 8) -> np.ndarray:
+    """Enlarge a picture by an integer factor until its longer side has at least `least` pixels.
 
-    The value of white is 65535 for integers, 1 for floats that do not exceed 1, and 255 for other
-    floats. If the maximum of the picture is larger than 65535 or 255, the maximum is white.
+    Interpolation is linear, so edges become smooth ramps without overshoot.
+
+    Args:
+        rgb: the picture [h, w, 3].
+        least: minimum length of the longer side [px].
+        most: maximum factor.
+
+    Returns:
+        The picture, uint8 of shape [k h, k w, 3] with an integer factor k. If the picture is large
+        enough, k is 1.
     """
-    blocks = range(0, len(values), _ROWS)
-    top = max(float(_grey(values[row : row + _ROWS]).max()) for row in blocks)
-    if np.issubdtype(values.dtype, np.floating):
-        white = 1.0 if top <= 1.0 else max(255.0, top)
-    else:
-        white = max(65535.0, top)
-    result = np.empty(values.shape, np.uint8)
-    for row in blocks:
-        grey = _grey(values[row : row + _ROWS]) * (255.0 / white)
-        result[row : row + _ROWS] = np.clip(np.rint(grey), 0, 255)
-    return result
+    factor = min(-(-least // max(rgb.shape[:2])), most)
+    if factor <= 1:
+        return rgb
+    return _stretch(_stretch(rgb, factor, 0), factor, 1)
 
 
-def _grey(values: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+def _stretch(rgb: np.ndarray, factor: int, axis: int) -> np.ndarray:
+    """Stretch one axis by linear interpolation between pixel centers, in integer arithmetic."""
+    count = rgb.shape[axis]
+    # Unit: 1 / (2 factor) pixels; origin: the center of the first pixel.
+    position = 2 * np.arange(count * factor) + 1 - factor
+    lower = position // (2 * factor)
+    weight = position - 2 * factor * lower
+    shape = [1, 1, 1]
+    shape[axis] = -1
+    first = np.take(rgb, np.clip(lower, 0, count - 1), axis).astype(np.int32)
+    second = np.take(rgb, np.clip(lower + 1, 0, count - 1), axis).astype(np.int32)
+    upper_weight = weight.reshape(shape)
+    mixed = (first * (2 * factor - upper_weight) + second * upper_weight + factor) // (2 * factor)
+    return mixed.astype(np.uint8)

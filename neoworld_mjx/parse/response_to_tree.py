@@ -1,7 +1,11 @@
-"""Conversion of parsed objects to a scene tree in pixels of the original, meters and radians."""
+"""Conversion of a response to a scene tree in pixels of the original, meters and radians.
+
+The positions in a response are consistent with the picture only through its camera. If a correction
+changes the camera, `moved_with_camera` moves each object to the position that has the same pixel.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,8 +14,8 @@ from jaxtyping import Float
 from ..io.names import plain_text
 from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
+from ..spec.room import RECTANGLE
 from .object_schema import ParsedBox, ParsedCamera, ParsedDoubt, ParsedObject, ParsedTilt
-from .room_schema import support_outline, support_surface
 
 MAX_LABEL, MAX_DESCRIPTION = 100, 4000
 _EDGE_AXES: dict[str, Literal["x", "y", "z"]] = {"length": "x", "width": "y", "height": "z"}
@@ -23,6 +27,9 @@ _CAMERA_NAMES: dict[str, _CameraNumber] = {
     "fovy_deg": "fovy",
     "roll_deg": "roll",
 }
+FARTHEST = 3.0
+"""Maximum factor by which the distance of an object from the camera may grow or shrink if its
+camera is corrected."""
 _TOWARDS = {
     "forward": (0.0, 1.0, 0.0),
     "backward": (0.0, -1.0, 0.0),
@@ -118,8 +125,8 @@ def _node(
         ),
         held_by=plain_text(obj.held_by or "", MAX_LABEL) or None,
         cues=_cues(obj, per_pixel),
-        outline=support_outline(obj.outline),
-        surface=support_surface(obj.surface),
+        outline=RECTANGLE if obj.outline is None else obj.outline.converted(),
+        surface=None if obj.surface is None else obj.surface.converted(),
         furniture=obj.furniture,
     )
 
@@ -160,3 +167,45 @@ def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[n
     corners = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
+
+
+def moved_with_camera(
+    objects: Sequence[ParsedObject],
+    before: ParsedCamera,
+    after: ParsedCamera,
+    size: tuple[int, int],
+    *,
+    placed: Collection[str] = (),
+) -> list[ParsedObject]:
+    """Return the objects at positions with the same pixels and heights in the new camera.
+
+    An object keeps its position if the position is outside the picture, or if the distance from the
+    camera would change by more than a factor of three.
+
+    Args:
+        objects: the objects of the response.
+        before: the old camera, for which the positions were given.
+        after: the new camera.
+        size: width and height of the picture that the model saw [px].
+        placed: names of objects whose positions were given for the new camera.
+
+    Raises:
+        ValidationError: a camera is invalid.
+    """
+    old, new = (camera_of(parsed, size) for parsed in (before, after))
+    return [obj if obj.name in placed else _moved_object(obj, old, new) for obj in objects]
+
+
+def _moved_object(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
+    at = obj.position
+    pixel, depth = old.project([at.x, at.y, at.z])
+    inside = (pixel >= 0).all() and (pixel <= [old.width, old.height_px]).all()
+    if depth <= 0 or not inside:
+        return obj
+    ray = new.rays(pixel)
+    distance = (at.z - new.height) / ray[2] if ray[2] else math.inf
+    before = math.dist((at.x, at.y, at.z), (0.0, 0.0, old.height))
+    if not before / FARTHEST < distance < before * FARTHEST:
+        return obj
+    new_position = {"x": float(distance * ray[0]), "y": float(distance * ray[1])}
+    return obj.model_copy(update={"position": at.model_copy(update=new_position)})

@@ -9,14 +9,11 @@ the model. Names, docstrings and descriptions of the classes are part of the req
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..io.names import MAX_NAME, NAME_RULE, RESERVED, is_name, plain_text
+from ..io.names import MAX_NAME, plain_text
 from ..spec import SceneTree
-from .camera_change import moved_with_camera
-from .object_schema import ParsedCamera, ParsedObject
+from .object_schema import ParsedCamera, ParsedObject, ResponsePart, error_line
 from .photo import Photo
-from .response_bounds import out_of_bounds, too_long
-from .response_to_tree import build_tree, corners
-from .room_schema import ResponsePart, error_line, support_problems
+from .response_to_tree import build_tree, corners, moved_with_camera
 
 
 class ParsedScene(ResponsePart):
@@ -32,8 +29,7 @@ class ParsedScene(ResponsePart):
 
     @model_validator(mode="after")
     def _consistent(self) -> "ParsedScene":
-        problems = list(_problems(self))
-        if problems:
+        if problems := _problems(self):
             raise ValueError("; ".join(problems))
         try:
             # These checks do not depend on the size of the picture.
@@ -128,68 +124,19 @@ def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
 
 
 def _problems(response: ParsedScene) -> list[str]:
-    """List the errors that the tree's own validation would not report clearly."""
-    problems = list(too_long(response))
-    if problems:
-        return problems[:1]  # Further errors would concern every object.
-    if not response.objects:
-        problems.append("objects is empty: list at least the supports")
-    names = [obj.name for obj in response.objects]
-    problems.extend(_same_names(names))
-    problems.extend(out_of_bounds(response))
-    for obj in response.objects:
-        where = f"object {plain_text(obj.name, MAX_NAME)}"
-        if not is_name(obj.name):
-            problems.append(f"{where}: a name has {NAME_RULE}")
-        if obj.name in RESERVED:
-            problems.append(f"{where}: MuJoCo reserves this name, choose another")
-        if obj.box.left >= obj.box.right or obj.box.top >= obj.box.bottom:
-            problems.append(
-                f"{where}: box needs left < right and top < bottom, got {corners(obj.box)}"
-            )
-        others = [("parent", obj.parent), ("leans_on", obj.leans_on)]
-        others += [("occluded_by", other) for other in obj.occluded_by]
-        if obj.leans_on is not None and obj.relation != "leaning":
-            problems.append(f"{where}: leans_on is for the relation leaning only")
-        if obj.leans_on in (obj.name, obj.parent) and obj.leans_on is not None:
-            problems.append(
-                f"{where}: leans_on names what it leans against, not itself or what it stands on"
-            )
-        for field, other in others:
-            if other is not None and other not in names:
-                problems.append(
-                    f"{where}: {field} {plain_text(other, MAX_NAME)!r} is no object; they are "
-                    f"{plain_text(', '.join(names), 2000)}"
-                )
-        for part in obj.articulation:
-            if not is_name(part.part):
-                problems.append(
-                    f"{where}: part {plain_text(part.part, MAX_NAME)!r} needs a name of {NAME_RULE}"
-                )
-        declared = (obj.environment, obj.furniture, obj.outline, obj.surface)
-        problems.extend(f"{where}: {problem}" for problem in support_problems(*declared))
-        problems.extend(_link_problems(obj, response))
-    return problems
-
-
-def _same_names(names: list[str]) -> list[str]:
-    """Return an error for each name that differs from an earlier one only by case."""
+    """List the errors that the tree's own validation does not report."""
     spelled: dict[str, str] = {}
-    return [
-        f"object {plain_text(name, MAX_NAME)}: {spelled[name.lower()]} differs by case alone"
-        for name in names
-        if spelled.setdefault(name.lower(), name) != name
-    ]
-
-
-def _link_problems(obj: ParsedObject, response: ParsedScene) -> list[str]:
-    parent = next((other for other in response.objects if other.name == obj.parent), None)
-    if obj.parent_link is None or parent is None:
-        return []
-    parts = [part.part for part in parent.articulation]
-    if obj.parent_link in parts:
-        return []
-    return [
-        f"object {obj.name}: parent_link {obj.parent_link!r} is not in the articulation of "
-        f"{parent.name}, which has {', '.join(parts) or 'no movable parts'}"
-    ]
+    parts = {obj.name: [part.part for part in obj.articulation] for obj in response.objects}
+    problems = []
+    for obj in response.objects:
+        if spelled.setdefault(obj.name.lower(), obj.name) != obj.name:
+            other = spelled[obj.name.lower()]
+            problems.append(f"object {obj.name}: {other} differs by case alone")
+        links = parts.get(obj.parent or "", [])
+        if obj.parent_link is not None and obj.parent in parts and obj.parent_link not in links:
+            problems.append(
+                f"object {obj.name}: parent_link {plain_text(obj.parent_link, MAX_NAME)!r} is not "
+                f"in the articulation of {obj.parent}, which has "
+                f"{', '.join(links) or 'no movable parts'}"
+            )
+    return problems

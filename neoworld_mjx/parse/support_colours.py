@@ -47,63 +47,40 @@ def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
         photo: the photograph.
         tree: the parsed scene.
     """
-    measured = measured_colours(photo, tree)
-    colours = {}
-    for node in tree.nodes:
-        if not node.slab:
-            continue
-        rgb, share = measured[node.name]
-        if node.surface is None:
-            colours[node.name] = SupportColour(colour_in_box(photo, tree, node), "box", share)
-        elif rgb is not None:
-            colours[node.name] = SupportColour(rgb, "photo", share)
-        else:
-            source = "material" if node.surface.rgb is None else "answer"
-            colours[node.name] = SupportColour(node.surface.rgb, source, share)
-    return colours
-
-
-def measured_colours(
-    photo: Photo, tree: SceneTree
-) -> dict[str, tuple[tuple[float, float, float] | None, float]]:
-    """Measure the colors of environment supports that are built from their 3D boxes.
-
-    Returns:
-        For each support, by name: its color (RGB, 0 to 1; None if it is hardly visible), and the
-        fraction of the picture that shows only this support.
-    """
-    width, height = photo.original_size
+    supports = [node for node in tree.nodes if node.slab]
+    if not supports:
+        return {}
+    width, height = photo.size
     step = max(1.0, max(photo.size) / RASTER)
-    columns, rows = (np.arange(step / 2, edge, step) for edge in photo.size)
+    columns, rows = np.arange(step / 2, width, step), np.arange(step / 2, height, step)
     shown = np.stack(np.meshgrid(columns, rows), axis=-1)
     pixels = shown / photo.scale
     rays = tree.camera.rays(pixels.reshape(-1, 2))
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*pixels.shape[:2], 3)
-    supports = [node for node in tree.nodes if node.slab]
     eye = tree.camera.position()
-    if not supports:
-        return {}
     distances = np.stack([_distance(node, eye, rays) for node in supports])
     first = np.where(np.isfinite(distances.min(axis=0)), distances.argmin(axis=0), -1)
-    margin = MARGIN * max(width, height)
+    margin = MARGIN * max(photo.original_size)
     free = np.ones(first.shape, bool)
     for node in tree.nodes:
         if not node.slab:
             free &= ~_within(node, pixels, margin)
-    colours = photo.rgb[shown[..., 1].astype(int), shown[..., 0].astype(int)]
+    rgb = photo.rgb[shown[..., 1].astype(int), shown[..., 0].astype(int)]
     erosions = max(1, round(MARGIN * RASTER))
-    measured = {}
+    colours = {}
     for k, node in enumerate(supports):
         visible = (first == k) & free & _within(node, pixels, 0.0)
-        visible = binary_erosion(visible, iterations=erosions, border_value=1)
-        share, rgb = float(visible.mean()), None
-        if share >= LEAST_SHARE:
-            red, green, blue = (
-                np.median(colours[np.asarray(visible, bool)], axis=0) / 255
-            ).tolist()
-            rgb = (red, green, blue)
-        measured[node.name] = (rgb, share)
-    return measured
+        visible = np.asarray(binary_erosion(visible, iterations=erosions, border_value=1), bool)
+        share = float(visible.mean())
+        if node.surface is None:
+            colours[node.name] = SupportColour(colour_in_box(photo, tree, node), "box", share)
+        elif share >= LEAST_SHARE:
+            red, green, blue = (np.median(rgb[visible], axis=0) / 255).tolist()
+            colours[node.name] = SupportColour((red, green, blue), "photo", share)
+        else:
+            source = "material" if node.surface.rgb is None else "answer"
+            colours[node.name] = SupportColour(node.surface.rgb, source, share)
+    return colours
 
 
 def _within(

@@ -11,7 +11,7 @@ from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model
 from ..parse.crops import colour_in_box, crops
 from ..parse.draw import draw_parse
-from ..parse.photo import load_photo
+from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from ..parse.support_colours import support_colours
 from ..program import build
 from ..program.attempt import ProgramAttempt, SynthesisResult
@@ -64,7 +64,7 @@ def write_annotated(
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
     """
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
+        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         tree = annotated_tree(annotation)
         by_name = {obj.name: obj for obj in annotation.objects}
         kept_files = {

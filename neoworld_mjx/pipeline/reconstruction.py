@@ -10,7 +10,7 @@ from ..config import Config, load_config, merged
 from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
-from ..parse.photo import Photo, load_photo
+from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..spec import read_scene
 from ..step_names import Step
@@ -60,7 +60,7 @@ def reconstruct(
     config = _checked_config(config)
     mode = _mode(until, resume=resume, start=start, overwrite=overwrite)
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
+        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         open_models = partial(
             open_panel,
             config.mllm,
@@ -185,11 +185,6 @@ def earlier_options(
     Raises:
         ConfigError: the options are invalid, or name code to run or a server to send a key to.
     """
-    # run.json contains no header values.
-    mllm = data.get("mllm")
-    headers = mllm.get("headers") if isinstance(mllm, dict) else None
-    if isinstance(mllm, dict):
-        data = data | {"mllm": {key: mllm[key] for key in mllm if key != "headers"}}
     try:
         config = load_config(None, merged(data, over))
     except ConfigError as error:
@@ -207,11 +202,6 @@ def earlier_options(
     calls_models = config.refine.semantic.scorer == "mllm" or (
         verifies and config.verify.critic == "always"
     )
-    if calls_models and headers and not config.mllm.headers:
-        raise ConfigError(
-            f"{folder / 'run.json'} does not contain the values of the headers "
-            f"{', '.join(headers)}: give mllm.headers again by --config or --set"
-        )
     if calls_models and (config.mllm.base_url is not None or config.mllm.prices is not None):
         raise ConfigError(
             f"{folder / 'run.json'} names a server for models ({config.mllm.base_url}), which "

@@ -47,15 +47,11 @@ class DescribedPicture(Picture):
         shows: description of the object, its state and the view.
     """
 
-    shows: str
-    _draw: Callable[[], bytes]
-
     def __init__(self, label: str, draw: Callable[[], bytes], shows: str) -> None:
-        for name, value in (("label", label), ("_draw", draw), ("shows", shows)):
-            object.__setattr__(self, name, value)  # The base class is frozen.
+        self.label, self._draw, self.shows = label, draw, shows
 
     @cached_property
-    def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def data(self) -> bytes:
         """The PNG file, rendered once."""
         return self._draw()
 

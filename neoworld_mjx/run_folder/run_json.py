@@ -113,7 +113,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "format": FORMAT,
         "status": "running",
         "started": earlier.get("started") or datetime.now(UTC).isoformat(timespec="seconds"),
-        "config": _without_header_values(config),
+        "config": config.model_dump(mode="json"),
         "fingerprint": config.fingerprint(),
         "seeds": {"run": config.seed},
         "versions": versions(),
@@ -137,13 +137,3 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(metadata.PackageNotFoundError):
             installed[name] = metadata.version(name)
     return installed
-
-
-def _without_header_values(config: Config) -> dict[str, Any]:
-    """Return the options without the values of HTTP headers, which may be secrets."""
-    data = config.model_dump(mode="json")
-    data["mllm"]["headers"] = {
-        name: value if value.startswith("${") else "[hidden]"
-        for name, value in data["mllm"]["headers"].items()
-    }
-    return data

@@ -10,7 +10,7 @@ from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import ConfigError, PhotoError
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
-from tests.support.model_server import ModelServer, http, stream_of
+from tests.support.model_server import ModelServer, answer_of, http
 
 QUICK = {
     "compose": {"align": {"enabled": False}},
@@ -35,8 +35,8 @@ def knowing(server, connection, body):
     answer = next(dict(each) for each in chosen if set(each) <= fields)
     if "camera" in answer:
         answer["camera"] = answer["camera"] | {"fovy_deg": answer["camera"]["fovy_deg"] + 3}
-    text = stream_of("anthropic", body["model"], json.dumps(answer), usage=(1000, 200))
-    connection.sendall(http(200, text, kind="text/event-stream"))
+    text = answer_of("anthropic", body["model"], json.dumps(answer), usage=(1000, 200))
+    connection.sendall(http(200, text))
 
 
 def run_examples(out, **changes):
@@ -49,7 +49,7 @@ def run_examples(out, **changes):
 def test_a_model_answers_the_examples_and_differences_are_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("ANTHROPIC_API_KEY", "sk-test-0123456789-do-not-show")
     with ModelServer("anthropic", knowing) as server:
-        result = run_examples(tmp_path / "out", mllm={"base_url": server.url, "retries": 0})
+        result = run_examples(tmp_path / "out", mllm={"base_url": server.url})
         asked = len(server.bodies)
     bundled, recorded = result["rows"]
     assert (bundled["provider"], recorded["provider"]) == ("replay", "anthropic")

@@ -1,6 +1,7 @@
 """Small requests that the tests of this folder share."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import wait
 from contextlib import ExitStack
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 from neoworld_mjx.config import MLLMOptions
-from neoworld_mjx.mllm import Panel, Picture, Request, open_panel
+from neoworld_mjx.mllm import Panel, Picture, Request, Response, open_panel
 from tests.support.model_server import ModelServer, Script
 
 KEY = "sk-test-0123456789-do-not-show"
@@ -40,6 +41,13 @@ def request_of(**changes) -> Request:
     return Request(**(given | changes))
 
 
+def ask_all(panel: Panel, requests: Sequence[Request]) -> list[Response]:
+    """Ask all requests at once; raise the first failure when all have ended."""
+    futures = [panel.ask_soon(request) for request in requests]
+    wait(futures)
+    return [future.result() for future in futures]
+
+
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     return SimpleNamespace(request=request_of, noise=noise, Colour=Colour, Shade=Shade)
@@ -53,12 +61,11 @@ def connect(monkeypatch) -> Iterator[Callable[..., tuple[ModelServer, Panel]]]:
     with ExitStack() as stack:
 
         def start(dialect, *scripts: Script, server=None, record=None, **options):
-            if dialect == "openai":
-                pytest.importorskip("openai")
+            sdk = pytest.importorskip(f"{dialect}._base_client")
+            monkeypatch.setattr(sdk, "INITIAL_RETRY_DELAY", 0.001)
             server = server or stack.enter_context(ModelServer(dialect, *scripts))
-            given = {"timeout_s": 3.0, "retries": 2, "base_url": server.url} | options
+            given = {"base_url": server.url} | options
             panel = open_panel(MLLMOptions(**given), dialect, record=record)
-            panel._calls.backoff_s = 0.01
             return server, stack.enter_context(panel)
 
         yield start

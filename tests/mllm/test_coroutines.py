@@ -1,8 +1,6 @@
 import asyncio
 from contextvars import ContextVar
 
-import pytest
-
 from neoworld_mjx.mllm.coroutines import run_coroutine
 
 WHO: ContextVar[str] = ContextVar("who", default="nobody")
@@ -21,14 +19,3 @@ def test_a_coroutine_runs_with_and_without_a_loop_in_the_callers_context():
         return run_coroutine(_answer())
 
     assert asyncio.run(in_a_loop()) == "caller"
-
-
-def test_errors_are_raised_in_the_caller():
-    async def fails():
-        raise KeyError("x")
-
-    async def in_a_loop():
-        return run_coroutine(fails())
-
-    with pytest.raises(KeyError, match="x"):
-        asyncio.run(in_a_loop())

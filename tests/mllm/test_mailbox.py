@@ -10,17 +10,18 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.errors import ModelError
-from neoworld_mjx.mllm import Panel, Picture
+from neoworld_mjx.mllm import Panel, Picture, mailbox
 from neoworld_mjx.mllm.mailbox import Mailbox
 
 
-def panel_of(
-    folder: Path, timeout_s: float | None = 5.0, said: list | None = None, **more
-) -> Panel:
-    report = (said if said is not None else []).append
-    return Panel(
-        Mailbox(folder, timeout_s=timeout_s, poll_s=0.01, unchanged_s=0.1, report=report), **more
-    )
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(mailbox, "POLL_S", 0.01)
+    monkeypatch.setattr(mailbox, "UNCHANGED_S", 0.1)
+
+
+def panel_of(folder: Path, timeout_s: float | None = 5.0, **more) -> Panel:
+    return Panel(Mailbox(folder, timeout_s=timeout_s), **more)
 
 
 def wait_for(path: Path) -> Path:
@@ -39,14 +40,13 @@ def in_background(work) -> threading.Thread:
 
 def test_a_folder_holds_the_whole_request(make, tmp_path):
     requests = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
-    message: list[str] = []
 
     def answer():
         folder = wait_for(tmp_path / "0001-program-cup")
         (folder / "response.json").write_text('{"name": "red"}')
 
     in_background(answer)
-    with panel_of(tmp_path, said=message) as panel:
+    with panel_of(tmp_path) as panel:
         given = panel.ask_sync(requests)
     assert given.value == make.Colour(name="red")
     folder = tmp_path / "0001-program-cup"
@@ -63,8 +63,6 @@ def test_a_folder_holds_the_whole_request(make, tmp_path):
         assert part in prompt
     assert json.loads((folder / "schema.json").read_text()) == requests.json_schema
     assert (folder / "1-the-photo.png").read_bytes() == requests.pictures[0].data
-    assert len(message) == 1
-    assert str(tmp_path) in message[0]
 
 
 def test_a_request_announces_itself_on_stderr_with_its_name_and_path(
@@ -72,13 +70,7 @@ def test_a_request_announces_itself_on_stderr_with_its_name_and_path(
 ):
     # A command of another test may have given the package's log to its terminal.
     monkeypatch.setattr(logging.getLogger("neoworld_mjx"), "handlers", [])
-
-    def answer():
-        folder = wait_for(tmp_path / "0001-program-cup")
-        (folder / "response.json").write_text('{"name": "red"}')
-
-    in_background(answer)
-    with Panel(Mailbox(tmp_path, timeout_s=5.0, poll_s=0.01)) as panel:
+    with panel_of(tmp_path, timeout_s=0.1) as panel, pytest.raises(ModelError):
         panel.ask_sync(make.request(name="program:cup"))
     response = tmp_path / "0001-program-cup" / "response.json"
     assert f"mailbox: program:cup (reasoner) waits for {response}" in capsys.readouterr().err
@@ -106,36 +98,19 @@ def test_invalid_responses_are_moved_aside_with_a_reason(make, tmp_path):
     assert not (folder / "error.md").exists()
 
 
-def test_a_response_written_in_pieces_is_waited_for(make, tmp_path):
-    text = json.dumps({"name": "red" * 20})
+def test_incomplete_json_is_not_read_while_its_file_is_young(make, tmp_path, monkeypatch):
+    monkeypatch.setattr(mailbox, "UNCHANGED_S", 1000.0)
 
     def answer():
-        folder = wait_for(tmp_path / "0001-parse")
-        with (folder / "response.json").open("w") as file:
-            for letter in text:
-                file.write(letter)
-                file.flush()
-                time.sleep(0.005)
+        path = wait_for(tmp_path / "0001-parse") / "response.json"
+        path.write_text('{"name": "r')
+        time.sleep(0.1)
+        path.write_text('{"name": "red"}')
 
     in_background(answer)
     with panel_of(tmp_path) as panel:
-        assert panel.ask_sync(make.request()).text == text
+        assert panel.ask_sync(make.request()).value.name == "red"
     assert not list((tmp_path / "0001-parse").glob("response.rejected*"))
-
-
-def test_many_wait_at_once_beyond_the_concurrency_limit(make, tmp_path):
-    count = 20
-    requests = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(count)]
-
-    def answer():
-        for i in reversed(range(count)):
-            folder = wait_for(tmp_path / f"{i + 1:04d}-n{i}")
-            (folder / "response.json").write_text(json.dumps({"name": f"c{i}"}))
-
-    in_background(answer)
-    with panel_of(tmp_path) as panel:
-        answers = panel.ask_many(requests)
-    assert [given.value.name for given in answers] == [f"c{i}" for i in range(count)]
 
 
 def test_a_request_continues_after_a_timeout(make, tmp_path):
@@ -149,10 +124,8 @@ def test_a_request_continues_after_a_timeout(make, tmp_path):
         panel.ask_sync(make.request())
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
     (folder / "response.json").write_text('{"name": "red"}')
-    message: list[str] = []
-    with panel_of(tmp_path, timeout_s=0.1, said=message) as panel:
+    with panel_of(tmp_path, timeout_s=0.1) as panel:
         assert panel.ask_sync(make.request()).value.name == "red"
-        assert message == []
         with pytest.raises(ModelError):
             panel.ask_sync(make.request(prompt="another"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
@@ -201,14 +174,7 @@ def test_recorded_responses_replay(make, tmp_path):
 
 def planted(act) -> object:
     """Plant something in the folder of a request once it is there."""
-    return lambda mailbox: in_background(lambda: act(wait_for(mailbox / "0001-parse")))
-
-
-def filled(folder: Path, text: str, *more: str) -> None:
-    for content in (text, *more):
-        (folder / "part").write_text(content)
-        (folder / "part").rename(folder / "response.json")
-        time.sleep(0.05)
+    return lambda box: in_background(lambda: act(wait_for(box / "0001-parse")))
 
 
 def write_hole(path: Path) -> None:
@@ -218,12 +184,12 @@ def write_hole(path: Path) -> None:
 
 HOSTILE = {
     "a link in the mailbox": (
-        lambda mailbox: (mailbox / "0007-cup").symlink_to(mailbox.parent / "precious"),
+        lambda box: (box / "0007-cup").symlink_to(box.parent / "precious"),
         "0007-cup is a link",
     ),
-    "a pipe in the mailbox": (lambda mailbox: os.mkfifo(mailbox / "0001-x"), "0001-x is a pipe"),
+    "a pipe in the mailbox": (lambda box: os.mkfifo(box / "0001-x"), "0001-x is a pipe"),
     "a link as partial folder": (
-        lambda mailbox: (mailbox / ".partial-0").symlink_to(mailbox.parent / "precious"),
+        lambda box: (box / ".partial-0").symlink_to(box.parent / "precious"),
         ".partial-0 is a link",
     ),
     "a link as response": (
@@ -236,42 +202,21 @@ HOSTILE = {
         planted(lambda f: write_hole(f / "response.json")),
         "the limit is 64 MiB",
     ),
-    "a folder in place of the reason": (
-        planted(lambda f: ((f / "error.md").mkdir(), filled(f, '{"name": 3}'))),
-        "error.md",
-    ),
-    "a folder in place of the rejected response": (
-        planted(lambda f: ((f / "response.rejected-2.json").mkdir(), filled(f, "[]", "[1]"))),
-        "response",
-    ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_mailbox_that_a_stranger_writes_ends_in_one_message(make, tmp_path, name):
     plant, expected = HOSTILE[name]
-    mailbox, precious = tmp_path / "mailbox", tmp_path / "precious"
-    mailbox.mkdir()
+    box, precious = tmp_path / "mailbox", tmp_path / "precious"
+    box.mkdir()
     precious.mkdir()
     (precious / "key.json").write_text('{"name": "secret"}')
-    plant(mailbox)
-    with panel_of(mailbox) as panel, pytest.raises(ModelError) as refused:
+    plant(box)
+    with panel_of(box) as panel, pytest.raises(ModelError) as refused:
         panel.ask_sync(make.request())
     assert expected in str(refused.value)
     assert "\n" not in str(refused.value)
     assert "secret" not in str(refused.value)
     assert [path.name for path in precious.iterdir()] == ["key.json"]
     assert (precious / "key.json").read_text() == '{"name": "secret"}'
-
-
-def test_folders_that_are_no_requests_do_not_matter(make, tmp_path):
-    (tmp_path / ("9" * 200 + "-x")).mkdir()
-    for name, text in (("0001-a", "{"), ("0002-b", "[" * 100_000), ("0003-c", "\0" * 100)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "request.json").write_text(text)
-    (tmp_path / "0004-d" / "request.json").mkdir(parents=True)
-    (tmp_path / ".partial-x").write_text("half")
-    replaced = [json.dumps({"name": str(k)}) for k in range(20)]
-    in_background(lambda: filled(wait_for(tmp_path / "0005-parse"), "{", *replaced))
-    with panel_of(tmp_path) as panel:
-        assert panel.ask_sync(make.request()).value.name in {str(k) for k in range(20)}

@@ -1,15 +1,13 @@
 """Tapes give back what was recorded, in any order, and say what is missing."""
 
-import asyncio
 import json
-from types import SimpleNamespace
 
 import pytest
 
 from neoworld_mjx.errors import MissingResponseError, ModelError
-from neoworld_mjx.mllm import Panel, Picture, Tape, calls, find_tape, open_panel
+from neoworld_mjx.mllm import Panel, Picture, Tape, find_tape
 from neoworld_mjx.mllm.replay import Replay
-from neoworld_mjx.mllm.requests import Reply, Usage
+from tests.mllm.conftest import ask_all
 
 
 def tape_of(*requests) -> Tape:
@@ -34,19 +32,9 @@ def test_round_trip_is_byte_for_byte_and_free_of_order(make, tmp_path):
     assert Tape.load(tmp_path / "one.tape.json") == first
 
     with Panel(Replay(first, "one")) as panel:
-        answers = panel.ask_many([requests[2], requests[0], requests[1]])
+        answers = ask_all(panel, [requests[2], requests[0], requests[1]])
     assert [a.value for a in answers] == [make.Colour(name="ü")] * 3
     assert panel.ledger.to_json()["cost_usd"] == 0
-
-
-def test_responses_that_are_no_json_are_kept_as_text(make, tmp_path):
-    tape = Tape()
-    text = 'Well: {"name": "red"}'
-    tape.put(make.request(), text, "m")
-    tape.save(tmp_path / "t.tape.json")
-    with Panel(Replay(Tape.load(tmp_path / "t.tape.json"), "t")) as panel:
-        answer = panel.ask_sync(make.request())
-    assert (answer.text, answer.value.name) == (text, "red")
 
 
 @pytest.mark.parametrize(
@@ -59,7 +47,6 @@ def test_responses_that_are_no_json_are_kept_as_text(make, tmp_path):
         ),
         (lambda make: {"schema": make.Shade}, "differs in: schema\\."),
         (lambda make: {"system": "s", "role": "critic"}, "differs in: role, system\\."),
-        (lambda make: {"prompt": "other", "name": "parsing"}, "nearest entry is 'parse'"),
         (lambda make: {"prompt": "other", "name": "zzz"}, "the tape contains: parse"),
     ],
 )
@@ -94,26 +81,3 @@ def test_a_broken_tape_is_one_error(tmp_path, text):
         Tape.load(path)
     with pytest.raises(ModelError, match="No such file"):
         Tape.load(tmp_path / "missing.tape.json")
-
-
-def test_replay_without_tape_lists_the_searched_places(tmp_path):
-    with pytest.raises(MissingResponseError, match="no tape was recorded for this photo"):
-        open_panel(Panel(Replay(Tape(), "")).options, "replay", photo="00", tapes=[tmp_path])
-
-
-def test_waiting_time_of_concurrent_requests_counts_once(make, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(calls, "time", SimpleNamespace(perf_counter=lambda: now[0]))
-
-    class Slow(Replay):
-        async def reply(self, request, role, rejected):
-            now[0] += 1.0
-            await asyncio.sleep(0)
-            now[0] += 1.0
-            return Reply('{"name": "red"}', Usage(), "slow")
-
-    with Panel(Slow(Tape(), "none")) as panel:
-        panel.ask_many([make.request(prompt=prompt) for prompt in ("one", "two")])
-        now[0] += 10.0
-        panel.ask_many([make.request(prompt="three")])
-        assert panel.waited_s == 4.0 + 2.0

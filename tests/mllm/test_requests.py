@@ -1,5 +1,6 @@
 """Requests are known by their content, not by their name or how their pictures were compressed."""
 
+import asyncio
 import io
 
 import numpy as np
@@ -7,13 +8,14 @@ import pytest
 from PIL import Image
 from pydantic import create_model
 
-from neoworld_mjx.errors import ModelError
-from neoworld_mjx.mllm import Picture
+from neoworld_mjx.errors import BudgetError, MissingResponseError, ModelError
+from neoworld_mjx.mllm import Picture, ask_or_record
 from neoworld_mjx.parse.prompts import SceneCritique
 from neoworld_mjx.parse.schema import ParsedScene
 from neoworld_mjx.program.ask import ProgramResponse
 from neoworld_mjx.program.critique import ArticulationCritique, ExportCritique, GeometryCritique
 from neoworld_mjx.verify.critic import MotionCritique, ProposedEdit
+from tests.support.scripted_model import ScriptedModel
 
 
 def test_keys_of_requests_are_stable(make):
@@ -45,13 +47,6 @@ def test_key_leaves_out_name_and_compression(make):
     other = Picture("photo", buffer.getvalue())
     assert other.data != Picture.of("photo", make.noise()).data
     assert make.request(name="again", pictures=[other]).key == make.request().key
-
-
-def test_jpeg_pictures_are_accepted(make):
-    buffer = io.BytesIO()
-    Image.fromarray(make.noise()).save(buffer, "JPEG")
-    picture = Picture("photo", buffer.getvalue())
-    assert (picture.media_type, picture.suffix, picture.size) == ("image/jpeg", ".jpg", (30, 20))
 
 
 def test_data_that_is_no_picture_is_rejected():
@@ -92,3 +87,20 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
 def test_schemas_of_responses_are_fixed(make, schema, digest_start):
     # Names, docstrings and descriptions are part of them: a change here breaks recorded tapes.
     assert make.request(schema=schema).parts["schema"].startswith(digest_start)
+
+
+def ask(answer, request):
+    fallbacks: list[tuple[str, str]] = []
+    model = ScriptedModel(answer)
+    return asyncio.run(ask_or_record(model, request, "no judge round", fallbacks)), fallbacks
+
+
+def test_a_failing_model_is_recorded_as_a_fallback(make):
+    assert ask({"name": "red"}, make.request()) == (make.Colour(name="red"), [])
+    assert ask(ModelError("down"), make.request()) == (None, [("no judge round", "down")])
+
+
+@pytest.mark.parametrize("error", [BudgetError("cap"), MissingResponseError("tape")])
+def test_budget_and_missing_response_errors_end_the_run(make, error):
+    with pytest.raises(type(error)):
+        ask(error, make.request())

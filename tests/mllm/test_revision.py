@@ -4,9 +4,7 @@ import asyncio
 
 import pytest
 
-from neoworld_mjx.errors import BudgetError, MissingResponseError, ModelError
-from neoworld_mjx.mllm import ask_or_record, revise
-from tests.support.scripted_model import ScriptedModel
+from neoworld_mjx.mllm import revise
 
 
 def run(rounds, *, accept_at=99, stop_at=99, critic=True, criticise_last=True):
@@ -44,20 +42,3 @@ def run(rounds, *, accept_at=99, stop_at=99, critic=True, criticise_last=True):
 )
 def test_rounds_end_by_acceptance_failure_or_their_limit(options, attempts):
     assert run(**options) == attempts
-
-
-def ask(answer, request):
-    fallbacks: list[tuple[str, str]] = []
-    model = ScriptedModel(answer)
-    return asyncio.run(ask_or_record(model, request, "no judge round", fallbacks)), fallbacks
-
-
-def test_a_failing_model_is_recorded_as_a_fallback(make):
-    assert ask({"name": "red"}, make.request()) == (make.Colour(name="red"), [])
-    assert ask(ModelError("down"), make.request()) == (None, [("no judge round", "down")])
-
-
-@pytest.mark.parametrize("error", [BudgetError("cap"), MissingResponseError("tape")])
-def test_budget_and_missing_response_errors_end_the_run(make, error):
-    with pytest.raises(type(error)):
-        ask(error, make.request())

@@ -200,7 +200,7 @@ def test_an_invalid_run_json_is_one_message(tmp_path, text):
         (
             {
                 "refine": {"semantic": {"scorer": "mllm"}},
-                "mllm": {"base_url": "http://evil.example", "headers": {}},
+                "mllm": {"base_url": "http://evil.example"},
             },
             "names a server for models .http://evil.example.*key",
         ),

@@ -120,12 +120,6 @@ def test_edges_of_tilted_and_of_tapered_things_do_not_vote():
     assert edges_of(photo.rgb, tree_of(cups, photo, **STATED)) is None
 
 
-def test_a_picture_without_edges_says_nothing():
-    data, photo = picture(table())
-    blank = np.full_like(photo.rgb, 128)
-    assert edges_of(blank, tree_of(data, photo, **STATED)) is None
-
-
 def test_the_model_is_asked_once():
     data, photo = picture(table())
     wrong = placed_by_pixels(data, photo)
@@ -154,15 +148,6 @@ def test_measured_numbers_that_the_picture_contradicts_count_as_guesses(right):
     tree = parsed.response_tree
     assert (tree.camera_measured, tree.pitch_sd) == (believed if right else ((), None))
     assert parsed.tree.camera_measured == tree.camera_measured
-
-
-def test_a_critic_dismisses_the_camera():
-    data, photo = picture(table())
-    wrong = placed_by_pixels(data, photo)
-    parsed, names, _ = run(wrong, GOOD | {"dismissed": [1]}, photo=photo)
-    assert names == ["parse", "parse:judge"]
-    assert parsed.checks == ()
-    assert parsed.rounds[0].checks[0].node == CAMERA
 
 
 def test_objects_keep_their_pixels_if_the_camera_is_corrected():

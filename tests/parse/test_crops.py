@@ -4,8 +4,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse.crops import MARGIN, MARK, colour_in_box, crops
-from neoworld_mjx.parse.enlarge import enlarged
-from neoworld_mjx.parse.photo import Photo
+from neoworld_mjx.parse.photo import Photo, enlarged
 from neoworld_mjx.spec import Box2D
 from tests.support import answers
 

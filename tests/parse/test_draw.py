@@ -3,7 +3,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from neoworld_mjx.parse.draw import COLOURS, GREY, _tag, draw_parse
+from neoworld_mjx.parse.draw import COLOURS, GREY, draw_parse
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.support import answers
 
@@ -43,22 +43,6 @@ def test_the_drawing_depends_on_3d_boxes_only_on_request():
     assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
     solid = [draw_parse(answers.photo(), t, draw_3d_boxes=True).data for t in (tree, moved)]
     assert solid[0] != solid[1]
-
-
-def test_tags_do_not_cover_each_other():
-    names = [f"thing_{k}" for k in range(12)]
-    data = answers.answer(*(answers.item(name) for name in names))
-    photo, tree = answers.photo(), answers.exact(data)
-    image = pixels(draw_parse(photo, tree))
-    box = np.rint(tree.node(names[0]).box2d.as_tuple()).astype(int)
-    # Away from the frames, which all coincide, every pixel that changed belongs to a tag.
-    changed = (image != photo.rgb).any(axis=-1)
-    near = np.zeros_like(changed)
-    near[box[1] - 1 : box[3] + 1, box[0] - 1 : box[2] + 1] = True
-    near[box[1] + 4 : box[3] - 4, box[0] + 4 : box[2] - 4] = False
-    near[[0, -1]] = near[:, [0, -1]] = True
-    tags = sum(_tag(name, 1).size for name in names)
-    assert int((changed & ~near).sum()) > 0.7 * tags
 
 
 def test_a_box_of_one_pixel_at_the_corner_can_be_drawn():

@@ -97,7 +97,7 @@ def test_a_correction_that_leaves_an_inconsistent_scene_goes_back():
         consistent(), BAD, {"removed": ["table"]}, {"objects": []}, critic_rounds=3
     )
     assert names == ["parse", "parse:judge", "parse:mend", "parse:mend"]
-    assert "parent 'table' is no object" in requests[3].prompt
+    assert "parent 'table' is not a node" in requests[3].prompt
     assert parsed.best_round == 0
 
 

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.fit.projection import expected_box
 from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.prompts import listing
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.parse.support_colours import support_colours
 from neoworld_mjx.program.materials import MATERIALS
-from neoworld_mjx.spec import Box2D, SceneTree, SupportOutline
+from neoworld_mjx.spec import Box2D, SceneTree
 from tests.support import answers
 
 L_SHAPE = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5), (0.0, 0.0), (-0.5, 0.0)]
@@ -25,14 +24,6 @@ def parsed(outline, *objects) -> SceneTree:
     data = {"camera": answers.answer()["camera"]}
     data["objects"] = [answers.table(outline=outline), *objects]
     return to_tree(ParsedScene.model_validate(data), answers.photo())
-
-
-def test_the_default_outline_is_a_rectangle():
-    assert parsed(None).node("table").outline == SupportOutline()
-    assert (
-        to_tree(ParsedScene.model_validate(answers.desk()), answers.photo()).node("table").outline
-        == SupportOutline()
-    )
 
 
 def test_a_polygon_runs_anticlockwise_and_fills_its_box():
@@ -80,12 +71,12 @@ def test_a_polygon_runs_anticlockwise_and_fills_its_box():
     ],
 )
 def test_a_bad_outline_is_refused_by_name_and_reason(outline, words):
-    with pytest.raises(ValidationError, match=f"object table: .*{words}"):
+    with pytest.raises(ValidationError, match=f"(?s)objects.0\n.*{words}"):
         parsed(outline)
 
 
 def test_an_object_has_no_outline():
-    with pytest.raises(ValidationError, match="object can: outline is for environment supports"):
+    with pytest.raises(ValidationError, match="node can has an outline, which only an environment"):
         parsed(None, answers.item("can", outline={"shape": "round"}))
 
 
@@ -103,17 +94,6 @@ def test_the_cut_off_corner_of_an_outline_supports_nothing():
     rim = answers.item("rim", (0.3, 0.7, 0.0), (0.1, 0.1, 0.1))
     issues = check_tree(parsed({"shape": "round"}, rim, middle))
     assert [i.node for i in issues if i.code == "footprint"] == ["rim"]
-
-
-def test_a_support_is_out_of_view_if_only_its_box_is_in_view():
-    far = answers.item("shelf", (1.2, 1.8, -0.03), (2.0, 2.0, 0.03), label="shelf")
-    far |= {"environment": True, "parent": None}
-    left_out = [(-0.5, -0.5), (0.0, -0.5), (0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (-0.5, 0.5)]
-    tree = parsed(None, far)
-    assert expected_box(tree.camera, tree.node("shelf")) is not None
-    tree = parsed(None, far | {"outline": {"shape": "polygon", "points": points(left_out)}})
-    assert expected_box(tree.camera, tree.node("shelf")) is None
-    assert [i.node for i in check_tree(tree) if i.code == "out_of_view"] == ["shelf"]
 
 
 SURFACE = {
@@ -152,9 +132,12 @@ def test_every_material_of_a_surface_is_one_of_programs():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"colour": [0.5, 0.5]}, r"surface.colour must be three numbers, got 2"),
-        ({"second_colour": [0.5, 0.5, 90]}, r"surface.second_colour must lie in 0 .. 1, got 90"),
-        ({"step": 0}, r"surface.step must lie in 0.0001 .. 10, got 0"),
+        ({"colour": [0.5, 0.5]}, r"surface.colour\n.*must be three numbers, got 2"),
+        (
+            {"second_colour": [0.5, 0.5, 90]},
+            r"second_colour.2\n.*must lie in 0 .. 1, got 90",
+        ),
+        ({"step": 0}, r"surface.step\n.*must lie in 0.0001 .. 10, got 0"),
         ({"material": "cheese"}, "material"),
     ],
 )
@@ -164,7 +147,7 @@ def test_a_bad_surface_is_refused_by_name(change, words):
 
 
 def test_an_object_has_no_surface():
-    with pytest.raises(ValidationError, match="object can: surface is for environment supports"):
+    with pytest.raises(ValidationError, match="node can has a surface, which only an environment"):
         parsed(None, answers.item("can", surface=SURFACE))
 
 
@@ -229,7 +212,7 @@ def test_furniture_is_no_slab():
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"furniture": True}, "furniture is for environment supports only"),
+        ({"furniture": True}, "node can has furniture, which only an environment support"),
         (
             {"furniture": True, "environment": True, "outline": {"shape": "round"}},
             "furniture is built from the picture; leave outline null",
@@ -237,5 +220,5 @@ def test_furniture_is_no_slab():
     ],
 )
 def test_contradictory_furniture_is_rejected(fields, words):
-    with pytest.raises(ValidationError, match=f"object can: {words}"):
+    with pytest.raises(ValidationError, match=words):
         parsed(None, answers.item("can", **fields))

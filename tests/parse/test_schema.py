@@ -11,7 +11,7 @@ from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import SceneCritique, correction_request, listing, parse_request
+from neoworld_mjx.parse.prompts import correction_request, listing, parse_request
 from neoworld_mjx.parse.response_to_tree import tilt_quat
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Camera, Cues
@@ -65,11 +65,6 @@ def test_cues_are_in_original_pixels_axes_and_radians():
     assert scene.node("table").cues == Cues()
 
 
-def test_an_uncertainty_of_zero_is_rejected_by_name():
-    with pytest.raises(ValidationError, match=r"cup: doubt.size must lie in 1e-06 .. 10, got 0"):
-        tree(answers.answer(answers.item("cup", doubt={"size": 0})))
-
-
 @pytest.mark.parametrize(
     ("towards", "top"),
     [
@@ -120,25 +115,24 @@ def test_the_formula_of_the_instructions_is_that_of_the_camera():
     assert (known["x"], known["y"]) == pytest.approx((1.3, 0.25))
 
 
-def test_all_errors_are_reported_at_once():
+def test_all_numbers_and_names_out_of_bounds_are_reported_at_once():
     bad = answers.answer(
-        answers.item("cup", parent="tabel"),
         answers.item("2nd", size=(0.1, 0.0, 0.1)),
-        answers.item("can", occluded_by=["dog"], parent="cup", parent_link="drawer"),
+        answers.item("world"),
+        answers.item("can", articulation=[{"part": "../lid", "motion": "revolute", "opening": 3}]),
         fovy_deg=400,
     )
-    with pytest.raises(ValidationError) as error:
-        ParsedScene.model_validate(bad)
-    message = str(error.value)
+    with pytest.raises(InvalidResponse) as error:
+        read_response(json.dumps(bad), ParsedScene)
     for part in (
-        "cup: parent 'tabel'",
-        "2nd: a name",
-        "2nd: size.width",
-        "can: occluded_by 'dog'",
-        "can: parent_link 'drawer'",
-        "fovy_deg must lie in",
+        r"objects\.1\.name: .*a name has letters",
+        r"objects\.1\.size\.width: .*must lie in 0\.0001 \.\. 1000, got 0",
+        r"objects\.2\.name: .*reserves this name",
+        r"objects\.3\.articulation\.0\.part: .*a name has letters",
+        r"objects\.3\.articulation\.0\.opening: .*must lie in 0 \.\. 1, got 3",
+        r"camera\.fovy_deg: .*must lie in",
     ):
-        assert part in message
+        assert re.search(part, str(error.value)), part
 
 
 @pytest.mark.parametrize(
@@ -147,10 +141,10 @@ def test_all_errors_are_reported_at_once():
         ({"parent": "cup"}, "cycle"),
         ({"parent": None}, "cup has no parent"),
         ({"name": "table"}, "repeated: table"),
-        (
-            {"articulation": [{"part": "lid", "motion": "revolute", "opening": 3}]},
-            "opening",
-        ),
+        ({"name": "Table"}, "table differs by case alone"),
+        ({"parent": "tabel"}, "cup: parent 'tabel' is not a node"),
+        ({"occluded_by": ["dog"]}, "cup: occluded_by 'dog' is not a node"),
+        ({"parent_link": "drawer"}, "cup: parent_link 'drawer' .* has no movable parts"),
     ],
 )
 def test_the_tree_is_validated_with_the_response(change, said):
@@ -166,25 +160,12 @@ def test_objects_with_occluders_are_occluded():
     assert node.occluded_by == ("b",)
 
 
-def test_the_schema_has_only_keywords_that_servers_accept():
-    for schema in (ParsedScene, SceneCritique):
-        message = str(schema.model_json_schema())
-        assert "prefixItems" not in message
-        assert "minimum" not in message
-
-
 def test_the_example_of_the_instructions_is_valid():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And a cabinet")]
     result = to_tree(read_response(example, ParsedScene), answers.photo())
     assert all(agreement(result, node) > 0.7 for node in result.nodes)
     assert check_tree(result) == ()
-
-
-def test_the_instructions_name_every_field_that_is_not_self_evident():
-    guide = package_text("neoworld_mjx.parse", "reasoner")
-    for field in ("environment", "fixed_base", "parent_link", "occluded_by", "tilt", "opening"):
-        assert re.search(rf"`{field}`", guide), field
 
 
 def test_a_repair_request_repeats_the_response_and_the_findings():
@@ -206,51 +187,19 @@ def test_the_listing_gives_the_critic_supports_and_openings():
     assert "no support" in message
 
 
-def test_the_instructions_have_one_rule_for_tables_robots_cloths_and_cut_objects():
-    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
-    for rule in (
-        "its `parent` is null, even if the floor is listed",
-        "Robots, hands and people are left out",
-        "It may have moving parts",
-        "is true for an object that never moves as a whole",
-        "A cloth that is draped",
-        "A side of the box that lies on the picture's edge is a side in `cut_sides`",
-        "`camera.pitch_doubt_deg`",
-        "Objects that usually lie (a spoon, a book, a banana, a cloth) are described as they lie, "
-        "without tilt",
-        "The patch on which an object rests lies within its parent's footprint",
-    ):
-        assert rule in guide, rule
-    assert "A table on a listed floor has the floor as parent" not in guide
-    critic = package_text("neoworld_mjx.parse", "critic")
-    assert "robots, hands and people are left out on purpose" in critic
-    # A correction contains only what changes, and the camera has a check of its own.
-    assert "is corrected: the model sees your faults and gives what changes" in critic
-    assert "one about the camera from the photograph's\nstraight edges" in critic
-
-
-def test_the_instructions_say_what_of_the_background_which_end_of_a_knob_and_what_is_too_heavy():
-    guide = " ".join(package_text("neoworld_mjx.parse", "reasoner").split())
-    critic = " ".join(package_text("neoworld_mjx.parse", "critic").split())
-    assert "What stands in the background on something that you do not list" in guide
-    assert "things in the background whose support is not listed" in critic
-    assert "of a knob, 0 is its lowest position (off) and 1 its highest" in guide
-    assert "too heavy for a robot arm to push (a fridge or a wardrobe; a microwave oven" in guide
-
-
 def test_the_uncertainty_of_the_camera_reaches_the_tree():
     data = answers.desk()
     data["camera"] |= {"pitch_doubt_deg": 3.0, "height_doubt": 0.2}
     tree = to_tree(ParsedScene.model_validate(data), answers.photo())
     assert tree.pitch_sd == pytest.approx(math.radians(3.0)) and tree.height_sd == 0.2
-    with pytest.raises(ValidationError, match="pitch_doubt_deg must lie in"):
+    with pytest.raises(ValidationError, match=r"pitch_doubt_deg\n.* must lie in"):
         ParsedScene.model_validate(data | {"camera": data["camera"] | {"pitch_doubt_deg": -1.0}})
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"relation": "leaning", "leans_on": "wall"}, "leans_on 'wall' is no object"),
+        ({"relation": "leaning", "leans_on": "wall"}, "leans_on 'wall' is not a node"),
         ({"relation": "leaning", "leans_on": "table"}, "not itself or what it stands on"),
         ({"leans_on": "cup"}, "leans_on is for the relation leaning only"),
     ],

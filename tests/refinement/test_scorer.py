@@ -6,6 +6,7 @@ import threading
 import time
 from concurrent.futures import wait
 from contextlib import contextmanager
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -55,8 +56,9 @@ def options(**given):
 
 @contextmanager
 def panel_to(url, record=None, **given):
-    requests = MLLMOptions(**{"base_url": url, "timeout_s": 5.0, "retries": 4, **given})
-    with Panel(Anthropic(requests), requests, record=record, backoff_s=0.01) as panel:
+    requests = MLLMOptions(**{"base_url": url, **given})
+    quick = patch("anthropic._base_client.INITIAL_RETRY_DELAY", 0.01)
+    with quick, Panel(Anthropic(requests), requests, record=record) as panel:
         yield panel
 
 
@@ -161,7 +163,7 @@ def test_a_late_score_counts_when_it_arrives(model, rounds):
 
     with (
         MessagesServer(answer, delay_s=0.0, failing=0.0) as server,
-        panel_to(server.url, timeout_s=60.0) as panel,
+        panel_to(server.url) as panel,
         opened(model, panel, timeout_s=0.0) as scorer,
     ):
         ((values, sources),) = play(scorer, rounds[:1])
@@ -179,9 +181,9 @@ def test_a_late_score_counts_when_it_arrives(model, rounds):
 @pytest.mark.parametrize(
     ("given", "answer", "scored", "reason"),
     [
-        ({"base_url": None, "retries": 0}, judged, 0, "5 consecutive scores failed; the last"),
+        ({"base_url": None}, judged, 0, "5 consecutive scores failed; the last"),
         ({"max_cost_usd": 0.1}, judged, None, "cost cap reached"),
-        ({"validation_rounds": 1}, lambda _: "I cannot tell.", 0, "5 consecutive scores failed"),
+        ({}, lambda _: "I cannot tell.", 0, "5 consecutive scores failed"),
     ],
 )
 def test_failures_fall_back_to_geometry_and_are_reported(

@@ -29,7 +29,6 @@ from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from tests.support import answers
 from tests.support.hostile import BODY, FINE, HOSTILE
 from tests.support.hostile_assets import grown
-from tests.support.hostile_servers import server
 from tests.support.processor_time import processor_s
 
 SECONDS, MEGABYTES = 10.0, 500.0
@@ -342,7 +341,7 @@ def _crowd(draw: random.Random, home: Path) -> None:
 
 YAML = """seed: 3
 refine: {cem: {population: 32, sigma_xy: 0.02}, rollout: {duration_s: 0.5}, reward: {terms: {}}}
-mllm: {headers: {"x-a": "${A}"}, timeout_s: 3.0}
+mllm: {base_url: "http://localhost:1", concurrency: 3}
 render:
   width: 96
 """
@@ -404,7 +403,6 @@ KINDS: dict[str, Callable[[random.Random, Path], None]] = {
     "results": _results,
     "growing asset": grown,
     "crowd": _crowd,
-    "server": server,
 }
 
 

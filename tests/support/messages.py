@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.refinement.scorer import CRITERIA
-from tests.support.model_server import ModelServer, fails, http, stream_of
+from tests.support.model_server import ModelServer, answer_of, fails, http
 
 Failure = Literal["429", "500", "cut off", "invalid JSON"]
 FAILURES: tuple[Failure, ...] = ("429", "500", "cut off", "invalid JSON")
@@ -114,6 +114,6 @@ class MessagesServer(ModelServer):
             text = self.answer(np.array(picture.convert("RGB")))
         if failure == "invalid JSON":
             text = text.replace(":", "=", 3)
-        stream = stream_of("anthropic", body["model"], text, usage=(700, 250), cache_read=2500)
-        data = http(200, stream, kind="text/event-stream")
+        whole = answer_of("anthropic", body["model"], text, usage=(700, 250), cache_read=2500)
+        data = http(200, whole)
         connection.sendall(data[: len(data) // 2] if failure == "cut off" else data)

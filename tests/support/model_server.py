@@ -85,19 +85,17 @@ class ModelServer:
                 self._at_once -= 1
 
 
-def http(
-    status: int, body: str, *, kind: str = "application/json", headers: str = "", cut: int = 0
-) -> bytes:
+def http(status: int, body: str, *, headers: str = "", cut: int = 0) -> bytes:
     """Return a response; `cut` bytes of the body that its header announces are missing."""
     data = body.encode()
     head = (
-        f"HTTP/1.1 {status} X\r\ncontent-type: {kind}\r\nconnection: close\r\n"
+        f"HTTP/1.1 {status} X\r\ncontent-type: application/json\r\nconnection: close\r\n"
         f"content-length: {len(data)}\r\n{headers}\r\n"
     )
     return head.encode() + (data[:-cut] if cut else data)
 
 
-def stream_of(
+def answer_of(
     dialect: str,
     model: str,
     text: str,
@@ -106,89 +104,74 @@ def stream_of(
     *,
     cache_read: int = 0,
 ) -> str:
-    """Return the body of a streamed answer; usage is (input, output) tokens."""
-    parts = [text[i : i + 7] for i in range(0, len(text), 7)]
+    """Return the body of an answer; usage is (input, output) tokens."""
     if dialect == "anthropic":
         message = {
             "id": "m",
             "type": "message",
             "role": "assistant",
             "model": model,
-            "content": [],
-            "stop_reason": None,
+            "content": [{"type": "text", "text": text}],
+            "stop_reason": {"end": "end_turn", "length": "max_tokens"}.get(stop, stop),
             "stop_sequence": None,
             "usage": {
                 "input_tokens": usage[0],
-                "output_tokens": 1,
+                "output_tokens": usage[1],
                 "cache_read_input_tokens": cache_read,
                 "cache_creation_input_tokens": 0,
             },
         }
-        reason = {"end": "end_turn", "length": "max_tokens", "refusal": "refusal"}[stop]
-        block = {"type": "text", "text": ""}
-        events: list[dict[str, Any]] = [
-            {"type": "message_start", "message": message},
-            {"type": "ping"},
-            {"type": "content_block_start", "index": 0, "content_block": block},
-            *(
-                {
-                    "type": "content_block_delta",
-                    "index": 0,
-                    "delta": {"type": "text_delta", "text": part},
-                }
-                for part in parts
-            ),
-            {"type": "content_block_stop", "index": 0},
-            {
-                "type": "message_delta",
-                "delta": {"stop_reason": reason, "stop_sequence": None},
-                "usage": {"output_tokens": usage[1]},
-            },
-            {"type": "message_stop"},
-        ]
-        return "".join(f"event: {e['type']}\ndata: {json.dumps(e)}\n\n" for e in events)
-    reason = {"end": "stop", "length": "length", "refusal": "content_filter"}[stop]
-    base = {"id": "c", "object": "chat.completion.chunk", "created": 1, "model": model}
-    deltas = [({"role": "assistant", "content": part}, None) for part in parts] + [({}, reason)]
-    chunks = [
-        base | {"choices": [{"index": 0, "delta": delta, "finish_reason": finish}]}
-        for delta, finish in deltas
-    ]
-    count = dict(
-        zip(
-            ("prompt_tokens", "completion_tokens", "total_tokens"),
-            (*usage, sum(usage)),
-            strict=True,
-        )
-    )
-    chunks.append(base | {"choices": [], "usage": count})
-    return "".join(f"data: {json.dumps(c)}\n\n" for c in chunks) + "data: [DONE]\n\n"
+        return json.dumps(message)
+    reason = {"end": "stop", "refusal": "content_filter"}.get(stop, stop)
+    choice = {
+        "index": 0,
+        "message": {"role": "assistant", "content": text},
+        "finish_reason": reason,
+    }
+    names = ("prompt_tokens", "completion_tokens", "total_tokens")
+    counts = dict(zip(names, (*usage, sum(usage)), strict=True))
+    completion = {
+        "id": "c",
+        "object": "chat.completion",
+        "created": 1,
+        "model": model,
+        "choices": [choice],
+        "usage": counts,
+    }
+    return json.dumps(completion)
 
 
 def says(text: str = GOOD, stop: str = "end", usage: tuple[int, int] = (100, 20)) -> Script:
     """Answer with a text."""
 
     def play(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
-        whole = stream_of(server.dialect, body["model"], text, stop, usage)
-        connection.sendall(http(200, whole, kind="text/event-stream"))
+        whole = answer_of(server.dialect, body["model"], text, stop, usage)
+        connection.sendall(http(200, whole))
 
     return play
 
 
-def fails(status: int, message: str = "no luck", headers: str = "") -> Script:
+def fails(status: int, message: str = "no luck", headers: str = "retry-after-ms: 1\r\n") -> Script:
     """Answer with an error."""
-
-    def play(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
-        error = {"type": "error", "error": {"type": "some_error", "message": message}}
-        connection.sendall(http(status, json.dumps(error), headers=headers))
-
-    return play
+    error = {"type": "error", "error": {"type": "some_error", "message": message}}
+    return sends(error, status, headers)
 
 
-def sends(value: Any, kind: str = "application/json") -> Script:
+def sends(value: Any, status: int = 200, headers: str = "") -> Script:
     """Answer with a JSON value, or with a text as it is."""
     text = value if isinstance(value, str) else json.dumps(value)
-    return lambda server, connection, body: connection.sendall(http(200, text, kind=kind))
+    return lambda server, connection, body: connection.sendall(http(status, text, headers=headers))
+
+
+def repeats(piece: bytes, wait_s: float = 0.0) -> Script:
+    """Answer with an endless body."""
+
+    def play(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
+        connection.sendall(b"HTTP/1.1 200 X\r\ncontent-type: application/json\r\n\r\n")
+        while not server.closing.wait(wait_s):
+            connection.sendall(piece)
+
+    return play
 
 
 def resets(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
@@ -204,11 +187,5 @@ def hangs(server: ModelServer, connection: socket.socket, body: dict[str, Any]) 
 
 def cuts_off(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
     """Send two thirds of the announced bytes."""
-    whole = stream_of(server.dialect, body["model"], GOOD)
-    connection.sendall(http(200, whole, kind="text/event-stream", cut=len(whole) // 3))
-
-
-def ends_early(server: ModelServer, connection: socket.socket, body: dict[str, Any]) -> None:
-    """Send half of a stream as if it were the whole."""
-    whole = stream_of(server.dialect, body["model"], GOOD)
-    connection.sendall(http(200, whole[: len(whole) // 2], kind="text/event-stream"))
+    whole = answer_of(server.dialect, body["model"], GOOD)
+    connection.sendall(http(200, whole, cut=len(whole) // 3))
