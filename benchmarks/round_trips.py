@@ -11,7 +11,7 @@ from benchmarks.random_objects import random_object
 from benchmarks.suites import RoundTrips
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import NeoWorldError
-from neoworld_mjx.export import import_mjcf, import_urdf, import_usd
+from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.importing import Imported
 from neoworld_mjx.format_names import Format
@@ -33,7 +33,6 @@ OBJECTS = Path(__file__).parents[1] / "examples" / "objects"
 READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
     "mjcf": ("object.xml", import_mjcf),
     "urdf": ("object.urdf", import_urdf),
-    "usd": ("object.usdc", import_usd),
 }
 BOUNDS: dict[str, float] = {
     "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,
@@ -43,7 +42,6 @@ BOUNDS: dict[str, float] = {
 LOST: dict[Format, frozenset[str]] = {
     "mjcf": frozenset({"velocity"}),
     "urdf": frozenset({"stiffness", "armature", "shine"}),
-    "usd": frozenset(),
 }
 """Fields of joints and materials that a format cannot store, as `neoworld export` reports."""
 DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")

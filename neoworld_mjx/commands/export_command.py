@@ -20,7 +20,7 @@ class ExportCommand(ConfiguredCommand):
     """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, an MJCF or a USD file."""
+    """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
     out: Path
     """Output folder, new or empty."""
     format: UseAppendAction[tuple[Format, ...]] = ()

@@ -1,11 +1,10 @@
-"""Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import from all but SDF."""
+"""Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
 from .handles import Frame, frames
-from .importing import Imported, import_mjcf, import_urdf, import_usd
+from .importing import Imported, import_mjcf, import_urdf
 from .mechanism import Mechanism, mechanism
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
-from .read_usd import read_usd
 from .write_files import export_object, export_scene, object_files, scene_files
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_text
@@ -21,13 +20,11 @@ __all__ = [
     "frames",
     "import_mjcf",
     "import_urdf",
-    "import_usd",
     "mechanism",
     "mjcf_text",
     "object_files",
     "read_mjcf",
     "read_urdf",
-    "read_usd",
     "scene_files",
     "scene_usd_text",
     "urdf_text",

@@ -1,4 +1,4 @@
-"""Converts mechanisms from URDF, MJCF and USD files to ObjectSpecs, with notes on omissions."""
+"""Converts mechanisms from URDF and MJCF files to ObjectSpecs, with notes on omissions."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,7 +33,6 @@ from ..spec.pose import from_matrix, triple
 from .mechanism import Link, LinkShape, Mechanism, Triangles
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
-from .read_usd import read_usd
 
 DENSITY = 400.0
 """Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
@@ -79,16 +78,6 @@ def import_mjcf(path: Path) -> Imported:
             folder, is refused by MuJoCo, or contains several objects.
     """
     return to_object(call_limited(read_mjcf, Path(path)))
-
-
-def import_usd(path: Path, object_path: str | None = None) -> Imported:
-    """Read a USD file with one object, or the prim `object_path` of a USD file.
-
-    Raises:
-        SpecError: the file is broken or hostile, or refers to a layer that is missing or outside
-            its folder; or the prim does not exist, or contains several objects.
-    """
-    return to_object(call_limited(read_usd, Path(path), object_path))
 
 
 def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:

@@ -1,4 +1,4 @@
-"""Imports URDF, MJCF, USD and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
+"""Imports URDF, MJCF and glTF files, and posed meshes, as an ObjectSpec or a SceneSpec."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +12,7 @@ from ..io.names import identifier
 from ..io.validation_message import validation_message
 from ..physics.decompose import decomposition_deadline
 from ..spec import SceneObject, SceneSpec
-from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
-from .checked_usd import SUFFIXES, open_usd
 from .checked_xml import read_xml
 from .file_camera import FileCamera
 from .importing import MESH_READERS, Imported, to_object
@@ -24,10 +22,10 @@ from .read_gltf import read_gltf
 from .read_mesh_scene import POSES, MeshScene, read_mesh_scene
 from .read_mjcf import read_mjcf_scene
 from .read_urdf import read_urdf
-from .read_usd import gravity_of, read_assemblies
 
-FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES, *GLTF)
+FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
 """Suffixes of the files that can be imported."""
+USD = (".usd", ".usda", ".usdc", ".usdz")
 MAX_OBJECTS = 500
 
 
@@ -45,7 +43,7 @@ class ImportedScene:
 
 
 def import_file(path: Path) -> Imported | ImportedScene:
-    """Read a URDF, MJCF or USD file: an object if the file contains only one, otherwise a scene.
+    """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
     A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
 
@@ -57,23 +55,26 @@ def import_file(path: Path) -> Imported | ImportedScene:
     try:
         read = call_limited(_read, path, needs=MESH_READERS)
         if isinstance(read, MeshScene):
-            scene = scene_of_assemblies(path, read.objects, None)
+            scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
-        return _imported(path, *read)
+        return _imported(path, read)
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
-    """Read all objects of a file, and the camera or the gravity that the file states."""
+def _read(path: Path) -> MeshScene | list[Assembly]:
+    """Read all objects of a file, and the camera that the file states."""
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:
         return read_mesh_scene(path)
-    if path.suffix.lower() in SUFFIXES:
-        stage = open_usd(path)
-        return read_assemblies(path, stage, separate=True), gravity_of(stage)
+    if path.suffix.lower() in USD:
+        raise SpecError(
+            f"{path}: USD is written, not read; convert it to MJCF, URDF or glTF first (for "
+            "example by Isaac Sim's URDF exporter, or by Blender's import of USD and export of "
+            "glTF)"
+        )
     try:
         root = read_xml(path)
     except SpecError as error:
@@ -82,38 +83,32 @@ def _read(path: Path) -> MeshScene | tuple[list[Assembly], Vec3 | None]:
         supported = ", ".join((*FILES, POSES))
         raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
-        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)], None
+        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)]
     if root.tag == "mujoco":
-        return read_mjcf_scene(path), None
+        return read_mjcf_scene(path)
     raise SpecError(
         f"{path}: the root element is <{root.tag}>; expected <robot> (URDF) or <mujoco> (MJCF)"
     )
 
 
-def _imported(
-    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
-) -> Imported | ImportedScene:
+def _imported(path: Path, assemblies: list[Assembly]) -> Imported | ImportedScene:
     if len(assemblies) == 1:
         return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
-    return scene_of_assemblies(path, assemblies, gravity)
+    return scene_of_assemblies(path, assemblies)
 
 
-def scene_of_assemblies(
-    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
-) -> ImportedScene:
+def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene:
     """Return a scene of the objects of a file.
 
     Args:
         path: the file; the scene takes its name, and messages refer to it.
         assemblies: the objects, with their poses in the world frame.
-        gravity: gravity [m/s^2]; if None, the default of `SceneSpec` is used.
 
     Raises:
         SpecError: there are too many objects, or a number is out of bounds.
     """
-    bodies = [assembly for assembly in assemblies if not assembly.no_rigid_body]
-    if len(bodies) > MAX_OBJECTS:
-        raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
+    if len(assemblies) > MAX_OBJECTS:
+        raise SpecError(f"{path} has {len(assemblies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
     notes: list[str] = []
     deadline = decomposition_deadline()
@@ -127,8 +122,6 @@ def scene_of_assemblies(
     name = identifier(path.stem, "scene")
     try:
         scene = SceneSpec(name=name, objects=tuple(objects))
-        if gravity is not None:
-            scene = scene.model_copy(update={"gravity": gravity})
     except ValidationError as error:
         raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))

@@ -82,11 +82,6 @@ class Mechanism:
     """The same for the whole file; mechanisms from one file may share this list."""
 
     @property
-    def has_shapes(self) -> bool:
-        """True if a link has a shape."""
-        return any(link.shapes for link in self.links.values())
-
-    @property
     def root(self) -> str:
         """Name of the link without a parent."""
         children = {joint.child for joint in self.joints}
@@ -107,8 +102,6 @@ class Assembly:
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
-    no_rigid_body: bool = False
-    """True if the object is geometry without a rigid body."""
 
 
 def mechanism(spec: ObjectSpec) -> Mechanism:

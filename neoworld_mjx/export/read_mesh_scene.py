@@ -50,7 +50,7 @@ class PosedFile(Spec):
     """Object in a poses.json."""
 
     file: Annotated[str, Field(max_length=400)]
-    """Mesh, URDF, MJCF or USD file below the folder of poses.json."""
+    """Mesh, URDF or MJCF file below the folder of poses.json."""
     pose: tuple[Row, Row, Row, Row]
     """Rows of the transform from the file's frame, [4, 4]; it must be rigid unless the file is a
     mesh."""
@@ -150,17 +150,12 @@ def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembl
 
 
 def _mechanism(file: Path) -> Mechanism:
-    from .checked_usd import SUFFIXES as USD
-    from .checked_usd import open_usd
     from .read_mjcf import read_mjcf
     from .read_urdf import read_urdf
-    from .read_usd import one_object
 
     suffix = file.suffix.lower()
     if suffix in (".urdf", ".xacro"):
         return read_urdf(file)
     if suffix in (".xml", ".mjcf"):
         return read_mjcf(file)
-    if suffix in USD:
-        return one_object(file, open_usd(file), None)
-    raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF, MJCF or USD files")
+    raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF or MJCF files")

@@ -1,4 +1,4 @@
-"""`neoworld check` of an object: a program, or a URDF, MJCF or USD file from any source."""
+"""`neoworld check` of an object: a program, or a URDF or MJCF file from any source."""
 
 import time
 from pathlib import Path
@@ -23,7 +23,7 @@ MAX_JOINTS = 64
 
 
 def import_object(path: Path) -> Imported:
-    """Read a URDF, MJCF or USD file with one object.
+    """Read a URDF or MJCF file with one object.
 
     Raises:
         SpecError: the file has another format, contains several objects, is malformed, or exceeds
@@ -37,7 +37,7 @@ def import_object(path: Path) -> Imported:
 
 
 def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
-    """Read the object of a file: a program (.py), spec.json, URDF, MJCF or USD.
+    """Read the object of a file: a program (.py), spec.json, URDF or MJCF.
 
     Raises:
         SpecError: the file cannot be read, or the program builds no object.
@@ -65,7 +65,7 @@ def check_object(
     """Run the object tests on the object of a file, and repair the object on request.
 
     Args:
-        path: a program (.py), URDF, MJCF or USD file.
+        path: a program (.py), URDF or MJCF file.
         config: options of programs and of the object tests.
         imported: content of the file if it has already been read; if None, the file is read.
         fixed_base: if True, the base is fixed.

@@ -9,7 +9,6 @@ from neoworld_mjx.export import (
     export_object,
     import_mjcf,
     import_urdf,
-    import_usd,
     mechanism,
 )
 from neoworld_mjx.export.importing_scene import import_file
@@ -18,7 +17,7 @@ from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds
 from tests.support import scenes
 
-READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf, "object.usda": import_usd}
+READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
 U = (
     "v 0 0 0\nv 3 0 0\nv 3 0 2\nv 2 0 2\nv 2 0 1\nv 1 0 1\nv 1 0 2\nv 0 0 2\n"
     "v 0 1 0\nv 3 1 0\nv 3 1 2\nv 2 1 2\nv 2 1 1\nv 1 1 1\nv 1 1 2\nv 0 1 2\n"
@@ -49,8 +48,7 @@ def test_exported_objects_are_imported_unchanged(tmp_path, file, make):
     np.testing.assert_allclose([lower, upper], [low, high], atol=2e-4)
     assert len(result.spec.parts) == len(spec.parts)
     for part in spec.parts:
-        named = file != "object.usda"
-        twin = spec.name if named and part.name == spec.root else part.name
+        twin = spec.name if part.name == spec.root else part.name
         a, b = one.links[part.name], other.links[twin]
         assert b.mass == pytest.approx(a.mass, rel=1e-6)
         np.testing.assert_allclose(b.com, a.com, atol=2e-4)
@@ -109,33 +107,6 @@ def test_notes_of_a_scene_name_the_object_unless_they_concern_the_whole_file(tmp
         "sensor is not imported",
         "an equality other than between two joints is not imported",
         "crate: joint spin moves the whole object and is not imported",
-    }
-
-
-def test_notes_of_a_usd_file_name_the_object_unless_they_concern_the_whole_file(tmp_path):
-    body = """
-        def Xform "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
-            double3 xformOp:translate = ({}, 0, 0)
-            uniform token[] xformOpOrder = ["xformOp:translate"]
-            def Cube "a" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{ }}
-            {}
-        }}"""
-    flat = """def Capsule "b" {
-                double3 xformOp:scale = (1, 2, 1)
-                uniform token[] xformOpOrder = ["xformOp:scale"]
-            }"""
-    bodies = body.format("crate", 0, flat) + body.format(
-        "block", 5, 'def PointInstancer "joint" { }'
-    )
-    head = '#usda 1.0\n(\n    defaultPrim = "w"\n    upAxis = "Z"\n)\n'
-    file = tmp_path / "two.usda"
-    file.write_text(f'{head}def Xform "w" {{{bodies}\n}}\n')
-    mass = "states no mass: a density of 400 kg/m^3 is assumed"
-    assert set(import_file(file).notes) == {
-        "/w/block/joint is a PointInstancer, which is not imported",
-        "crate: /w/crate/b is a capsule that is not round: skipped",
-        f"crate: link crate {mass}",
-        f"block: link block {mass}",
     }
 
 

@@ -176,7 +176,7 @@ def test_mirrored_pose_mirrors_the_mesh():
     [
         ({"file": "../block.obj"}, "outside its folder"),
         ({"file": "none.obj"}, "does not exist"),
-        ({"file": "notes.txt"}, "URDF, MJCF or USD"),
+        ({"file": "notes.txt"}, "URDF or MJCF"),
         ({"pose": np.diag([1.0, 1, 0, 1]).tolist()}, "block.*singular"),
         ({"pose": np.ones((4, 4)).tolist()}, "not an affine"),
         ({"pose": [[1, 2], [3, 4]]}, "not a list of posed files"),

@@ -103,4 +103,4 @@ def scene_of_meshes(objects):
         mesh_object(key, [(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
         for key, (mesh, pose) in objects.items()
     ]
-    return scene_of_assemblies(Path("scene"), assemblies, None)
+    return scene_of_assemblies(Path("scene"), assemblies)
