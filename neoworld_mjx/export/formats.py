@@ -17,7 +17,6 @@ from .isaac_layer import isaac_text
 from .meshes import mesh_files
 from .newton_layer import newton_text
 from .textures import is_textured, texture_files
-from .write_directives import directives_text, package_text
 from .write_drives import drives_text
 from .write_files import encoded, write_all
 from .write_glb import glb_bytes
@@ -81,6 +80,7 @@ def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
         ],
         "urdf": [
             "metallic and roughness of materials",
+            "friction of single colliders; each link states the mean of its colliders",
             "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
             "become meshes",
         ],
@@ -202,13 +202,9 @@ class _Writer:
         }
 
     def _urdf(self) -> dict[str, bytes]:
-        files = self._meshes | self._of_objects(
+        return self._meshes | self._of_objects(
             lambda spec: encoded({"object.urdf": urdf_text(spec), "object.srdf": srdf_text(spec)})
         )
-        if isinstance(self.described, SceneSpec):
-            files["scene.dmd.yaml"] = directives_text(self.described).encode()
-            files["package.xml"] = package_text(self.described).encode()
-        return files
 
     def _sdf(self) -> dict[str, bytes]:
         return {f"{_stem(self.described)}.sdf": sdf_text(self.described).encode(), **self._meshes}

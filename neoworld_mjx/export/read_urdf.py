@@ -13,7 +13,6 @@ from ..spec import Box, Cylinder, JointSpec, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
 from .checked_xml import inside, read_xml
-from .drake_contact import DRAKE
 from .load_mesh import load_mesh
 from .mechanism import (
     GRAY,
@@ -75,7 +74,6 @@ def read_urdf(path: Path) -> Mechanism:
         [(joint.name, joint.parent, joint.child) for joint in robot.joints],
     ))  # fmt: skip
     colors = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
-    frictions = _frictions(root)
     shrunk = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
     links = [
         _link(
@@ -83,7 +81,7 @@ def read_urdf(path: Path) -> Mechanism:
             link,
             frames[link.name],
             colors,
-            frictions[link.name],
+            _friction(root, link.name),
             CLEARANCE_M if link.name in shrunk else 0.0,
             notes,
         )
@@ -117,25 +115,16 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
     return sites
 
 
-def _frictions(root: ET.Element) -> dict[str, list[float]]:
-    """Return the friction coefficient of each <collision> of each link, by link name.
-
-    The coefficient is Drake's, if the file states it; otherwise PyBullet's; otherwise 0.5.
-    """
-    result = {}
-    for link in root.findall("link"):
-        of_link = link.find("contact/lateral_friction")
-        values = []
-        for collision in link.findall("collision"):
-            of_collision = collision.find(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}mu_dynamic")
-            stated = of_link if of_collision is None else of_collision
+def _friction(root: ET.Element, link: str) -> float:
+    """Return the friction coefficient that a link states for PyBullet; 0.5 if it states none."""
+    for element in root.findall("link"):
+        stated = element.find("contact/lateral_friction")
+        if element.get("name") == link and stated is not None:
             try:
-                value = 0.5 if stated is None else float(stated.get("value") or 0.5)
+                return float(stated.get("value") or 0.5)
             except ValueError:
-                value = 0.5
-            values.append(value)
-        result[str(link.get("name"))] = values
-    return result
+                return 0.5
+    return 0.5
 
 
 def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
@@ -216,7 +205,7 @@ def _link(
     link: Any,
     frame: NDArray,
     colors: dict[str, Any],
-    frictions: list[float],
+    friction: float,
     clearance: float,
     notes: list[str],
 ) -> Link:
@@ -225,7 +214,7 @@ def _link(
         rgba = _color(item.material, colors)
         for shape, pose in _shapes(path, item, link.name, frame, 0.0, notes):
             result.shapes.append(LinkShape(shape, pose, "visual", rgba))
-    for item, friction in zip(link.collisions, frictions, strict=False):
+    for item in link.collisions:
         for shape, pose in _shapes(path, item, link.name, frame, clearance, notes):
             result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
     inertial = link.inertial

@@ -7,7 +7,6 @@ from ..io.files import write_inside
 from ..spec import ObjectSpec, SceneSpec
 from .meshes import mesh_files
 from .textures import texture_files
-from .write_directives import directives_text, package_text
 from .write_drives import drives_text
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_text
@@ -42,8 +41,6 @@ def scene_files(scene: SceneSpec) -> dict[str, bytes]:
             "scene.xml": mjcf_text(scene),
             "scene.usda": scene_usd_text(scene),
             "scene.sdf": sdf_text(scene),
-            "scene.dmd.yaml": directives_text(scene),
-            "package.xml": package_text(scene),
             "drives.xml": drives_text(scene, "scene.xml"),
         }
     )
@@ -65,7 +62,7 @@ def export_object(spec: ObjectSpec, out: Path) -> None:
 
 
 def export_scene(scene: SceneSpec, out: Path) -> None:
-    """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
+    """Write scene.json, .xml, .usda, .sdf and objects/<name>/ into a folder.
 
     scene.xml refers to the meshes and textures of the objects, and scene.usda refers to the USD
     files of the objects. If there are joints to drive, drives.xml is also written; it adds

@@ -109,10 +109,10 @@ def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabine
             main(["export", source, "--out", str(out), "--json", *more])
         return left.value.code
 
-    assert run("--for", "drake") == 0
+    assert run("--for", "pybullet") == 0
     answer = json.loads(capfd.readouterr().out)
-    assert {"object.sdf", "object.urdf", "object.srdf"} <= set(answer["files"])
-    assert set(answer["lost"]) == {"sdf", "urdf"}
+    assert {"object.urdf", "object.srdf"} <= set(answer["files"])
+    assert set(answer["lost"]) == {"urdf"}
     assert all((out / file).is_file() for file in answer["files"])
     assert run() == 2
     assert "not empty" in "".join(capfd.readouterr())
