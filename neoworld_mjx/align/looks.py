@@ -70,7 +70,7 @@ def as_photographed(scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]) 
         gain = _gain(np.array(in_photo), np.array(rendered), np.sqrt(pixels))
         camera = plain.model_copy(update={"gain": tuple(np.round(gain, 4).tolist())})
     changes = {"camera": camera, "backdrop": _backdrop(image, view, small)}
-    return printed(scene, photo, flat=True).model_copy(update=changes)
+    return printed(scene, photo).model_copy(update=changes)
 
 
 def _backdrop(

@@ -1,15 +1,13 @@
 """Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
+from .formats import export_object, export_scene, object_files, scene_files
 from .handles import Frame, frames
 from .importing import Imported, import_mjcf, import_urdf
-from .mechanism import Mechanism, mechanism
+from .mechanism import Mechanism
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
-from .write_files import export_object, export_scene, object_files, scene_files
 from .write_mjcf import mjcf_text
-from .write_scene_usd import scene_usd_text
 from .write_urdf import urdf_text
-from .write_usd import usd_text
 
 __all__ = [
     "Frame",
@@ -20,13 +18,10 @@ __all__ = [
     "frames",
     "import_mjcf",
     "import_urdf",
-    "mechanism",
     "mjcf_text",
     "object_files",
     "read_mjcf",
     "read_urdf",
     "scene_files",
-    "scene_usd_text",
     "urdf_text",
-    "usd_text",
 ]

@@ -41,8 +41,6 @@ PLACEHOLDER_M = 0.001
 MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
-MAX_DENSITY = 30000.0
-"""Largest density of an imported material [kg/m^3]; larger densities are ignored."""
 
 
 @dataclass(frozen=True)
@@ -262,10 +260,7 @@ def _part(
         raise SpecError(f"link {link.name} has no geometry that can collide")
     mass, inertia = link.mass, None
     if mass is None:
-        if not any(item.density for item in link.shapes if item.role != "visual"):
-            notes.append(
-                f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed"
-            )
+        notes.append(f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed")
     elif mass <= 0:
         notes.append(f"link {link.name} states a mass of {mass:g} kg")
         mass = 1e-9
@@ -310,14 +305,12 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
         for key in ("metallic", "roughness")
         if (value := getattr(item, key)) is not None
     }
-    key = (item.rgba, item.friction, helper, item.name, item.density, *gloss.items())
+    key = (item.rgba, item.friction, helper, *gloss.items())
     if key not in materials:
-        # A material keeps its name only if the file states a valid density.
-        has_density = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
-        stem = HELPER if helper else item.name if has_density else UNKNOWN
+        names = {material.name for material in materials.values()}
         materials[key] = Material(
-            name=identifier(stem, "material", {m.name for m in materials.values()}),
-            density=item.density if has_density and item.density is not None else DENSITY,
+            name=identifier(HELPER if helper else UNKNOWN, "material", names),
+            density=DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
             **gloss,

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
+from ..spec import JointSpec, Mimic, Site
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
-from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""
@@ -39,10 +38,6 @@ class LinkShape:
     friction: float = 0.5
     hull: bool = False
     """If True, the convex hull of the mesh is the collider."""
-    name: str = ""
-    """Name of the material; empty if the file states no name."""
-    density: float | None = None
-    """Density of the material [kg/m^3]; None if the file states no density."""
     metallic: float | None = None
     """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
@@ -102,22 +97,6 @@ class Assembly:
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
-
-
-def mechanism(spec: ObjectSpec) -> Mechanism:
-    """Return the mechanism of an object, without shapes."""
-    origins = link_origins(spec)
-    links = {}
-    for part in spec.parts:
-        mass = inertial(spec, part)
-        links[part.name] = Link(
-            part.name,
-            mass=mass.mass,
-            com=np.array(mass.pos),
-            inertia=inertia_tensor(spec, part),
-            origin=origins[part.name],
-        )
-    return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
 
 
 def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:

@@ -2,17 +2,17 @@
 
 import io
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
 from .file_camera import FileCamera
-from .gltf_colliders import COLLIDERS, KIND, OBJECT, Y_UP, stated_shapes
-from .load_mesh import check_claims, folder_buffers, gltf_document, merged_vertices, mesh_bytes
-from .mechanism import LinkShape, Triangles
+from .load_mesh import folder_buffers, gltf_document, merged_vertices, mesh_bytes
+from .mechanism import Triangles
 from .read_mesh_scene import MAX_NODES, MeshScene, mesh_object, rows_of
+from .write_glb import OBJECT_EXTRAS, Y_UP
 
 SUFFIXES = (".glb", ".gltf")
 Z_UP = Y_UP.T
@@ -31,7 +31,6 @@ def read_gltf(path: Path) -> MeshScene:
     import trimesh
 
     data = mesh_bytes(path)
-    check_claims(path, path.suffix.lower(), data)
     try:
         loaded: Any = trimesh.load(
             io.BytesIO(data),
@@ -44,17 +43,13 @@ def read_gltf(path: Path) -> MeshScene:
         count = len(loaded.graph.nodes_geometry)
         if not 0 < count <= MAX_NODES:
             raise SpecError(f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}")
-        posed = [_parts_below(loaded, node) for node in _object_nodes(loaded.graph)]
+        posed = [_meshes_below(loaded, node) for node in _object_nodes(loaded.graph)]
         camera = _gltf_camera(gltf_document(data))
     except SpecError:
         raise
     except Exception as error:  # trimesh raises errors of many types
         raise SpecError(f"{path} is not glTF: {type(error).__name__}: {error}"[:300]) from None
-    objects = [
-        mesh_object(part.name, part.meshes, part.transform, shapes=part.shapes)
-        for part in posed
-        if part.meshes or part.shapes
-    ]
+    objects = [mesh_object(name, meshes, transform) for name, meshes, transform in posed if meshes]
     return MeshScene(objects, camera)
 
 
@@ -69,63 +64,29 @@ def _object_nodes(graph: Any) -> list[Any]:
     level = [graph.base_frame]
     while len(level) == 1 and level[0] not in meshed:
         extras = tree.edge_data.get((tree.parents.get(level[0]), level[0]), {}).get("metadata")
-        if extras and extras.get(KIND) == OBJECT:
+        if extras and OBJECT_EXTRAS.items() <= extras.items():
             break
         level = [node for node in tree.children.get(level[0], []) if meshed & tree.successors(node)]
     return level
 
 
-class NodeParts(NamedTuple):
-    """Meshes and colliders in and below a node, in the node's frame with Z up."""
+def _meshes_below(loaded: Any, node: Any) -> tuple[str, list[Triangles], NDArray]:
+    """Return the name of a node, and the meshes in and below it with their pose.
 
-    name: str
-    transform: NDArray
-    """Affine transform from the node's frame to the world frame, shape [4, 4]."""
-    meshes: list[Triangles]
-    """Meshes of the nodes that are not in `shapes`."""
-    shapes: list[LinkShape]
-    """Colliders that the nodes of links state, and the meshes of these links."""
-
-
-def _parts_below(loaded: Any, node: Any) -> NodeParts:
-    """Return the meshes and the stated colliders in and below a node of a trimesh scene."""
-    tree = loaded.graph.transforms
-    transform = Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
-    parts = NodeParts(str(node), transform, [], [])
-    below, taken = tree.successors(node), set()
-    for link in (n for n in below if _is_rigid(transform)):
-        extras = tree.edge_data.get((tree.parents.get(link), link), {}).get("metadata") or {}
-        inner = tree.successors(link)
-        visuals = _meshes(loaded, link, inner) if COLLIDERS in extras else []
-        turn = Z_UP @ np.asarray(loaded.graph.get(link, frame_from=node)[0], float) @ Z_UP.T
-        stated = stated_shapes(extras.get(COLLIDERS), visuals, turn) if _is_rigid(turn) else []
-        if stated:
-            parts.shapes.extend(stated + [LinkShape(mesh, turn, "visual") for mesh in visuals])
-            taken |= inner
-    parts.meshes.extend(_meshes(loaded, node, below - taken))
-    return parts
-
-
-def _meshes(loaded: Any, frame: Any, nodes: set[Any]) -> list[Triangles]:
-    """Return the meshes of `nodes` in the frame of the node `frame`, with Z up."""
+    The meshes are in the node's frame with Z up. The pose is the affine transform from this frame
+    to the world frame, shape [4, 4].
+    """
+    below = loaded.graph.transforms.successors(node)
     meshes = []
-    for node in (n for n in loaded.graph.nodes_geometry if n in nodes):
-        transform, key = loaded.graph.get(node, frame_from=frame)
+    for inner in (n for n in loaded.graph.nodes_geometry if n in below):
+        transform, key = loaded.graph.get(inner, frame_from=node)
         mesh = loaded.geometry[key]
         if hasattr(mesh, "faces"):  # Points and lines are skipped.
             # Copy, because nodes may share a mesh, and a mirroring transform reverses its faces.
             upright = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
-            meshes.append(
-                merged_vertices(
-                    np.array(upright.vertices, float), np.array(upright.faces, np.int64)
-                )
-            )
-    return meshes
-
-
-def _is_rigid(transform: NDArray) -> bool:
-    turn = transform[:3, :3]
-    return bool(np.abs(turn @ turn.T - np.eye(3)).max() < 1e-5 and np.linalg.det(turn) > 0)
+            vertices, faces = np.array(upright.vertices, float), np.array(upright.faces, np.int64)
+            meshes.append(merged_vertices(vertices, faces))
+    return str(node), meshes, Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
 
 
 def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:

@@ -101,7 +101,6 @@ def mesh_object(
     transform: NDArray,
     *,
     fixed: bool = False,
-    shapes: Sequence[LinkShape] = (),
 ) -> Assembly:
     """Return meshes at a pose as one rigid object, whose colliders are derived from the meshes.
 
@@ -111,7 +110,6 @@ def mesh_object(
         transform: affine transform from the object's frame to the world frame, shape [4, 4]; its
             scale is applied to the meshes.
         fixed: if True, the object cannot move.
-        shapes: further shapes in the object's frame; they require a rigid transform.
 
     Raises:
         SpecError: the transform is singular or not affine.
@@ -128,10 +126,8 @@ def mesh_object(
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
     turn = 1 if np.linalg.det(linear) > 0 else -1
     local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
-    # If there are other shapes, colliders are not derived, so the meshes themselves collide.
-    role = "both" if shapes else "visual"
-    visuals = [LinkShape(triangles, np.eye(4), role) for triangles in local]
-    link = Link("body", [*shapes, *visuals], visual_only=not shapes)
+    visuals = [LinkShape(triangles, np.eye(4), "visual") for triangles in local]
+    link = Link("body", visuals, visual_only=True)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 

@@ -39,11 +39,6 @@ FLAT = 1e-3
 """Angle between two faces of a collider above which normals are split at the common edge [rad]."""
 
 
-def usd_text(spec: ObjectSpec) -> str:
-    """Return an object with all joints at zero as USDA text."""
-    return usd_layer(spec).ExportToString()
-
-
 def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     """Return an object with all joints at zero as a USD layer."""
     stage = new_stage()

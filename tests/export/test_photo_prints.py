@@ -1,7 +1,6 @@
 """Prints of the photograph: on what faced the camera and was not covered, and nowhere else."""
 
 import io
-import json
 
 import mujoco
 import numpy as np
@@ -10,7 +9,6 @@ import trimesh
 from PIL import Image
 from pxr import Usd, UsdShade
 
-from neoworld_mjx import cli
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.formats import unsupported_data, write_formats
 from neoworld_mjx.export.photo_prints import printed
@@ -21,7 +19,7 @@ from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec, r
 from neoworld_mjx.spec.photo_print import PhotoPrint
 from tests.support.mechanisms import WOOD, geom, joint, part
 
-CAMERA = Camera(width=120, height_px=80, fovy=0.5, height=0.6, pitch=0.35, roll=0.0)
+CAMERA = Camera(width=480, height_px=320, fovy=0.5, height=0.6, pitch=0.35, roll=0.0)
 LEFT, RIGHT = (200, 30, 30), (30, 60, 200)
 
 
@@ -49,8 +47,8 @@ def scene() -> SceneSpec:
 
 @pytest.fixture(scope="module")
 def photo() -> np.ndarray:
-    picture = np.zeros((160, 240, 3), np.uint8)
-    picture[:, :120], picture[:, 120:] = LEFT, RIGHT
+    picture = np.zeros((640, 960, 3), np.uint8)
+    picture[:, :480], picture[:, 480:] = LEFT, RIGHT
     return picture
 
 
@@ -88,11 +86,11 @@ def test_visible_faces_are_printed_and_others_keep_their_color(result):
 
 def test_rendered_prints_move_with_the_drawer(result):
     picture = render(result, CAMERA, supersample=1).color.astype(int)
-    front = picture[40, 45], picture[40, 75]
+    front = picture[160, 180], picture[160, 300]
     assert front[0][0] > 2 * front[0][2] and front[1][2] > 2 * front[1][0]
     item = result.objects[0].model_copy(update={"joint_state": {"slide": 0.0}})
     closed = render(result.model_copy(update={"objects": (item,)}), CAMERA, supersample=1)
-    assert closed.color[40, 50][0] > 2 * closed.color[40, 50][2]
+    assert closed.color[160, 200][0] > 2 * closed.color[160, 200][2]
 
 
 def test_prints_scale_with_their_object(result):
@@ -157,20 +155,3 @@ def test_invalid_print_images_are_refused():
         PhotoPrint(image="AAAA", depth="AAAA", **{**good, "far": float("inf")})
     with pytest.raises(SpecError, match="not an image"):
         read_print(PhotoPrint(image="AAAA", depth="AAAA", **good))
-
-
-def test_photo_prints_need_a_run_folder(scene, tmp_path, capfd):
-    (tmp_path / "scene.json").write_text(scene.to_json())
-
-    def run() -> int:
-        with pytest.raises(SystemExit) as end:
-            cli.main(["export", str(tmp_path), "--out", str(tmp_path / "out"), "--photo",
-                      "--format", "glb", "--json"])  # fmt: skip
-        return int(end.value.code or 0)
-
-    assert run() == 2
-    assert "photo.png" in capfd.readouterr().err
-    Image.fromarray(np.full((80, 120, 3), 90, np.uint8)).save(tmp_path / "photo.png")
-    assert run() == 0
-    files = json.loads(capfd.readouterr().out)["files"]
-    assert "scene.json" in files and "scene.glb" in files
