@@ -115,21 +115,6 @@ BROKEN = {
         '<mujoco><worldbody><body><geom size="1e200"/></body></worldbody></mujoco>',
         "should be a finite number",
     ),
-    "replicate.xml": (
-        '<mujoco><worldbody><body><replicate count="900"><replicate count="900"><geom size="1"/>'
-        "</replicate></replicate></body></worldbody></mujoco>",
-        "expands to more than",
-    ),
-    "many.xml": (
-        '<mujoco><worldbody><replicate count="100000000"><body><geom size="1"/></body></replicate>'
-        "</worldbody></mujoco>",
-        "expands to more than",
-    ),
-    "memory.xml": (
-        '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body>'
-        "</worldbody></mujoco>",
-        "the limit is 1000",
-    ),
     "follow.urdf": (
         '<robot name="r">' + "".join(LINK.format(n) for n in "abc")
         + "".join(
