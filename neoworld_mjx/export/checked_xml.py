@@ -14,6 +14,7 @@ from pathlib import Path
 from ..errors import SpecError
 from ..io import file_bounds
 from ..io.files import MIB, read_bytes
+from ..io.json_files import MAX_DEPTH
 
 DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _NAMES = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
@@ -27,9 +28,8 @@ def read_xml(path: Path) -> ET.Element:
         SpecError: the file cannot be read, is truncated, declares entities, is nested too deeply,
             or contains a number that is not finite.
     """
-    bounds = file_bounds()
     try:
-        data = read_bytes(path, bounds.max_text_mib * MIB)
+        data = read_bytes(path, file_bounds().max_file_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
     refuse_entities(path, data)
@@ -38,10 +38,10 @@ def read_xml(path: Path) -> ET.Element:
     except (ET.ParseError, ValueError, LookupError) as error:
         raise SpecError(f"{path} is not valid XML: {error}") from None
     level = [root]
-    for _ in range(bounds.max_depth):
+    for _ in range(MAX_DEPTH):
         level = [child for element in level for child in element]
     if level:
-        raise SpecError(f"{path} is nested more than {bounds.max_depth} elements deep")
+        raise SpecError(f"{path} is nested more than {MAX_DEPTH} elements deep")
     for element in root.iter():
         for key, value in element.attrib.items():
             if key not in _NAMES and not all(map(_is_finite, value.split())):

@@ -75,9 +75,9 @@ def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """Read a mesh file of at most `files.max_mesh_mib`; raise a SpecError if it cannot be read."""
+    """Read a mesh file of at most `files.max_file_mib`; raise a SpecError if it cannot be read."""
     try:
-        return read_bytes(path, file_bounds().max_mesh_mib * MIB)
+        return read_bytes(path, file_bounds().max_file_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
 

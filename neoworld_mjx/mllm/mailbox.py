@@ -166,7 +166,7 @@ class Mailbox:
             if stamp != last_stamp:
                 last_stamp, last_change = stamp, now
             if stamp is not None:
-                max_bytes = file_bounds().max_text_mib * MIB
+                max_bytes = file_bounds().max_file_mib * MIB
                 text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")
                 complete = is_json(text)
                 try:

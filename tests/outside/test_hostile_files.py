@@ -30,9 +30,7 @@ from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.verify.checking import check_object
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
-SMALL = FileOptions(
-    max_text_mib=1, max_values=1000, max_depth=10, max_array_mib=1, timeout_s=2.0, memory_mib=300
-)
+SMALL = FileOptions(max_file_mib=16, timeout_s=2.0, memory_mib=300)
 TOO_MUCH = r"takes over|cannot be read|Could not allocate memory"
 """Messages of the limited worker, and of MuJoCo in it."""
 BALL = '<geom size=".1"/>'
@@ -132,10 +130,10 @@ WIDE = {"bufferView": 0, "count": 3000}
 Row = tuple[str, str | bytes | Callable[[], str | bytes], Callable[[Path], Any], str]
 FILES: dict[str, Row] = {
     # JSON, YAML, arrays and tables.
-    "deep": ("a.json", "[" * 400 + "]" * 400, json_of, "nested over 10 levels deep"),
-    "deep objects": ("a.json", '{"a":' * 20 + "1" + "}" * 20, json_of, "nested over 10 levels"),
-    "values": ("a.json", "[" + "0," * 2000 + "0]", json_of, "over 1000 values.*files.max_values"),
-    "large": ("a.json", "0" * (2 << 20), json_of, "it has 2 MiB; the limit is 1 MiB"),
+    "deep": ("a.json", "[" * 400 + "]" * 400, json_of, "nested over 100 levels deep"),
+    "deep objects": ("a.json", '{"a":' * 200 + "1" + "}" * 200, json_of, "nested over 100 levels"),
+    "values": ("a.json", lambda: "[" + "0," * 4_000_000 + "0]", json_of, "over 4000000 values"),
+    "large": ("a.json", lambda: "0" * (17 << 20), json_of, "it has 17 MiB; the limit is 16 MiB"),
     "surrogate": ("a.json", '"\\ud800"', json_of, "unpaired surrogate"),
     "constant": ("a.json", "NaN", json_of, "not JSON: NaN"),
     "digits": ("a.json", "9" * 5000, json_of, "not JSON"),
@@ -152,7 +150,7 @@ FILES: dict[str, Row] = {
     "huge": ("a.npz", npz((10**13,)), arrays_of, "declares 80000000000000 bytes"),
     "negative": ("a.npz", npz((-1,)), arrays_of, "invalid shape|declares"),
     "pickle": ("a.npz", npz((1,), bytes(8), "|O"), arrays_of, "Python objects"),
-    "zip bomb": ("a.npz", npz((2**20,), bytes(2**23)), arrays_of, "unpacks to 8 MiB"),
+    "zip bomb": ("a.npz", lambda: npz((2**22,), bytes(2**25)), arrays_of, "unpacks to 32 MiB"),
     "no zip": ("a.npz", b"PK\x03\x04" + bytes(100), arrays_of, "no readable arrays"),
     "rows": ("a.parquet", many_rows, rows_of, "holds over 500000 rows|takes over"),
     "no table": ("a.parquet", b"PAR1" + bytes(50) + b"PAR1", rows_of, "is damaged"),
@@ -168,7 +166,7 @@ FILES: dict[str, Row] = {
         import_file,
         "document type or entities",
     ),
-    "nested": ("a.xml", "<a>" * 50 + "</a>" * 50, import_file, "nested more than 10 elements"),
+    "nested": ("a.xml", "<a>" * 150 + "</a>" * 150, import_file, "nested more than 100 elements"),
     "nan": (
         "a.urdf",
         urdf("<link name='a'><inertial><mass value='nan'/></inertial></link>"),
