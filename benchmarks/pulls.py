@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neoworld_mjx.export.handles import frames
+from neoworld_mjx.export.link_frames import frames
 from neoworld_mjx.spec import JointSpec, ObjectSpec, inertial
 from neoworld_mjx.spec.kinematics import moving_parts
 from neoworld_mjx.spec.pose import matrix

@@ -6,13 +6,13 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 from scipy.optimize import least_squares
 
-from ..export.photo_prints import printed
 from ..render import RenderedImage, View, render
 from ..render.appearance import displayed, linear
 from ..render.flat_faces import flat_faces
 from ..spec import SceneSpec
 from ..spec.scene import Backdrop
 from .colors import to_lab
+from .photo_prints import printed
 
 WIDTH = 240
 """Width of the images that are compared [px]."""

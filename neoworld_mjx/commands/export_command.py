@@ -36,7 +36,7 @@ class ExportCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Write the files."""
-        from ..export.formats import collider_error, unsupported_data, write_formats
+        from ..export.formats import LOSSES, collider_error, write_formats
 
         if self.out.exists() and not self.out.is_dir():
             raise RunError(f"{self.out} is a file; name a folder")
@@ -54,7 +54,7 @@ class ExportCommand(ConfiguredCommand):
             "target": str(self.target),
             "folder": str(self.out),
             "files": files,
-            "lost": {kind: unsupported_data(described, kind) for kind in kinds},
+            "lost": {kind: list(LOSSES[kind]) for kind in kinds},
         }
         if notes:
             result["notes"] = notes
@@ -80,7 +80,7 @@ class ExportCommand(ConfiguredCommand):
                 errors = "; ".join(str(signal.message) for signal in built.signals)
                 raise SpecError(f"{self.target} does not build: {errors}")
             return built.spec, []
-        from ..export.importing_scene import import_file
+        from ..export.importing import import_file
 
         imported = import_file(self.target)
         return imported.spec, list(imported.notes)

@@ -34,7 +34,7 @@ class CheckCommand(ConfiguredCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing_scene import ImportedScene, import_file
+        from ..export.importing import ImportedScene, import_file
 
         is_run = self.target.is_dir() or self.target.suffix == ".json"
         is_program = self.target.suffix == ".py"

@@ -1,8 +1,8 @@
 """Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
 from .formats import export_object, export_scene, object_files, scene_files
-from .handles import Frame, frames
 from .importing import Imported, import_mjcf, import_urdf
+from .link_frames import Frame, frames
 from .mechanism import Mechanism
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf

@@ -12,10 +12,8 @@ from ..io.files import write_inside
 from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
-from .isaac_layer import isaac_text
-from .meshes import mesh_files
-from .newton_layer import newton_text
-from .textures import is_textured, texture_files
+from .meshes import mesh_files, texture_files
+from .usd_layers import isaac_text, newton_text
 from .write_drives import drives_text
 from .write_glb import glb_bytes
 from .write_mjcf import mjcf_text
@@ -31,6 +29,25 @@ LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
+LOSSES: dict[Format, tuple[str, ...]] = {
+    "mjcf": ("velocity limits of joints",),
+    "urdf": (
+        "textures, metallic and roughness of materials",
+        "stiffness and armature of joints",
+        "ball joints, written as three hinges",
+        "friction of single colliders; each link states the mean of its colliders",
+        "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
+        "become meshes",
+    ),
+    "sdf": ("textures", "armature of joints", "joint positions; all joints are at zero"),
+    "usd": (
+        "ellipsoid colliders, written as meshes",
+        "limits on the twist of ball joints; their damping is a custom attribute",
+    ),
+    "glb": ("joints, colliders, densities and friction",),
+}
+LOSSES["usdz"] = LOSSES["usd"]
+"""Data that a format cannot store, by format."""
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
@@ -94,64 +111,6 @@ def write_formats(
         files[f"{simulator}.usda"] = text.encode()
     _write(files, out)
     return sorted(files)
-
-
-def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
-    """Return descriptions of the data of a scene or an object that a format cannot store."""
-    objects = _objects(described)
-    joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
-    balls = [name for name, joint in joints if joint.type == "ball"]
-
-    def with_field(*fields: str) -> list[str]:
-        return [name for name, joint in joints if any(getattr(joint, field) for field in fields)]
-
-    textured = sorted(
-        {
-            f"{owner}.{geom.material}"
-            for owner, spec in objects
-            for part in spec.parts
-            for geom in part.geoms
-            if is_textured(spec, geom)
-        }
-    )
-    displaced = []
-    if isinstance(described, SceneSpec):
-        displaced = [item.name for item in described.objects if any(item.joint_state.values())]
-    textures = ("textures, replaced by plain colors", textured)
-    specific: dict[Format, list[tuple[str, list[str]]]] = {
-        "urdf": [
-            textures,
-            ("stiffness and armature of joints", with_field("stiffness", "armature")),
-            ("ball joints, written as three hinges", balls),
-        ],
-        "sdf": [
-            textures,
-            ("armature of joints", with_field("armature")),
-            ("joint positions; all joints are at zero", displaced),
-        ],
-        "mjcf": [("velocity limits", with_field("velocity"))],
-        "usd": [
-            (
-                "limits on the twist of ball joints; their damping is a custom attribute",
-                balls,
-            )
-        ],
-    }
-    general: dict[Format, list[str]] = {
-        "glb": ["joints, colliders, densities and friction"],
-        "urdf": [
-            "metallic and roughness of materials",
-            "friction of single colliders; each link states the mean of its colliders",
-            "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
-            "become meshes",
-        ],
-        "usd": ["ellipsoid colliders, written as meshes"],
-    }
-    stored: Format = "usd" if kind == "usdz" else kind
-    listed = [
-        f"{content}: {', '.join(names)}" for content, names in specific.get(stored, []) if names
-    ]
-    return [*listed, *general.get(stored, [])]
 
 
 def collider_error(described: SceneOrObject) -> float:

@@ -24,7 +24,7 @@ from ..spec.finish import finish
 from ..spec.pose import Pose
 from ..spec.triangles import corner_normals
 from .link_frames import transform
-from .textures import visible_surface
+from .meshes import visible_surface
 
 if TYPE_CHECKING:
     import trimesh

@@ -15,9 +15,10 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
+from ..io.names import unused
 from ..spec import Camera, SceneObject, SceneSpec, joint_value, link_poses, world_poses
 from ..spec.pose import Pose, pose
-from .link_frames import link_origins, unused
+from .link_frames import link_origins
 from .write_usd import new_stage, quatd, quatf, set_float, set_pose
 
 

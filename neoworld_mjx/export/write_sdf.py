@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from ..io.names import unused
 from ..spec import (
     GeomSpec,
     JointSpec,
@@ -24,8 +25,7 @@ from ..spec import (
 from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import Pose, pose, to_rpy
-from .handles import frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins, unused
+from .link_frames import TENSOR_ENTRIES, frames, inertia_tensor, link_names, link_origins
 from .meshes import collision_file, number, numbers, visual_file
 
 VERSION = "1.11"

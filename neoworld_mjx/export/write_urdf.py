@@ -26,8 +26,7 @@ from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import Pose, pose, to_rpy
-from .handles import Frame, frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins
+from .link_frames import TENSOR_ENTRIES, Frame, frames, inertia_tensor, link_names, link_origins
 from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0

@@ -10,8 +10,7 @@ from ..checks.signals import has_errors
 from ..config import Config, ProgramOptions
 from ..errors import SpecError
 from ..export import export_object
-from ..export.importing import Imported
-from ..export.importing_scene import ImportedScene, import_file
+from ..export.importing import Imported, ImportedScene, import_file
 from ..io import read_model
 from ..spec import ObjectSpec
 from .patch import Patch, patch_path, read_patch, write_patch

@@ -20,7 +20,7 @@ from neoworld_bench.tables.result_tables import write_tables
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.export.importing_scene import ImportedScene, import_file
+from neoworld_mjx.export.importing import ImportedScene, import_file
 from neoworld_mjx.spec import Camera, SceneSpec
 from neoworld_mjx.spec.scale import scale
 from tests.support.bop_sample import (

@@ -12,7 +12,6 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import (
     collider_error,
-    unsupported_data,
     write_formats,
 )
 from neoworld_mjx.format_names import FORMATS
@@ -75,15 +74,6 @@ def test_the_same_scene_gives_the_same_bytes_in_every_format(folder, scene, tmp_
     assert "scene.usdc" in files
     for file in files:
         assert (tmp_path / file).read_bytes() == (folder / file).read_bytes(), file
-
-
-def test_lost_lists_the_data_that_a_format_cannot_store(cabinet, scene):
-    assert any(
-        "armature" in line and "cabinet.hinge" in line for line in unsupported_data(cabinet, "urdf")
-    )
-    assert not any("stiffness" in line for line in unsupported_data(cabinet, "mjcf"))
-    assert any("velocity" in line for line in unsupported_data(cabinet, "mjcf"))
-    assert any("joints are at zero: box" in line for line in unsupported_data(scene, "sdf"))
 
 
 def test_colliders_for_mjx_are_within_collider_error(tmp_path):

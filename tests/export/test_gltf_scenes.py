@@ -10,7 +10,7 @@ import trimesh
 from trimesh.transformations import rotation_matrix, translation_matrix
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, world_poses

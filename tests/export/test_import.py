@@ -10,7 +10,7 @@ from neoworld_mjx.export import (
     import_mjcf,
     import_urdf,
 )
-from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io.file_options import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial

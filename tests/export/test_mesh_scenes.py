@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import PhotoError, SpecError
-from neoworld_mjx.export.file_camera import FileCamera, read_camera, viewpoint
 from neoworld_mjx.export.formats import object_files
-from neoworld_mjx.export.importing_scene import ImportedScene, import_file
-from neoworld_mjx.export.read_mesh_scene import mesh_object, read_mesh_scene
+from neoworld_mjx.export.importing import ImportedScene, import_file
+from neoworld_mjx.export.read_mesh_scene import (
+    FileCamera,
+    mesh_object,
+    read_camera,
+    read_mesh_scene,
+    viewpoint,
+)
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose

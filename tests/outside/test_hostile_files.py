@@ -22,7 +22,7 @@ from pydantic import BaseModel
 
 from neoworld_mjx.config import FileOptions, load_config
 from neoworld_mjx.errors import NeoWorldError, PhotoError, RunError, SpecError
-from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read_model
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.io.parquet_files import read_rows, write_rows

@@ -29,8 +29,8 @@ from neoworld_mjx.align.align import align
 from neoworld_mjx.compose.mesh_supports import find_supports, with_supports
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
-from neoworld_mjx.export.file_camera import FileCamera, read_camera
-from neoworld_mjx.export.importing_scene import import_file
+from neoworld_mjx.export.importing import import_file
+from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.importing_scene import ImportedScene, import_file
+from neoworld_mjx.export.importing import ImportedScene, import_file
 from neoworld_mjx.io import read_model
 from neoworld_mjx.io.names import identifier
 from neoworld_mjx.measure import measured

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.file_camera import FileCamera
+from neoworld_mjx.export.read_mesh_scene import FileCamera
 from neoworld_mjx.io import read_model
 from neoworld_mjx.spec import SceneSpec, Spec, read_scene
 from neoworld_mjx.spec.base import Name

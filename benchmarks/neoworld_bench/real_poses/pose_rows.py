@@ -9,7 +9,7 @@ import numpy as np
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.file_camera import FileCamera, viewpoint
+from neoworld_mjx.export.read_mesh_scene import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, world_poses

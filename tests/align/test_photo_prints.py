@@ -9,10 +9,10 @@ import trimesh
 from PIL import Image
 from pxr import Usd, UsdShade
 
+from neoworld_mjx.align.photo_prints import printed
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.formats import unsupported_data, write_formats
-from neoworld_mjx.export.photo_prints import printed
-from neoworld_mjx.export.textures import visible_surface
+from neoworld_mjx.export.formats import write_formats
+from neoworld_mjx.export.meshes import visible_surface
 from neoworld_mjx.render import render
 from neoworld_mjx.render.prints import print_png, read_print
 from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
@@ -115,7 +115,6 @@ def test_formats_contain_prints_and_mark_them(result, tmp_path):
         assert picture.size[0] > 20
     glb = trimesh.load(tmp_path / "scene.glb")
     assert any(g.visual.material.name.endswith("_photo") for g in glb.geometry.values())
-    assert "cupboard.wood_case_photo" in " ".join(unsupported_data(result, "urdf"))
     # The scene as this package reads it says so as well, and gives the same surfaces.
     (tmp_path / "scene.json").write_text(result.to_json())
     assert read_scene(tmp_path).objects[0].spec == result.objects[0].spec

@@ -12,6 +12,7 @@ from PIL import Image
 from scipy import ndimage
 
 from ..errors import SpecError
+from ..io.names import unused
 from ..physics.mjcf import visual_name
 from ..render import RenderedImage, View, render
 from ..render.appearance import displayed, linear
@@ -28,7 +29,6 @@ from ..spec import (
 )
 from ..spec.photo_print import PhotoPrint
 from ..spec.pose import Pose, matrix
-from .link_frames import unused
 
 Alignment = tuple[NDArray, NDArray]
 """Stretch, shape [2], and shift [px], shape [2]: pixel x of the rendered image corresponds to pixel
