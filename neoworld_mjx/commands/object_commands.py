@@ -34,14 +34,13 @@ class CheckCommand(ConfiguredCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing import ImportedScene, import_file
+        from ..export.importing import FILES, USD, ImportedScene, import_file
 
-        is_run = self.target.is_dir() or self.target.suffix == ".json"
-        is_program = self.target.suffix == ".py"
-        imported = None if is_run or is_program else import_file(self.target)
+        suffix = self.target.suffix.lower()
+        imported = import_file(self.target) if suffix in (*FILES, *USD) else None
         if isinstance(imported, ImportedScene):
             scene, notes = imported.spec, list(imported.notes)
-        elif not is_run:
+        elif imported is not None or suffix == ".py":
             from ..verify.checking import check_object
 
             return check_object(

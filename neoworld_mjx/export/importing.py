@@ -42,6 +42,11 @@ from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
 
+FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
+"""Suffixes of the files that can be imported."""
+USD = (".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of USD files, which are refused with the names of converters."""
+MAX_OBJECTS = 500
 DENSITY = 400.0
 """Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
 PLACEHOLDER_M = 0.001
@@ -338,12 +343,6 @@ class _Names:
         label = identifier(name, kind, taken)
         taken.add(label)
         return label
-
-
-FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
-"""Suffixes of the files that can be imported."""
-USD = (".usd", ".usda", ".usdc", ".usdz")
-MAX_OBJECTS = 500
 
 
 @dataclass(frozen=True)

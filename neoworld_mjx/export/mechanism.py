@@ -1,20 +1,20 @@
 """Mechanisms (links with shapes and masses, and joints) as described in files.
 
-Each reader returns mechanisms in the root frame of the file, with all joints at zero. `importing`
-converts mechanisms to ObjectSpecs.
+Each reader returns mechanisms in the root frame of the file, with all joints at zero. Their joints
+and sites are not validated, and have the names that the file states. `importing` converts
+mechanisms to ObjectSpecs.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import JointSpec, Mimic, Site
+from ..spec import JointSpec, Site
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
@@ -56,8 +56,6 @@ class Link:
     """Center of mass [m], shape [3]."""
     inertia: NDArray | None = None
     """Inertia about the center of mass, in the axes of the root frame [kg m^2], shape [3, 3]."""
-    origin: NDArray = field(default_factory=lambda: np.zeros(3))
-    """Origin of the link's frame [m], shape [3]."""
     visual_only: bool = False
     """True if the link has neither mass nor colliders."""
 
@@ -117,7 +115,6 @@ def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
             shapes=[replace(shape, frame=transform @ shape.frame) for shape in link.shapes],
             com=None if link.com is None else place(link.com),
             inertia=None if link.inertia is None else turn @ link.inertia @ turn.T,
-            origin=place(link.origin),
         )
         for name, link in mechanism.links.items()
     }
@@ -127,7 +124,7 @@ def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
         )
         for joint in mechanism.joints
     ]
-    sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in mechanism.sites]
+    sites = [site.model_copy(update={"pos": triple(place(site.pos))}) for site in mechanism.sites]
     return replace(mechanism, links=links, joints=joints, sites=sites)
 
 
@@ -164,18 +161,3 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
             f"{path}: expected one root link, but the file has {', '.join(roots) or 'none'}"
         )
     return roots[0]
-
-
-def unchecked_mimic(joint: str, multiplier: float, offset: float) -> Mimic:
-    """Return an unvalidated `Mimic` of the joint that has the name `joint` in the file."""
-    return Mimic.model_construct(joint=joint, multiplier=multiplier, offset=offset)
-
-
-def unchecked_joint(**fields: Any) -> JointSpec:
-    """Return an unvalidated joint. Its names are as in the file; `importing` replaces them."""
-    return JointSpec.model_construct(**fields)
-
-
-def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
-    """Return an unvalidated site. Its names are as in the file; `importing` replaces them."""
-    return Site.model_construct(name=name, part=part, pos=triple(pos))

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import SpecError
 from ..physics.mjcf import START
-from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Sphere
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
 from .checked_xml import inside, inside_any, read_xml
@@ -25,9 +25,6 @@ from .mechanism import (
     Triangles,
     check_tree,
     transformed,
-    unchecked_joint,
-    unchecked_mimic,
-    unchecked_site,
 )
 from .write_mjcf import COLOR_SUFFIX
 
@@ -192,7 +189,9 @@ def _mechanism(
     links += inner
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
     sites = [
-        unchecked_site(model.site(k).name, _name(model, b), data.site_xpos[k])
+        Site.model_construct(
+            name=model.site(k).name, part=_name(model, b), pos=triple(data.site_xpos[k])
+        )
         for k, b in enumerate(int(b) for b in model.site_bodyid)
         if b in bodies and model.site(k).name
     ]
@@ -218,7 +217,10 @@ def _without_prefix(assembly: Assembly) -> Assembly:
         mimic = joint.mimic
         mimic = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
         joints.append(joint.model_copy(update={**update, "mimic": mimic}))
-    sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in mechanism.sites]
+    sites = [
+        site.model_copy(update={"name": short(site.name), "part": short(site.part)})
+        for site in mechanism.sites
+    ]
     state = {short(key): value for key, value in assembly.state.items()}
     renamed = replace(mechanism, links=links, joints=joints, sites=sites)
     return replace(assembly, mechanism=renamed, state=state)
@@ -265,7 +267,7 @@ def _link(
     massless: set[str],
     notes: list[str],
 ) -> Link:
-    link = Link(_name(model, b), origin=data.xpos[b].copy())
+    link = Link(_name(model, b))
     for g in np.flatnonzero(model.geom_bodyid == b):
         shape = _shape(model, data, int(g), link.name, notes)
         if shape is not None:
@@ -358,12 +360,12 @@ def _joints(
         indices = _body_joints(model, b)
         if not indices:
             fixed = {"name": f"{child}_fixed", "type": "fixed", "pos": triple(data.xpos[b])}
-            joints.append(unchecked_joint(**fixed, parent=parent, child=child))
+            joints.append(JointSpec.model_construct(**fixed, parent=parent, child=child))
         for k, j in enumerate(indices):
             last = k == len(indices) - 1
             below = child if last else f"{child}_axis_{k}"
             if not last:
-                inner.append(Link(below, origin=data.xpos[b].copy()))
+                inner.append(Link(below))
             joints.append(_joint(path, model, data, j, parent, below, mimics, notes))
             parent = below
     root = bodies[0]
@@ -395,7 +397,7 @@ def _joint(
     }
     if kind == _J.mjJNT_BALL:
         upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
-        return unchecked_joint(**common, **losses, type="ball", upper=upper)
+        return JointSpec.model_construct(**common, **losses, type="ball", upper=upper)
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
@@ -411,7 +413,7 @@ def _joint(
     ):
         notes.append(f"joint {name}: the rest position of its spring is not imported")
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0
-    return unchecked_joint(
+    return JointSpec.model_construct(
         **common,
         **losses,
         type="prismatic" if slide else "revolute" if limited else "continuous",
@@ -434,7 +436,9 @@ def _mimics(model: mujoco.MjModel, notes: list[str]) -> dict[int, Mimic]:
             notes.append("only the linear part of a joint equality is imported")
         leader = model.joint(int(model.eq_obj2id[e])).name
         offset, multiplier = (float(v) for v in model.eq_data[e, :2])
-        mimics[int(model.eq_obj1id[e])] = unchecked_mimic(leader, multiplier, offset)
+        mimics[int(model.eq_obj1id[e])] = Mimic.model_construct(
+            joint=leader, multiplier=multiplier, offset=offset
+        )
     return mimics
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Cylinder, JointSpec, Site, Sphere
+from ..spec import Box, Cylinder, JointSpec, Mimic, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
 from .checked_xml import inside, read_xml
@@ -21,9 +21,6 @@ from .mechanism import (
     Mechanism,
     Triangles,
     check_tree,
-    unchecked_joint,
-    unchecked_mimic,
-    unchecked_site,
 )
 from .write_urdf import CLEARANCE_M, original_half
 
@@ -109,7 +106,7 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
         link = next(link for link in links if link.name == joint.child)
         if link.shapes or link.mass or link.name in parents:
             continue
-        sites.append(unchecked_site(link.name, joint.parent, link.origin))
+        sites.append(Site.model_construct(name=link.name, part=joint.parent, pos=joint.pos))
         links.remove(link)
         joints.remove(joint)
     return sites
@@ -209,7 +206,7 @@ def _link(
     clearance: float,
     notes: list[str],
 ) -> Link:
-    result = Link(link.name, origin=frame[:3, 3])
+    result = Link(link.name)
     for item in link.visuals:
         rgba = _color(item.material, colors)
         for shape, pose in _shapes(path, item, link.name, frame, 0.0, notes):
@@ -302,8 +299,10 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
     leader = None
     if mimic is not None and kind != "fixed":
         multiplier = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
-        leader = unchecked_mimic(mimic.joint, multiplier, float(mimic.offset or 0.0))
-    return unchecked_joint(
+        leader = Mimic.model_construct(
+            joint=mimic.joint, multiplier=multiplier, offset=float(mimic.offset or 0.0)
+        )
+    return JointSpec.model_construct(
         name=joint.name,
         type=kind,
         parent=joint.parent,
