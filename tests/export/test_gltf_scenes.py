@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from trimesh.transformations import rotation_matrix, translation_matrix
 
-from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.render import visible_surface
@@ -171,12 +170,3 @@ def test_camera_below_other_nodes(tmp_path):
     pose = np.array(camera.pose)
     assert np.allclose(pose[:3, 3], [0, -3, 2])
     assert np.allclose(pose[:3, :3].T, [[1, 0, 0], [0, -1, 0], [0, 0, -1]])
-
-
-def test_a_file_of_another_kind_is_refused_with_those_that_can_be_read(tmp_path):
-    file = tmp_path / "picture.png"
-    file.write_bytes(b"no scene")
-    with pytest.raises(
-        SpecError, match=r"picture\.png.*files that can be read: .*\.glb.*poses\.json"
-    ):
-        import_file(file)
