@@ -1,38 +1,27 @@
-"""Draw the pictures in docs of the browser pages and of a print, from a run of `coffee`.
+"""Draw the pictures in docs of the browser pages, from a run of `coffee`.
 
     uv run neoworld reconstruct coffee --out out
     uv run --extra dev --extra viewer python -m examples.draw_coffee out docs/pictures
 
-writes view-blend.jpg, view-colliders.jpg and view-object.jpg of `neoworld view`, annotate.jpg of
-`neoworld annotate`, and print.jpg of `neoworld export --photo`. It needs chromium (`apt-get install
-chromium`), and the repository, whose tests drive the same pages.
+writes view-blend.jpg, view-colliders.jpg and view-object.jpg of `neoworld view`, and annotate.jpg
+of `neoworld annotate`. It needs chromium (`apt-get install chromium`), and the repository, whose
+tests drive the same pages.
 """
 
 import sys
 from pathlib import Path
 from typing import NoReturn
 
-import numpy as np
 from PIL import Image
 
 from neoworld_mjx.config import Config
-from neoworld_mjx.export.photo_prints import printed
-from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import rebuild, search_again
-from neoworld_mjx.render import render_scene
-from neoworld_mjx.render.viewpoints import around, subject_points
-from neoworld_mjx.spec import read_scene
 from neoworld_mjx.view.pages.annotate_page import Annotator
 from neoworld_mjx.view.pages.local_server import address, close_server, open_server
 from neoworld_mjx.view.pages.scene_viewer import SceneViewer
 from neoworld_mjx.view.pages.view_target import open_target
 from tests.support.annotations import coffee
 from tests.support.browser import Page, opened
-
-TILE = (480, 320)
-"""Size of one of the four pictures of the print [px]."""
-SIDE_DEG = 150.0
-"""Azimuth from which the print is also seen; the photograph was taken from 180."""
 
 
 def save(page: Page, file: Path, width: int = 900) -> None:
@@ -82,22 +71,6 @@ def draw_annotate(run: Path, out: Path) -> None:
         close_server(server)
 
 
-def draw_print(run: Path, out: Path) -> None:
-    """Draw the photograph, the scene, the scene with the photograph printed on it, and its side."""
-    photo = load_photo(run / "photo.png").rgb
-    plain = read_scene(run)
-    print_ = printed(plain, photo)
-    points = subject_points(print_)
-    (side,) = around(
-        points, np.radians([SIDE_DEG]), np.radians(40.0), width=TILE[0], height=TILE[1]
-    )
-    tiles = [np.asarray(Image.fromarray(photo).resize(TILE))]
-    for scene, view in ((plain, None), (print_, None), (print_, side)):
-        tiles.append(render_scene(scene, view, width=TILE[0], height=TILE[1]).color)
-    rows = np.vstack([np.hstack(tiles[:2]), np.hstack(tiles[2:])])
-    Image.fromarray(rows).save(out / "print.jpg", quality=85)
-
-
 if __name__ == "__main__":
-    for draw in (draw_view, draw_annotate, draw_print):
+    for draw in (draw_view, draw_annotate):
         draw(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -12,7 +12,7 @@ PREFERRED_FORMATS: dict[Simulator, tuple[Format, ...]] = {
     "mjx": ("mjcf",),
     "newton": ("usd",),
     "isaac": ("usd",),
-    "drake": ("sdf", "urdf"),
+    "drake": ("mjcf",),
     "gazebo": ("sdf",),
     "pybullet": ("urdf",),
     "sapien": ("urdf",),

@@ -34,7 +34,16 @@ FLAGS_BEFORE = {(0, 11, 1): " --xla_cpu_use_fusion_emitters=false"}
 """Flags that jaxlib no longer knows from a version on; XLA ends the process at an unknown one."""
 LONG = (
     *("refinement", "bench", "test_pipeline", "test_resume", "kernels", "physics", "sweeps"),
-    *("test_recipes", "notebooks", "verify", "program", "pipeline", "align", "outside", "faults"),
+    *(
+        "test_recipes",
+        "notebooks",
+        "verify",
+        "program",
+        "pipeline",
+        "align",
+        "outside",
+        "test_faults",
+    ),
 )
 """Folders and files that take longest; several workers begin with them and end together."""
 QUICK = {

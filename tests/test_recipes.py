@@ -79,7 +79,7 @@ def test_recipe(title, tmp_path, monkeypatch, capfd, blocks_model):
 def joint_type_everywhere(tmp_path, kind):
     """Take a joint of a type through kinematics, scaling, sweep, physics and the formats."""
     from neoworld_mjx.checks.joint_sweep import joint_positions, joint_states
-    from neoworld_mjx.export import export_object, read_mjcf, read_urdf, read_usd
+    from neoworld_mjx.export import export_object, read_mjcf, read_urdf
     from neoworld_mjx.physics.mjcf import to_mjspec
     from neoworld_mjx.spec import Box, ObjectSpec, link_poses, scale
     from tests.support.mechanisms import WOOD, geom, joint, part
@@ -97,7 +97,6 @@ def joint_type_everywhere(tmp_path, kind):
     model = to_mjspec(made).compile()
     assert model.njnt == 1 + (kind != "fixed"), "physics has no joint for it"
     export_object(made, tmp_path / kind)
-    assert read_usd(tmp_path / kind / "object.usda").joints[0].type == kind
     if kind != "fixed":  # MJCF and URDF readers may merge links that are welded together.
         for reader, file in ((read_mjcf, "object.xml"), (read_urdf, "object.urdf")):
             assert kind in [joint.type for joint in reader(tmp_path / kind / file).joints], file

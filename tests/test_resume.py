@@ -40,7 +40,7 @@ def seconds(whole) -> float:
     return seconds
 
 
-# Fast tests in tests/faults kill runs at random moments.
+# tests/test_faults.py kills runs.
 @pytest.mark.slow
 def test_a_run_killed_in_verification_and_in_the_search_ends_with_the_same_files(whole, tmp_path):
     out = tmp_path / "out"

@@ -6,13 +6,13 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 from scipy.optimize import least_squares
 
-from ..export.photo_prints import printed
 from ..render import RenderedImage, View, render
 from ..render.appearance import displayed, linear
 from ..render.flat_faces import flat_faces
 from ..spec import SceneSpec
 from ..spec.scene import Backdrop
 from .colors import to_lab
+from .photo_prints import printed
 
 WIDTH = 240
 """Width of the images that are compared [px]."""
@@ -70,7 +70,7 @@ def as_photographed(scene: SceneSpec, photo: UInt8[np.ndarray, "row column 3"]) 
         gain = _gain(np.array(in_photo), np.array(rendered), np.sqrt(pixels))
         camera = plain.model_copy(update={"gain": tuple(np.round(gain, 4).tolist())})
     changes = {"camera": camera, "backdrop": _backdrop(image, view, small)}
-    return printed(scene, photo, flat=True).model_copy(update=changes)
+    return printed(scene, photo).model_copy(update=changes)
 
 
 def _backdrop(

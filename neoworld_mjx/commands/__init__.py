@@ -44,7 +44,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "build": CommandEntry(
         ".object_commands:BuildCommand",
-        "Convert an object's program, URDF, MJCF or USD file into every format and images.",
+        "Convert an object's program, URDF or MJCF file into every format and images.",
     ),
     "template": CommandEntry(
         ".template_command:TemplateCommand",

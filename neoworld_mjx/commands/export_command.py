@@ -20,7 +20,7 @@ class ExportCommand(ConfiguredCommand):
     """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, an MJCF or a USD file."""
+    """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
     out: Path
     """Output folder, new or empty."""
     format: UseAppendAction[tuple[Format, ...]] = ()
@@ -31,17 +31,12 @@ class ExportCommand(ConfiguredCommand):
     isaac.usda is written in addition to the USD file, with this simulator's contacts and joints."""
     floor: bool = False
     """Add an infinite floor plane (MJCF)."""
-    photo: bool = False
-    """Project the photograph of a run folder onto the surfaces that the camera saw, in MJCF, USD,
-    glTF and scene.json. The names of materials with a projection end in _photo."""
     overwrite: bool = False
     """Allow an output folder that is not empty."""
 
     def run(self) -> CommandResult:
         """Write the files."""
-        from ..export.formats import collider_error, unsupported_data, write_formats
-        from ..io.files import write_inside
-        from ..spec import SceneSpec
+        from ..export.formats import LOSSES, collider_error, write_formats
 
         if self.out.exists() and not self.out.is_dir():
             raise RunError(f"{self.out} is a file; name a folder")
@@ -52,37 +47,20 @@ class ExportCommand(ConfiguredCommand):
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")
         described, notes = self._read()
-        if self.photo:
-            described = self._with_photo(described)
         files = write_formats(
             described, self.out, kinds, simulator=self.simulator, floor=self.floor
         )
-        if self.photo and isinstance(described, SceneSpec):
-            write_inside(self.out, "scene.json", described.to_json())
-            files = sorted([*files, "scene.json"])
         result: CommandResult = {
             "target": str(self.target),
             "folder": str(self.out),
             "files": files,
-            "lost": {kind: unsupported_data(described, kind) for kind in kinds},
+            "lost": {kind: list(LOSSES[kind]) for kind in kinds},
         }
         if notes:
             result["notes"] = notes
         if mjx:
             result["collider_error_mm"] = round(1e3 * collider_error(described), 3)
         return result
-
-    def _with_photo(self, described: "SceneSpec | ObjectSpec") -> "SceneSpec":
-        from ..export.photo_prints import printed
-        from ..parse.photo import load_photo
-        from ..spec import SceneSpec
-
-        photo = self.target / "photo.png"
-        if not isinstance(described, SceneSpec) or not photo.is_file():
-            raise SpecError(
-                f"--photo takes a run folder with its photo.png; {self.target} is not one"
-            )
-        return printed(described, load_photo(photo).rgb)
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
@@ -102,7 +80,7 @@ class ExportCommand(ConfiguredCommand):
                 errors = "; ".join(str(signal.message) for signal in built.signals)
                 raise SpecError(f"{self.target} does not build: {errors}")
             return built.spec, []
-        from ..export.importing_scene import import_file
+        from ..export.importing import import_file
 
         imported = import_file(self.target)
         return imported.spec, list(imported.notes)

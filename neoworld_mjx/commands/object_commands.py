@@ -20,7 +20,7 @@ class CheckCommand(ConfiguredCommand):
     """Check a scene or an object, and print each check with its value and threshold."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, MJCF, USD or glTF file."""
+    """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
     fixed_base: bool = False
     """Fix the object's base, and check only its joints."""
     repair: bool = False
@@ -32,12 +32,12 @@ class CheckCommand(ConfiguredCommand):
     def run(self) -> CommandResult:
         """Check the scene or the object."""
         config = self.load_config()
-        suffix = self.target.suffix.lower()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing_scene import FILES, ImportedScene, import_file
+        from ..export.importing import FILES, USD, ImportedScene, import_file
 
-        imported = import_file(self.target) if suffix in FILES else None
+        suffix = self.target.suffix.lower()
+        imported = import_file(self.target) if suffix in (*FILES, *USD) else None
         if isinstance(imported, ImportedScene):
             scene, notes = imported.spec, list(imported.notes)
         elif imported is not None or suffix == ".py":
@@ -79,12 +79,12 @@ class CheckCommand(ConfiguredCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(ConfiguredCommand):
-    """Convert an object's program, URDF, MJCF or USD file into every format and images."""
+    """Convert an object's program, URDF or MJCF file into every format and images."""
 
     ends_by_interrupt: ClassVar[bool] = True
 
     program: Positional[Path]
-    """The program (.py), or a URDF, MJCF or USD file with one object."""
+    """The program (.py), or a URDF or MJCF file with one object."""
     out: Path
     """Output folder, new or empty."""
     overwrite: bool = False
@@ -139,7 +139,7 @@ class BuildCommand(ConfiguredCommand):
         return _listings(self.program, result)
 
     def _convert(self) -> CommandResult:
-        """Convert a URDF, MJCF or USD file."""
+        """Convert a URDF or MJCF file."""
         from ..program.watch import spec_files, write_files
         from ..verify.checking import import_object
 

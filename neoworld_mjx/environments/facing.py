@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError, choices
-from ..export.handles import Frame, frames
+from ..export.link_frames import Frame, frames
 from ..physics.gripper import OPENING_M, Gripper
 from ..spec import SceneObject, SceneSpec, link_poses, world_poses
 from ..spec.pose import from_matrix, rotate

@@ -1,16 +1,13 @@
-"""Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import from all but SDF."""
+"""Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
-from .handles import Frame, frames
-from .importing import Imported, import_mjcf, import_urdf, import_usd
-from .mechanism import Mechanism, mechanism
+from .formats import export_object, export_scene, object_files, scene_files
+from .importing import Imported, import_mjcf, import_urdf
+from .link_frames import Frame, frames
+from .mechanism import Mechanism
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
-from .read_usd import read_usd
-from .write_files import export_object, export_scene, object_files, scene_files
 from .write_mjcf import mjcf_text
-from .write_scene_usd import scene_usd_text
 from .write_urdf import urdf_text
-from .write_usd import usd_text
 
 __all__ = [
     "Frame",
@@ -21,15 +18,10 @@ __all__ = [
     "frames",
     "import_mjcf",
     "import_urdf",
-    "import_usd",
-    "mechanism",
     "mjcf_text",
     "object_files",
     "read_mjcf",
     "read_urdf",
-    "read_usd",
     "scene_files",
-    "scene_usd_text",
     "urdf_text",
-    "usd_text",
 ]

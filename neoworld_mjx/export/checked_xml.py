@@ -1,43 +1,24 @@
-"""Checks the XML of untrusted files before a library parses it."""
+"""Checks the XML of untrusted files before a library parses it.
+
+Readers call these functions in a limited worker (`io.limited_worker`), which bounds the memory and
+the time that files with many or repeated elements take.
+"""
 
 import os
 import re
 import xml.etree.ElementTree as ET
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from math import inf
+from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 
 from ..errors import SpecError
 from ..io import file_bounds
 from ..io.files import MIB, read_bytes
+from ..io.json_files import MAX_DEPTH
 
-MAX_ELEMENTS = 200_000
 DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
-_WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
-_NOT_FINITE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
-MAX_VALUES = {
-    **{"count": 1000, "width": 16384, "height": 16384, "nrow": 4096, "ncol": 4096},
-    **{"dim": 1000, "nuserdata": 10_000, "nkey": 10_000},
-    **{
-        f"nuser_{kind}": 1000
-        for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
-    },
-}
-"""Maximum values of the attributes that determine how much memory a reader allocates."""
-MAX_COUNTS = {
-    "link": 400,
-    "body": 1000,
-    "geom": 10_000,
-    "joint": 2000,
-    "mesh": 2000,
-    "include": 100,
-    "site": 2000,
-    **dict.fromkeys(("visual", "collision", "inertial"), 10_000),
-    "origin": 25_000,
-    **dict.fromkeys(("spatial", "fixed", "motor", "position", "velocity"), 1000),
-}
-"""Maximum number of elements by tag. Objects need far fewer, and more can take minutes to read."""
+_NAMES = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
+"""Attributes whose values are names, which may look like numbers."""
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -45,77 +26,45 @@ def read_xml(path: Path) -> ET.Element:
 
     Raises:
         SpecError: the file cannot be read, is truncated, declares entities, is nested too deeply,
-            has too many elements, or contains a number that is not finite or is too large.
+            or contains a number that is not finite.
     """
-    bounds = file_bounds()
     try:
-        data = read_bytes(path, bounds.max_text_mib * MIB)
+        data = read_bytes(path, file_bounds().max_file_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 has a zero byte per letter.
-        if DECLARED.search(text):
-            raise SpecError(f"{path} declares a document type or entities, which are not read")
-    parser, depth, count = ET.XMLPullParser(("start", "end")), 0, 0
-    root: ET.Element | None = None
+    refuse_entities(path, data)
     try:
-        for first in range(0, len(data), 1 << 16):
-            parser.feed(data[first : first + (1 << 16)])
-            for event, element in _elements(parser):
-                depth += 1 if event == "start" else -1
-                count += event == "start"
-                root = element if root is None else root
-                if depth > bounds.max_depth:
-                    raise SpecError(f"{path} is nested more than {bounds.max_depth} elements deep")
-                if count > MAX_ELEMENTS:
-                    raise SpecError(f"{path} has more than {MAX_ELEMENTS} elements")
-        parser.close()
+        root = ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError) as error:
         raise SpecError(f"{path} is not valid XML: {error}") from None
-    if root is None:
-        raise SpecError(f"{path} is empty")
-    counts = _repeated(root)
-    if counts.total() > MAX_ELEMENTS:
-        raise SpecError(f"{path} expands to more than {MAX_ELEMENTS} elements")
-    for tag, limit in MAX_COUNTS.items():
-        if counts[tag] > limit:
-            raise SpecError(f"{path} has more than {limit} elements <{tag}>")
+    level = [root]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise SpecError(f"{path} is nested more than {MAX_DEPTH} elements deep")
     for element in root.iter():
         for key, value in element.attrib.items():
-            if key in _WORDS:
-                continue
-            label = element.get("name") or element.tag
-            message = f"{path}: {element.tag} {label!r}: {key}={value!r}"
-            if any(_NOT_FINITE.match(word) or abs(_number(word)) == inf for word in value.split()):
-                raise SpecError(f"{message} is not a finite number")
-            if any(abs(_number(word)) > MAX_VALUES.get(key, inf) for word in value.split()):
-                raise SpecError(f"{message}: the limit is {MAX_VALUES[key]}")
+            if key not in _NAMES and not all(map(_is_finite, value.split())):
+                label = element.get("name") or element.tag
+                raise SpecError(
+                    f"{path}: {element.tag} {label!r}: {key}={value!r} is not a finite number"
+                )
     return root
 
 
-def _number(word: str) -> float:
-    """Return the value of a word, or 0 if the word is not a number."""
+def refuse_entities(path: Path, data: bytes) -> None:
+    """Raise a SpecError if an XML file declares a document type or entities, which may expand."""
+    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 has a zero byte per letter.
+        if DECLARED.search(text):
+            raise SpecError(f"{path} declares a document type or entities, which are not read")
+
+
+def _is_finite(word: str) -> bool:
+    """Return False if a word is a number that is infinite or NaN."""
     try:
-        return float(word)
+        return isfinite(float(word))
     except ValueError:
-        return 0.0
-
-
-def _repeated(root: ET.Element) -> Counter[str]:
-    """Return the number of elements by tag after every <replicate> is expanded."""
-    counts: Counter[str] = Counter()
-    waiting = [(root, 1.0)]
-    while waiting:
-        element, times = waiting.pop()
-        if element.tag == "replicate":
-            times *= max(_number(element.get("count") or "1"), 1.0)
-        counts[element.tag] += min(int(times), MAX_ELEMENTS + 1)
-        waiting += [(child, min(times, 1e9)) for child in element]
-    return counts
-
-
-def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
-    # The parser reports only starts and ends.
-    yield from parser.read_events()  # pyright: ignore[reportReturnType]
+        return True
 
 
 def inside(path: Path, reference: str) -> Path:

@@ -1,25 +1,20 @@
-"""Files of a scene or an object in one format, or for one simulator."""
+"""Files of a scene or an object: those of a run folder, and those of `neoworld export`."""
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from pxr import Sdf, UsdUtils
 
 from ..errors import ExportError
 from ..format_names import Format, Simulator
+from ..io.files import write_inside
 from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
-from .isaac_layer import isaac_text
-from .meshes import mesh_files
-from .newton_layer import newton_text
-from .textures import is_textured, texture_files
-from .write_directives import directives_text, package_text
+from .meshes import mesh_files, texture_files
+from .usd_layers import isaac_text, newton_text
 from .write_drives import drives_text
-from .write_files import encoded, write_all
 from .write_glb import glb_bytes
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
@@ -28,82 +23,65 @@ from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_layer
 
 SceneOrObject = SceneSpec | ObjectSpec
+RUN_FORMATS: tuple[Format, ...] = ("mjcf", "urdf", "usd", "sdf")
+"""Formats of a run folder, which contains USD as text."""
 LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
+LOSSES: dict[Format, tuple[str, ...]] = {
+    "mjcf": ("velocity limits of joints",),
+    "urdf": (
+        "textures, metallic and roughness of materials",
+        "stiffness and armature of joints",
+        "ball joints, written as three hinges",
+        "friction of single colliders; each link states the mean of its colliders",
+        "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
+        "become meshes",
+    ),
+    "sdf": ("textures", "armature of joints", "joint positions; all joints are at zero"),
+    "usd": (
+        "ellipsoid colliders, written as meshes",
+        "limits on the twist of ball joints; their damping is a custom attribute",
+    ),
+    "glb": ("joints, colliders, densities and friction",),
+}
+LOSSES["usdz"] = LOSSES["usd"]
+"""Data that a format cannot store, by format."""
 
 
-def unsupported_data(described: SceneOrObject, kind: Format) -> list[str]:
-    """Return descriptions of the data of a scene or an object that a format cannot store."""
-    objects = _objects(described)
-    joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
-    balls = [name for name, joint in joints if joint.type == "ball"]
+def export_object(spec: ObjectSpec, out: Path) -> None:
+    """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml, meshes/, textures/ into a folder.
 
-    def with_field(*fields: str) -> list[str]:
-        return [name for name, joint in joints if any(getattr(joint, field) for field in fields)]
+    Existing files are replaced. The same object always gives the same bytes.
 
-    textured = sorted(
-        {
-            f"{owner}.{geom.material}"
-            for owner, spec in objects
-            for part in spec.parts
-            for geom in part.geoms
-            if is_textured(spec, geom)
-        }
-    )
-    displaced = []
-    if isinstance(described, SceneSpec):
-        displaced = [item.name for item in described.objects if any(item.joint_state.values())]
-    textures = ("textures, replaced by plain colors", textured)
-    specific: dict[Format, list[tuple[str, list[str]]]] = {
-        "urdf": [
-            textures,
-            ("stiffness and armature of joints", with_field("stiffness", "armature")),
-            ("ball joints, written as three hinges", balls),
-        ],
-        "sdf": [
-            textures,
-            ("armature of joints", with_field("armature")),
-            ("joint positions; all joints are at zero", displaced),
-        ],
-        "mjcf": [("velocity limits", with_field("velocity"))],
-        "usd": [
-            (
-                "limits on the twist of ball joints; their damping is a custom attribute",
-                balls,
-            )
-        ],
-    }
-    general: dict[Format, list[str]] = {
-        "glb": [
-            "joints; colliders, densities and friction for readers that ignore the file's extras"
-        ],
-        "urdf": [
-            "metallic and roughness of materials",
-            "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
-            "become meshes",
-        ],
-        "usd": ["ellipsoid colliders, written as meshes"],
-    }
-    stored: Format = "usd" if kind == "usdz" else kind
-    listed = [
-        f"{content}: {', '.join(names)}" for content, names in specific.get(stored, []) if names
-    ]
-    return [*listed, *general.get(stored, [])]
+    Raises:
+        ExportError: a file cannot be written.
+    """
+    _write(object_files(spec), out)
 
 
-def collider_error(described: SceneOrObject) -> float:
-    """Return the largest distance between a collider for MJX and the surface it replaces [m]."""
-    return max(
-        (
-            polyhedron_error(piece.kind, piece.size)
-            for _, spec in _objects(described)
-            for part in spec.parts
-            for _, piece, _ in pieces(part)
-        ),
-        default=0.0,
-    )
+def export_scene(scene: SceneSpec, out: Path) -> None:
+    """Write scene.json, .xml, .usda, .sdf and objects/<name>/ into a folder.
+
+    scene.xml refers to the meshes and textures of the objects, and scene.usda refers to the USD
+    files of the objects. If there are joints to drive, drives.xml is also written; it adds
+    actuators to scene.xml. Objects are written at their final size.
+
+    Raises:
+        ExportError: a file cannot be written.
+    """
+    _write(scene_files(scene), out)
+
+
+def object_files(spec: ObjectSpec) -> dict[str, bytes]:
+    """Return the contents of an object's files, by path relative to the object's folder."""
+    return _files(spec, RUN_FORMATS, usd="usda")
+
+
+def scene_files(scene: SceneSpec) -> dict[str, bytes]:
+    """Return the contents of the files of a scene and its objects, by relative path."""
+    return {"scene.json": scene.to_json().encode()} | _files(scene, RUN_FORMATS, usd="usda")
 
 
 def write_formats(
@@ -127,15 +105,92 @@ def write_formats(
     Raises:
         ExportError: a file cannot be written.
     """
-    files: dict[str, bytes] = {}
-    writer = _Writer(described, simulator == "mjx", floor)
-    for kind in kinds:
-        files |= writer.files(kind)
+    files = _files(described, kinds, mjx=simulator == "mjx", floor=floor)
     if simulator in LAYERS and "usd" in kinds:
         text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
         files[f"{simulator}.usda"] = text.encode()
-    write_all(files, out)
+    _write(files, out)
     return sorted(files)
+
+
+def collider_error(described: SceneOrObject) -> float:
+    """Return the largest distance between a collider for MJX and the surface it replaces [m]."""
+    return max(
+        (
+            polyhedron_error(piece.kind, piece.size)
+            for _, spec in _objects(described)
+            for part in spec.parts
+            for _, piece, _ in pieces(part)
+        ),
+        default=0.0,
+    )
+
+
+def _files(
+    described: SceneOrObject,
+    kinds: Collection[Format],
+    *,
+    usd: str = "usdc",
+    mjx: bool = False,
+    floor: bool = False,
+) -> dict[str, bytes]:
+    """Return the files of a scene or an object; each object of a scene has a folder.
+
+    Args:
+        described: the scene or object.
+        kinds: the formats.
+        usd: suffix of USD files: "usdc" (binary) or "usda" (text).
+        mjx: if True, MJCF contains only colliders that MJX supports.
+        floor: if True, MJCF contains a floor.
+    """
+    stem, files = _stem(described), dict[str, bytes]()
+    if isinstance(described, SceneSpec):
+        for item in described.objects:
+            inner = _files(item.spec, [k for k in kinds if k != "usdz"], usd=usd, mjx=mjx)
+            files |= {f"objects/{item.name}/{path}": content for path, content in inner.items()}
+    else:
+        if {"mjcf", "urdf", "sdf"} & set(kinds):
+            files |= {path: text.encode() for path, text in mesh_files(described).items()}
+        if {"mjcf", "usd"} & set(kinds):
+            files |= texture_files(described)
+        if "urdf" in kinds:
+            files["object.urdf"] = urdf_text(described).encode()
+            files["object.srdf"] = srdf_text(described).encode()
+    if "mjcf" in kinds:
+        height = _lowest(described) if floor else None
+        text = mjcf_text(described, target="mjx" if mjx else "mujoco", floor=height)
+        files[f"{stem}.xml"] = text.encode()
+        drives = drives_text(described, f"{stem}.xml")
+        if drives is not None:
+            files["drives.xml"] = drives.encode()
+    if "usd" in kinds:
+        layer = usd_layer(described) if isinstance(described, ObjectSpec) else (
+            scene_usd_layer(described, usd)
+        )  # fmt: skip
+        files[f"{stem}.{usd}"] = (
+            layer.ExportToString().encode() if usd == "usda" else _binary(layer)
+        )
+    if "usdz" in kinds:
+        files[f"{stem}.usdz"] = _package(described)
+    if "sdf" in kinds:
+        files[f"{stem}.sdf"] = sdf_text(described).encode()
+    if "glb" in kinds:
+        files[f"{stem}.glb"] = glb_bytes(described)
+    return files
+
+
+def _write(files: dict[str, bytes], out: Path) -> None:
+    """Write files, given by paths relative to a folder, without following symbolic links.
+
+    Raises:
+        ExportError: a file cannot be written.
+    """
+    for path, content in files.items():
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            write_inside(out, path, content, sync=False)
+        except OSError as error:
+            raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
 
 
 def _objects(described: SceneOrObject) -> list[tuple[str, ObjectSpec]]:
@@ -148,86 +203,16 @@ def _stem(described: SceneOrObject) -> str:
     return "object" if isinstance(described, ObjectSpec) else "scene"
 
 
-@dataclass(frozen=True)
-class _Writer:
-    """Writer of one scene or object, which builds files that several formats share only once."""
-
-    described: SceneOrObject
-    mjx: bool
-    floor: bool
-
-    def files(self, kind: Format) -> dict[str, bytes]:
-        """Return the files of a format."""
-        writers: dict[Format, Callable[[], dict[str, bytes]]] = {
-            "mjcf": self._mjcf, "urdf": self._urdf, "usd": lambda: self._usd,
-            "usdz": self._usdz, "sdf": self._sdf, "glb": self._glb,
-        }  # fmt: skip
-        return writers[kind]()
-
-    @cached_property
-    def _meshes(self) -> dict[str, bytes]:
-        return self._of_objects(lambda spec: encoded({**mesh_files(spec)}))
-
-    @cached_property
-    def _textures(self) -> dict[str, bytes]:
-        return self._of_objects(texture_files)
-
-    def _of_objects(self, files_of: Callable[[ObjectSpec], dict[str, bytes]]) -> dict[str, bytes]:
-        """Return the files of all objects by path; in a scene, each object has a folder."""
-        single = isinstance(self.described, ObjectSpec)
-        return {
-            f"{'' if single else f'objects/{name}/'}{path}": content
-            for name, spec in _objects(self.described)
-            for path, content in files_of(spec).items()
-        }
-
-    @cached_property
-    def _usd(self) -> dict[str, bytes]:
-        files = self._of_objects(lambda spec: {"object.usdc": _binary(usd_layer(spec))})
-        files |= self._textures
-        if isinstance(self.described, SceneSpec):
-            files["scene.usdc"] = _binary(scene_usd_layer(self.described, "usdc"))
-        return files
-
-    def _mjcf(self) -> dict[str, bytes]:
-        described, file = self.described, f"{_stem(self.described)}.xml"
-        target = "mjx" if self.mjx else "mujoco"
-        floor = _lowest(described) if self.floor else None
-        text = mjcf_text(described, target=target, floor=floor)
-        return {
-            file: text.encode(),
-            **self._meshes,
-            **self._textures,
-            **encoded({"drives.xml": drives_text(described, file)}),
-        }
-
-    def _urdf(self) -> dict[str, bytes]:
-        files = self._meshes | self._of_objects(
-            lambda spec: encoded({"object.urdf": urdf_text(spec), "object.srdf": srdf_text(spec)})
-        )
-        if isinstance(self.described, SceneSpec):
-            files["scene.dmd.yaml"] = directives_text(self.described).encode()
-            files["package.xml"] = package_text(self.described).encode()
-        return files
-
-    def _sdf(self) -> dict[str, bytes]:
-        return {f"{_stem(self.described)}.sdf": sdf_text(self.described).encode(), **self._meshes}
-
-    def _glb(self) -> dict[str, bytes]:
-        files = {f"{_stem(self.described)}.glb": glb_bytes(self.described)}
-        if isinstance(self.described, SceneSpec):
-            files |= self._of_objects(lambda spec: {"object.glb": glb_bytes(spec)})
-        return files
-
-    def _usdz(self) -> dict[str, bytes]:
-        stem = _stem(self.described)
-        with tempfile.TemporaryDirectory() as folder:
-            root = Path(folder)
-            write_all(self._usd, root)
-            package = root / f"{stem}.usdz"
-            if not UsdUtils.CreateNewUsdzPackage(str(root / f"{stem}.usdc"), str(package)):
-                raise ExportError(f"USD cannot pack {package.name}")
-            return {package.name: package.read_bytes()}
+def _package(described: SceneOrObject) -> bytes:
+    """Return a USDZ package of a scene or an object, with its textures."""
+    stem = _stem(described)
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        _write(_files(described, ["usd"]), root)
+        package = root / f"{stem}.usdz"
+        if not UsdUtils.CreateNewUsdzPackage(str(root / f"{stem}.usdc"), str(package)):
+            raise ExportError(f"USD cannot pack {package.name}")
+        return package.read_bytes()
 
 
 def _lowest(described: SceneOrObject) -> float:

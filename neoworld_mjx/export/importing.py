@@ -1,6 +1,10 @@
-"""Converts mechanisms from URDF, MJCF and USD files to ObjectSpecs, with notes on omissions."""
+"""Imports URDF, MJCF and glTF files, and posed meshes, as objects and scenes.
 
-from dataclasses import dataclass, field
+Readers of these formats return mechanisms, which are converted to ObjectSpecs with notes on
+omissions. All files are read in a limited worker.
+"""
+
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +24,8 @@ from ..spec import (
     Mesh,
     ObjectSpec,
     PartSpec,
+    SceneObject,
+    SceneSpec,
     Site,
     Sphere,
     bounds,
@@ -29,12 +35,18 @@ from ..spec.base import Vec3
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.mesh import HELPER, UNKNOWN
-from ..spec.pose import from_matrix, triple
-from .mechanism import Link, LinkShape, Mechanism, Triangles
-from .read_mjcf import read_mjcf
+from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, triple, yaw_of
+from .checked_xml import read_xml
+from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles, transformed
+from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
+from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
-from .read_usd import read_usd
 
+FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
+"""Suffixes of the files that can be imported."""
+USD = (".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of USD files, which are refused with the names of converters."""
+MAX_OBJECTS = 500
 DENSITY = 400.0
 """Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
 PLACEHOLDER_M = 0.001
@@ -42,8 +54,6 @@ PLACEHOLDER_M = 0.001
 MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
-MAX_DENSITY = 30000.0
-"""Largest density of an imported material [kg/m^3]; larger densities are ignored."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +89,6 @@ def import_mjcf(path: Path) -> Imported:
             folder, is refused by MuJoCo, or contains several objects.
     """
     return to_object(call_limited(read_mjcf, Path(path)))
-
-
-def import_usd(path: Path, object_path: str | None = None) -> Imported:
-    """Read a USD file with one object, or the prim `object_path` of a USD file.
-
-    Raises:
-        SpecError: the file is broken or hostile, or refers to a layer that is missing or outside
-            its folder; or the prim does not exist, or contains several objects.
-    """
-    return to_object(call_limited(read_usd, Path(path), object_path))
 
 
 def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
@@ -273,10 +273,7 @@ def _part(
         raise SpecError(f"link {link.name} has no geometry that can collide")
     mass, inertia = link.mass, None
     if mass is None:
-        if not any(item.density for item in link.shapes if item.role != "visual"):
-            notes.append(
-                f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed"
-            )
+        notes.append(f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed")
     elif mass <= 0:
         notes.append(f"link {link.name} states a mass of {mass:g} kg")
         mass = 1e-9
@@ -321,14 +318,12 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
         for key in ("metallic", "roughness")
         if (value := getattr(item, key)) is not None
     }
-    key = (item.rgba, item.friction, helper, item.name, item.density, *gloss.items())
+    key = (item.rgba, item.friction, helper, *gloss.items())
     if key not in materials:
-        # A material keeps its name only if the file states a valid density.
-        has_density = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
-        stem = HELPER if helper else item.name if has_density else UNKNOWN
+        names = {material.name for material in materials.values()}
         materials[key] = Material(
-            name=identifier(stem, "material", {m.name for m in materials.values()}),
-            density=item.density if has_density and item.density is not None else DENSITY,
+            name=identifier(HELPER if helper else UNKNOWN, "material", names),
+            density=DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
             **gloss,
@@ -348,3 +343,127 @@ class _Names:
         label = identifier(name, kind, taken)
         taken.add(label)
         return label
+
+
+@dataclass(frozen=True)
+class ImportedScene:
+    """Scene imported from a file."""
+
+    spec: SceneSpec
+    notes: tuple[str, ...]
+    """Notes on data that the import omits, and on assumptions that it makes."""
+    camera: FileCamera | None = None
+    """Camera of the photograph; None unless a scene of meshes states one."""
+    in_camera: bool = False
+    """True if the poses in the file are relative to `camera`; `spec` is rotated so that z is up."""
+
+
+def import_file(path: Path) -> Imported | ImportedScene:
+    """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
+
+    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
+
+    Raises:
+        SpecError: the format is not supported, or the file is broken or hostile, refers to a file
+            that is missing or outside its folder, or exceeds the limits on size.
+    """
+    path = Path(path)
+    try:
+        read = call_limited(_read, path, needs=MESH_READERS)
+        if isinstance(read, MeshScene):
+            scene = scene_of_assemblies(path, read.objects)
+            return replace(scene, camera=read.camera, in_camera=read.in_camera)
+        return _imported(path, read)
+    except SpecError as error:
+        message = str(error)
+        raise SpecError(message if path.name in message else f"{path}: {message}") from None
+
+
+def _read(path: Path) -> MeshScene | list[Assembly]:
+    """Read all objects of a file, and the camera that the file states."""
+    if path.suffix.lower() in GLTF:
+        return read_gltf(path)
+    if path.name == POSES:
+        return read_mesh_scene(path)
+    if path.suffix.lower() in USD:
+        raise SpecError(
+            f"{path}: USD is written, not read; convert it to MJCF, URDF or glTF first (for "
+            "example by Isaac Sim's URDF exporter, or by Blender's import of USD and export of "
+            "glTF)"
+        )
+    try:
+        root = read_xml(path)
+    except SpecError as error:
+        if path.suffix.lower() in FILES:
+            raise
+        supported = ", ".join((*FILES, POSES))
+        raise SpecError(f"{error}; files that can be read: {supported}") from None
+    if root.tag == "robot":
+        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)]
+    if root.tag == "mujoco":
+        return read_mjcf_scene(path)
+    raise SpecError(
+        f"{path}: the root element is <{root.tag}>; expected <robot> (URDF) or <mujoco> (MJCF)"
+    )
+
+
+def _imported(path: Path, assemblies: list[Assembly]) -> Imported | ImportedScene:
+    if len(assemblies) == 1:
+        return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
+    return scene_of_assemblies(path, assemblies)
+
+
+def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene:
+    """Return a scene of the objects of a file.
+
+    Args:
+        path: the file; the scene takes its name, and messages refer to it.
+        assemblies: the objects, with their poses in the world frame.
+
+    Raises:
+        SpecError: there are too many objects, or a number is out of bounds.
+    """
+    if len(assemblies) > MAX_OBJECTS:
+        raise SpecError(f"{path} has {len(assemblies)} objects; the limit is {MAX_OBJECTS}")
+    objects: list[SceneObject] = []
+    notes: list[str] = []
+    deadline = decomposition_deadline()
+    for assembly in assemblies:
+        imported = to_object(assembly.mechanism, deadline)
+        name = identifier(imported.spec.name, "object", {item.name for item in objects})
+        notes += [
+            note if note in imported.file_notes else f"{name}: {note}" for note in imported.notes
+        ]
+        objects.append(_scene_object(name, assembly, imported))
+    name = identifier(path.stem, "scene")
+    try:
+        scene = SceneSpec(name=name, objects=tuple(objects))
+    except ValidationError as error:
+        raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
+    return ImportedScene(scene, tuple(dict.fromkeys(notes)))
+
+
+def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
+    """Return an object at the pose that the file states, without a parent."""
+    spec = imported.spec
+    x, y, z, _ = (assembly.frame @ np.array([*imported.origin, 1.0])).tolist()
+    quat = from_matrix(assembly.frame[:3, :3])
+    yaw = yaw_of(quat)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), quat)
+    state = {}
+    for key, value in assembly.state.items():
+        joint, dot, axis = key.partition(".")
+        if joint in imported.joints:
+            state[f"{imported.joints[joint]}{dot}{axis}"] = value
+    moves = any(joint.type != "fixed" for joint in spec.joints)
+    return SceneObject(
+        name=name,
+        spec=spec,
+        environment=assembly.fixed and not moves,
+        fixed_base=assembly.fixed and moves,
+        xy=(x, y),
+        z=z,
+        yaw=yaw,
+        base_tilt=tuple((tilt / np.linalg.norm(tilt)).tolist()),
+        joint_state=state,
+    )

@@ -1,25 +1,24 @@
 """Mechanisms (links with shapes and masses, and joints) as described in files.
 
-Each reader returns mechanisms in the root frame of the file, with all joints at zero. `importing`
-converts mechanisms to ObjectSpecs.
+Each reader returns mechanisms in the root frame of the file, with all joints at zero. Their joints
+and sites are not validated, and have the names that the file states. `importing` converts
+mechanisms to ObjectSpecs.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
+from ..spec import JointSpec, Site
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
-from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""
@@ -39,10 +38,6 @@ class LinkShape:
     friction: float = 0.5
     hull: bool = False
     """If True, the convex hull of the mesh is the collider."""
-    name: str = ""
-    """Name of the material; empty if the file states no name."""
-    density: float | None = None
-    """Density of the material [kg/m^3]; None if the file states no density."""
     metallic: float | None = None
     """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
@@ -61,8 +56,6 @@ class Link:
     """Center of mass [m], shape [3]."""
     inertia: NDArray | None = None
     """Inertia about the center of mass, in the axes of the root frame [kg m^2], shape [3, 3]."""
-    origin: NDArray = field(default_factory=lambda: np.zeros(3))
-    """Origin of the link's frame [m], shape [3]."""
     visual_only: bool = False
     """True if the link has neither mass nor colliders."""
 
@@ -80,11 +73,6 @@ class Mechanism:
     """Notes on data of the object that the reader omits, and on assumptions that it makes."""
     file_notes: list[str] = field(default_factory=list)
     """The same for the whole file; mechanisms from one file may share this list."""
-
-    @property
-    def has_shapes(self) -> bool:
-        """True if a link has a shape."""
-        return any(link.shapes for link in self.links.values())
 
     @property
     def root(self) -> str:
@@ -107,24 +95,6 @@ class Assembly:
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
-    no_rigid_body: bool = False
-    """True if the object is geometry without a rigid body."""
-
-
-def mechanism(spec: ObjectSpec) -> Mechanism:
-    """Return the mechanism of an object, without shapes."""
-    origins = link_origins(spec)
-    links = {}
-    for part in spec.parts:
-        mass = inertial(spec, part)
-        links[part.name] = Link(
-            part.name,
-            mass=mass.mass,
-            com=np.array(mass.pos),
-            inertia=inertia_tensor(spec, part),
-            origin=origins[part.name],
-        )
-    return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
 
 
 def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
@@ -145,7 +115,6 @@ def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
             shapes=[replace(shape, frame=transform @ shape.frame) for shape in link.shapes],
             com=None if link.com is None else place(link.com),
             inertia=None if link.inertia is None else turn @ link.inertia @ turn.T,
-            origin=place(link.origin),
         )
         for name, link in mechanism.links.items()
     }
@@ -155,7 +124,7 @@ def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:
         )
         for joint in mechanism.joints
     ]
-    sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in mechanism.sites]
+    sites = [site.model_copy(update={"pos": triple(place(site.pos))}) for site in mechanism.sites]
     return replace(mechanism, links=links, joints=joints, sites=sites)
 
 
@@ -192,18 +161,3 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
             f"{path}: expected one root link, but the file has {', '.join(roots) or 'none'}"
         )
     return roots[0]
-
-
-def unchecked_mimic(joint: str, multiplier: float, offset: float) -> Mimic:
-    """Return an unvalidated `Mimic` of the joint that has the name `joint` in the file."""
-    return Mimic.model_construct(joint=joint, multiplier=multiplier, offset=offset)
-
-
-def unchecked_joint(**fields: Any) -> JointSpec:
-    """Return an unvalidated joint. Its names are as in the file; `importing` replaces them."""
-    return JointSpec.model_construct(**fields)
-
-
-def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
-    """Return an unvalidated site. Its names are as in the file; `importing` replaces them."""
-    return Site.model_construct(name=name, part=part, pos=triple(pos))

@@ -1,4 +1,6 @@
-"""Reads scenes of posed meshes or models from a file that lists their poses.
+"""Reads scenes of meshes from glTF 2.0 files, or from a file that lists poses of meshes and models.
+
+A glTF file is in meters with Y up; its objects are groups of nodes. A list of poses is
 
     poses.json               {"frame": "world", "objects": {"mug": {"file": "mug.obj",
                               "pose": [[4x4]], "fixed": false}}, "camera": {...}}
@@ -10,29 +12,206 @@ ahead). In this case, "up" states the vertical in the camera's frame, the scene 
 pose and the intrinsics of the photograph's camera.
 """
 
+import io
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from ..errors import SpecError
+from ..errors import PhotoError, SpecError
 from ..io import read_model
-from ..spec import Spec
-from ..spec.base import Vec3
+from ..spec import Camera, Spec
+from ..spec.base import Number, Vec3
+from ..spec.pose import Pose, from_yaw, pose, rotate
 from .checked_xml import inside
-from .file_camera import FileCamera, Row, level_transform
 from .load_mesh import (
     SUFFIXES,
+    folder_buffers,
+    gltf_document,
     load_mesh,
+    merged_vertices,
+    mesh_bytes,
 )
 from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles
+from .write_glb import OBJECT_EXTRAS, Y_UP
 
 POSES = "poses.json"
 MAX_NODES = 500
+Row = tuple[Number, Number, Number, Number]
+OFF_CENTER = 0.005
+"""Largest distance of the principal point from the center of an image that is not cropped,
+relative to the size of the image."""
+SAME_FOCAL = 0.02
+"""Largest accepted relative difference between fx and fy."""
+VERTICAL = 1e-6
+"""A camera looks straight down or up if the horizontal component of its unit viewing direction is
+at most this value."""
+
+
+class FileCamera(Spec):
+    """Pinhole camera: its pose, and its intrinsics, given as fovy or as fx, fy, cx and cy."""
+
+    pose: tuple[Row, Row, Row, Row] | None = None
+    """Rigid transform from the camera's frame (OpenCV: x right, y down, z ahead) to the scene's
+    world frame (Z up) [m]; None if the pose is not stated."""
+    fovy: float | None = Field(default=None, gt=0.01, lt=math.pi - 0.01)
+    """Vertical field of view [rad]."""
+    fx: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    """Focal lengths (fx, fy) and principal point (cx, cy) [px], as in BOP's camera.json."""
+    fy: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    cx: Number | None = None
+    cy: Number | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> "FileCamera":
+        stated = [value is not None for value in (self.fx, self.fy, self.cx, self.cy)]
+        if any(stated) and not all(stated):
+            raise ValueError("fx, fy, cx and cy must be given together")
+        if self.fx is not None and self.fy is not None and self.fovy is not None:
+            raise ValueError("give fovy, or fx, fy, cx and cy, not both")
+        if self.fx and self.fy and abs(self.fx / self.fy - 1) > SAME_FOCAL:
+            raise ValueError(f"fx {self.fx:g} and fy {self.fy:g} differ: pixels must be square")
+        if self.pose is not None:
+            rotation = np.array(self.pose)[:3, :3]
+            rigid = (
+                np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+                and np.linalg.det(rotation) > 0
+            )
+            if not rigid or not np.allclose(self.pose[3], (0, 0, 0, 1)):
+                raise ValueError("pose is not a rigid transform (a 4 x 4 matrix)")
+        return self
+
+    def completed_by(self, other: "FileCamera | None") -> "FileCamera":
+        """Return a copy whose missing pose or intrinsics are taken from another camera."""
+        if other is None:
+            return self
+        update: dict[str, object] = {}
+        if self.pose is None:
+            update["pose"] = other.pose
+        if self.fovy is None and self.fx is None:
+            update |= {key: getattr(other, key) for key in ("fovy", "fx", "fy", "cx", "cy")}
+        return self.model_copy(update=update)
+
+
+class Viewpoint(NamedTuple):
+    """Camera of a photograph, and the transform that moves the scene in front of the camera."""
+
+    camera: Camera
+    scene_transform: Pose
+    """Horizontal translation and rotation about the vertical that are applied to the scene, so that
+    the camera is above the origin and heads along +x."""
+    left: int
+    """First column of the photograph that the camera's image shows [px]."""
+    top: int
+    """First row of the photograph that the camera's image shows [px]."""
+
+
+def read_camera(path: Path) -> FileCamera:
+    """Read a camera.json.
+
+    Raises:
+        SpecError: the file is missing, or is not a camera.
+    """
+    return read_model(path, FileCamera, SpecError, "a camera")
+
+
+def viewpoint(camera: FileCamera, width: int, height: int) -> Viewpoint:
+    """Return the camera of a photograph, and the transform of the scene to the camera.
+
+    The camera's image is the photograph, cropped so that its center is the principal point.
+
+    Args:
+        camera: the camera, with pose and intrinsics.
+        width: width of the photograph [px].
+        height: height of the photograph [px].
+
+    Raises:
+        PhotoError: the camera has no pose or no intrinsics, or the intrinsics do not fit the size
+            of the photograph.
+    """
+    if camera.pose is None or (camera.fovy is None and camera.fx is None):
+        missing = "pose" if camera.pose is None else "field of view (fovy, or fx, fy, cx and cy)"
+        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
+    left, top, size, focal = 0, 0, [width, height], 0.0
+    if camera.fovy is not None:
+        focal = height / 2 / math.tan(camera.fovy / 2)
+    elif camera.fx and camera.fy and camera.cx is not None and camera.cy is not None:
+        focal = (camera.fx + camera.fy) / 2
+        half = [min(camera.cx, width - camera.cx), min(camera.cy, height - camera.cy)]
+        if min(half[0] / width, half[1] / height) < 0.25:
+            raise PhotoError(
+                f"the principal point ({camera.cx:g}, {camera.cy:g}) is not near the middle of a "
+                f"photograph of {width} x {height} pixels: give the intrinsics for this size"
+            )
+        crop = [abs(h - s / 2) > OFF_CENTER * s for h, s in zip(half, (width, height), strict=True)]
+        if crop[0]:
+            left, size[0] = max(round(camera.cx - half[0]), 0), round(2 * half[0])
+        if crop[1]:
+            top, size[1] = max(round(camera.cy - half[1]), 0), round(2 * half[1])
+    fovy = 2 * math.atan(size[1] / 2 / focal)
+    level_camera = Camera(width=size[0], height_px=size[1], fovy=fovy, height=0, pitch=0)
+    matrix = np.array(camera.pose)
+    heading, pitch, roll = _angles(matrix[:3, :3])
+    rotation = from_yaw(-heading)
+    eye = rotate(rotation, matrix[:3, 3])
+    update = {"height": float(eye[2]), "pitch": pitch, "roll": roll}
+    return Viewpoint(
+        Camera.model_validate(dict(level_camera) | update),
+        pose((-float(eye[0]), -float(eye[1]), 0.0), rotation),
+        left,
+        top,
+    )
+
+
+CAMERA_HELP = (
+    'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
+    '"pose": [[4x4]]}, '
+    "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
+    "it in the scene's file (docs/how-to/rescue-meshes.md)"
+)
+
+
+def _angles(axes: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
+    """Return the heading, downward pitch and roll of a camera [rad], given its axes as columns."""
+    right, down, ahead = axes.T
+    level = ahead if np.hypot(*ahead[:2]) > VERTICAL else -down * np.sign(-ahead[2])
+    heading = math.atan2(level[1], level[0])
+    pitch = math.asin(float(np.clip(-ahead[2], -1, 1)))
+    level_right = np.array([math.sin(heading), -math.cos(heading), 0.0])
+    level_down = np.cross(ahead, level_right)
+    return heading, pitch, math.atan2(float(right @ level_down), float(right @ level_right))
+
+
+def level_transform(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from a camera's frame (OpenCV) to a world frame with a level floor.
+
+    The origin of the world frame is the camera, its z axis points up, and its x axis is the
+    horizontal viewing direction.
+
+    Args:
+        up: vector of any length that points up, in the camera's frame.
+
+    Raises:
+        SpecError: `up` is zero.
+    """
+    size = float(np.linalg.norm(up))
+    if size < 1e-6:
+        raise SpecError("up must not be zero")
+    z = np.asarray(up, float) / size
+    ahead = np.array([0.0, 0.0, 1.0])
+    x = ahead - (ahead @ z) * z
+    if np.linalg.norm(x) < VERTICAL:  # x is the image's top (looking down) or bottom (looking up).
+        x = np.array([0.0, -1.0, 0.0]) * -np.sign(ahead @ z)
+    x /= np.linalg.norm(x)
+    result = np.eye(4)
+    result[:3, :3] = np.stack([x, np.cross(z, x), z])
+    return result
 
 
 class MeshScene(NamedTuple):
@@ -50,7 +229,7 @@ class PosedFile(Spec):
     """Object in a poses.json."""
 
     file: Annotated[str, Field(max_length=400)]
-    """Mesh, URDF, MJCF or USD file below the folder of poses.json."""
+    """Mesh, URDF or MJCF file below the folder of poses.json."""
     pose: tuple[Row, Row, Row, Row]
     """Rows of the transform from the file's frame, [4, 4]; it must be rigid unless the file is a
     mesh."""
@@ -101,7 +280,6 @@ def mesh_object(
     transform: NDArray,
     *,
     fixed: bool = False,
-    shapes: Sequence[LinkShape] = (),
 ) -> Assembly:
     """Return meshes at a pose as one rigid object, whose colliders are derived from the meshes.
 
@@ -111,7 +289,6 @@ def mesh_object(
         transform: affine transform from the object's frame to the world frame, shape [4, 4]; its
             scale is applied to the meshes.
         fixed: if True, the object cannot move.
-        shapes: further shapes in the object's frame; they require a rigid transform.
 
     Raises:
         SpecError: the transform is singular or not affine.
@@ -128,10 +305,8 @@ def mesh_object(
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
     turn = 1 if np.linalg.det(linear) > 0 else -1
     local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
-    # If there are other shapes, colliders are not derived, so the meshes themselves collide.
-    role = "both" if shapes else "visual"
-    visuals = [LinkShape(triangles, np.eye(4), role) for triangles in local]
-    link = Link("body", [*shapes, *visuals], visual_only=not shapes)
+    visuals = [LinkShape(triangles, np.eye(4), "visual") for triangles in local]
+    link = Link("body", visuals, visual_only=True)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
@@ -150,17 +325,126 @@ def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembl
 
 
 def _mechanism(file: Path) -> Mechanism:
-    from .checked_usd import SUFFIXES as USD
-    from .checked_usd import open_usd
     from .read_mjcf import read_mjcf
     from .read_urdf import read_urdf
-    from .read_usd import one_object
 
     suffix = file.suffix.lower()
     if suffix in (".urdf", ".xacro"):
         return read_urdf(file)
     if suffix in (".xml", ".mjcf"):
         return read_mjcf(file)
-    if suffix in USD:
-        return one_object(file, open_usd(file), None)
-    raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF, MJCF or USD files")
+    raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF or MJCF files")
+
+
+GLTF = (".glb", ".gltf")
+Z_UP = Y_UP.T
+"""Transform from glTF's axes (Y up) to axes with Z up."""
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Transform from OpenCV's camera axes to glTF's camera axes (x right, y up, z back). The inverse is
+the same matrix."""
+
+
+def read_gltf(path: Path) -> MeshScene:
+    """Read the objects and the first perspective camera of a text or binary glTF file.
+
+    Raises:
+        SpecError: the file is broken or hostile.
+    """
+    import trimesh
+
+    data = mesh_bytes(path)
+    try:
+        loaded: Any = trimesh.load(
+            io.BytesIO(data),
+            file_type=path.suffix.lower()[1:],
+            resolver=folder_buffers(path),
+            force="scene",
+            process=False,
+            skip_materials=True,
+        )
+        count = len(loaded.graph.nodes_geometry)
+        if not 0 < count <= MAX_NODES:
+            raise SpecError(f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}")
+        posed = [_meshes_below(loaded, node) for node in _object_nodes(loaded.graph)]
+        camera = _gltf_camera(gltf_document(data))
+    except SpecError:
+        raise
+    except Exception as error:  # trimesh raises errors of many types
+        raise SpecError(f"{path} is not glTF: {type(error).__name__}: {error}"[:300]) from None
+    objects = [mesh_object(name, meshes, transform) for name, meshes, transform in posed if meshes]
+    return MeshScene(objects, camera)
+
+
+def _object_nodes(graph: Any) -> list[Any]:
+    """Return the nodes of a glTF scene that represent objects.
+
+    An object consists of all meshes in and below its node. The search for objects begins at the
+    root of the scene. It descends by a level as long as the current level has a single node with
+    meshes in or below it, this node has no mesh, and the node's extras do not mark it as an object.
+    """
+    meshed, tree = set(graph.nodes_geometry), graph.transforms
+    level = [graph.base_frame]
+    while len(level) == 1 and level[0] not in meshed:
+        extras = tree.edge_data.get((tree.parents.get(level[0]), level[0]), {}).get("metadata")
+        if extras and OBJECT_EXTRAS.items() <= extras.items():
+            break
+        level = [node for node in tree.children.get(level[0], []) if meshed & tree.successors(node)]
+    return level
+
+
+def _meshes_below(loaded: Any, node: Any) -> tuple[str, list[Triangles], NDArray]:
+    """Return the name of a node, and the meshes in and below it with their pose.
+
+    The meshes are in the node's frame with Z up. The pose is the affine transform from this frame
+    to the world frame, shape [4, 4].
+    """
+    below = loaded.graph.transforms.successors(node)
+    meshes = []
+    for inner in (n for n in loaded.graph.nodes_geometry if n in below):
+        transform, key = loaded.graph.get(inner, frame_from=node)
+        mesh = loaded.geometry[key]
+        if hasattr(mesh, "faces"):  # Points and lines are skipped.
+            # Copy, because nodes may share a mesh, and a mirroring transform reverses its faces.
+            upright = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
+            vertices, faces = np.array(upright.vertices, float), np.array(upright.faces, np.int64)
+            meshes.append(merged_vertices(vertices, faces))
+    return str(node), meshes, Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
+
+
+def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
+    """Return the first perspective camera of a glTF file.
+
+    The result is None if there is no such camera, or if the transform of its node mirrors or is
+    singular. trimesh itself reads only cameras that are children of the root and state their aspect
+    ratio.
+    """
+    nodes = document.get("nodes", [])
+    parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+    for k, node in enumerate(nodes):
+        lens = document["cameras"][node["camera"]].get("perspective") if "camera" in node else None
+        if lens is None:
+            continue
+        pose, above = TO_OPENCV, k
+        while above is not None:
+            pose, above = _local(nodes[above]) @ pose, parents.pop(above, None)
+        pose = Z_UP @ pose
+        u, scales, v = np.linalg.svd(pose[:3, :3])
+        if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
+            return None
+        # Scales of the nodes above the camera do not change the camera's image.
+        pose[:3, :3] = u @ v
+        return FileCamera(pose=rows_of(pose), fovy=float(lens["yfov"]))
+    return None
+
+
+def _local(node: dict[str, Any]) -> NDArray:
+    """Return the transform from a glTF node (with a matrix, or T R S) to its parent, [4, 4]."""
+    from trimesh import transformations
+
+    if "matrix" in node:
+        return np.reshape(np.asarray(node["matrix"], float), (4, 4)).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    turn = transformations.quaternion_matrix([w, x, y, z])
+    turn[:3, :3] *= np.asarray(node.get("scale", (1.0, 1.0, 1.0)), float)
+    turn[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return turn

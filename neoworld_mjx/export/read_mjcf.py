@@ -1,10 +1,8 @@
-"""Reads the mechanisms of an MJCF file with MuJoCo's compiler.
+"""Reads objects from MJCF, which MuJoCo compiles after the file and its includes are checked."""
 
-MuJoCo resolves defaults, classes, includes and units. The mechanisms are those of the compiled
-model at qpos0.
-"""
-
+import itertools
 import os
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +10,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..physics.mjcf import START
-from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Sphere
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
-from .compiled_mjcf import checked_roots, compiled_mjcf
+from .checked_xml import inside, inside_any, read_xml
 from .mechanism import (
     Assembly,
     Link,
@@ -28,11 +25,8 @@ from .mechanism import (
     Triangles,
     check_tree,
     transformed,
-    unchecked_joint,
-    unchecked_mimic,
-    unchecked_site,
 )
-from .mjcf_looks import geom_color
+from .write_mjcf import COLOR_SUFFIX
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
 _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
@@ -43,6 +37,10 @@ _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
     _G.mjGEOM_ELLIPSOID: lambda x, y, z: Ellipsoid(radii=(x, y, z)),
 }
 """Function that returns a shape from the three numbers of geom_size, by type of geom."""
+_FOLDERS = {"texture": ("assetdir", "texturedir")}
+"""Attributes of <compiler> that name the folder of an element's files, by tag of the element."""
+_OTHER_FOLDERS = ("assetdir", "meshdir")
+"""Attributes of <compiler> that name the folder of the files of all other elements."""
 NOT_IMPORTED = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
 """Sections that are not imported, except for the keyframe "start"."""
 
@@ -73,7 +71,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
     """
     path = Path(path)
     file_notes: list[str] = []
-    roots = checked_roots(path)
+    roots = _checked_roots(path)
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
     file_notes += [
@@ -81,7 +79,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         for tag in NOT_IMPORTED
         if any(r.find(tag) is not None for r in roots)
     ]
-    model, stated, massless = compiled_mjcf(path, file_notes)
+    model, massless = _compiled(path)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
@@ -95,7 +93,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
     result = []
     for top in tops:
         name = title if len(tops) == 1 else _name(model, top)
-        in_world = _mechanism(path, model, data, top, name, stated, massless, mimics)
+        in_world = _mechanism(path, model, data, top, name, massless, mimics)
         in_world.file_notes = file_notes
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = data.xmat[top].reshape(3, 3), data.xpos[top]
@@ -108,13 +106,75 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
     return result
 
 
+def _checked_roots(path: Path) -> list[ET.Element]:
+    """Check an MJCF file and all files that it includes, and return their root elements.
+
+    The first element is the root of `path`.
+
+    Raises:
+        SpecError: a file is broken or hostile, refers to a file that is missing or outside the
+            folder of `path`, or includes itself.
+    """
+    roots = _included(path, path, set())
+    elements = [element for root in roots for element in root.iter()]
+    # MuJoCo decides which of several <compiler> elements applies, so all paths are checked.
+    compilers = [element for element in elements if element.tag == "compiler"]
+    stripped = any(compiler.get("strippath") == "true" for compiler in compilers)
+    for element in elements:
+        if element.tag in ("model", "attach", "plugin"):
+            raise SpecError(
+                f"{path}: <{element.tag}> is not supported; use one self-contained file"
+            )
+        if element.tag in ("include", "mujoco"):
+            continue
+        keys = _FOLDERS.get(element.tag, _OTHER_FOLDERS)
+        folders = {folder for c in compilers for key in keys if (folder := c.get(key)) is not None}
+        for key, value in element.attrib.items():
+            if key.startswith("file"):
+                names = {value, os.path.basename(value)} if stripped else {value}
+                places = itertools.product(folders or {""}, names)
+                inside_any(path, [os.path.join(*place) for place in places], value)
+    return roots
+
+
+def _included(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
+    if path.resolve() in visited:
+        raise SpecError(f"{path} includes itself")
+    visited.add(path.resolve())
+    root = read_xml(path)
+    roots = [root]
+    for element in root.iter("include"):
+        roots += _included(inside(main, element.get("file") or ""), main, visited)
+    return roots
+
+
+def _compiled(path: Path) -> tuple[mujoco.MjModel, set[str]]:
+    """Return a compiled MJCF file, and the names of the bodies without a mass.
+
+    The mass of a body without a mass is the lower bound that the compiler sets.
+
+    Raises:
+        SpecError: MuJoCo refuses the file.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.discardvisual = False
+        spec.compiler.fusestatic = False
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())[:240]
+        raise SpecError(f"{path} is refused by MuJoCo: {reason}") from None
+    bound = float(spec.compiler.boundmass)
+    light = {model.body(b).name for b in range(model.nbody) if model.body_mass[b] <= bound}
+    return model, {b.name for b in spec.bodies if not b.explicitinertial} & light
+
+
 def _mechanism(
     path: Path,
     model: mujoco.MjModel,
     data: mujoco.MjData,
     top: int,
     title: str,
-    stated: dict[str, tuple[float, NDArray]],
     massless: set[str],
     mimics: dict[int, Mimic],
 ) -> Mechanism:
@@ -124,12 +184,14 @@ def _mechanism(
     for b in range(top + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
             bodies.append(b)
-    links = [_link(model, data, b, stated, massless, notes) for b in bodies]
+    links = [_link(model, data, b, massless, notes) for b in bodies]
     joints, inner = _joints(path, model, data, bodies, mimics, notes)
     links += inner
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
     sites = [
-        unchecked_site(model.site(k).name, _name(model, b), data.site_xpos[k])
+        Site.model_construct(
+            name=model.site(k).name, part=_name(model, b), pos=triple(data.site_xpos[k])
+        )
         for k, b in enumerate(int(b) for b in model.site_bodyid)
         if b in bodies and model.site(k).name
     ]
@@ -155,7 +217,10 @@ def _without_prefix(assembly: Assembly) -> Assembly:
         mimic = joint.mimic
         mimic = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
         joints.append(joint.model_copy(update={**update, "mimic": mimic}))
-    sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in mechanism.sites]
+    sites = [
+        site.model_copy(update={"name": short(site.name), "part": short(site.part)})
+        for site in mechanism.sites
+    ]
     state = {short(key): value for key, value in assembly.state.items()}
     renamed = replace(mechanism, links=links, joints=joints, sites=sites)
     return replace(assembly, mechanism=renamed, state=state)
@@ -199,11 +264,10 @@ def _link(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     b: int,
-    stated: dict[str, tuple[float, NDArray]],
     massless: set[str],
     notes: list[str],
 ) -> Link:
-    link = Link(_name(model, b), origin=data.xpos[b].copy())
+    link = Link(_name(model, b))
     for g in np.flatnonzero(model.geom_bodyid == b):
         shape = _shape(model, data, int(g), link.name, notes)
         if shape is not None:
@@ -213,12 +277,8 @@ def _link(
         link.visual_only = True
     elif model.body_mass[b] > 0:
         turn = data.ximat[b].reshape(3, 3)
-        mass, moments = float(model.body_mass[b]), model.body_inertia[b]
-        if link.name in stated:
-            mass, moments = stated[link.name]
-        link.mass, link.com = mass, data.xipos[b].copy()
-        with np.errstate(invalid="ignore", over="ignore"):  # ObjectSpec refuses NaN and inf.
-            link.inertia = turn @ np.diag(moments) @ turn.T
+        link.mass, link.com = float(model.body_mass[b]), data.xipos[b].copy()
+        link.inertia = turn @ np.diag(model.body_inertia[b]) @ turn.T
     return link
 
 
@@ -241,7 +301,7 @@ def _shape(
         return None
     collides = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
     material = int(model.geom_matid[g])
-    red, green, blue, alpha = geom_color(model, g)
+    red, green, blue, alpha = _geom_color(model, g)
     gloss = [model.mat_metallic[material], model.mat_roughness[material]] if material >= 0 else []
     metallic, roughness = (float(v) if v >= 0 else None for v in gloss or (-1, -1))
     return LinkShape(
@@ -254,6 +314,34 @@ def _shape(
         metallic=metallic,
         roughness=roughness,
     )
+
+
+def _geom_color(model: mujoco.MjModel, g: int) -> tuple[float, float, float, float]:
+    """Return the RGBA color of a geom.
+
+    If the geom is textured, the color is the plain color that the file states (`COLOR_SUFFIX`). If
+    the file states none, it is the material's color multiplied by the texture's mean color.
+    """
+    material = int(model.geom_matid[g])
+    if material < 0:
+        red, green, blue, alpha = (float(v) for v in model.geom_rgba[g])
+        return red, green, blue, alpha
+    rgba = model.mat_rgba[material].astype(float)
+    texture = int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture >= 0:
+        name = model.material(material).name + COLOR_SUFFIX
+        stated = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+        channels = int(model.tex_nchannel[texture])
+        if stated >= 0 and model.numeric_size[stated] == 3:
+            first = int(model.numeric_adr[stated])
+            rgba[:3] = model.numeric_data[first : first + 3]
+        elif channels >= 3:
+            first = int(model.tex_adr[texture])
+            count = int(model.tex_height[texture]) * int(model.tex_width[texture]) * channels
+            pixels = model.tex_data[first : first + count].reshape(-1, channels)
+            rgba[:3] *= pixels[:, :3].mean(axis=0) / 255
+    red, green, blue, alpha = (float(v) for v in rgba)
+    return red, green, blue, alpha
 
 
 def _joints(
@@ -272,12 +360,12 @@ def _joints(
         indices = _body_joints(model, b)
         if not indices:
             fixed = {"name": f"{child}_fixed", "type": "fixed", "pos": triple(data.xpos[b])}
-            joints.append(unchecked_joint(**fixed, parent=parent, child=child))
+            joints.append(JointSpec.model_construct(**fixed, parent=parent, child=child))
         for k, j in enumerate(indices):
             last = k == len(indices) - 1
             below = child if last else f"{child}_axis_{k}"
             if not last:
-                inner.append(Link(below, origin=data.xpos[b].copy()))
+                inner.append(Link(below))
             joints.append(_joint(path, model, data, j, parent, below, mimics, notes))
             parent = below
     root = bodies[0]
@@ -309,7 +397,7 @@ def _joint(
     }
     if kind == _J.mjJNT_BALL:
         upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
-        return unchecked_joint(**common, **losses, type="ball", upper=upper)
+        return JointSpec.model_construct(**common, **losses, type="ball", upper=upper)
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is a free joint within an object")
     slide = kind == _J.mjJNT_SLIDE
@@ -325,7 +413,7 @@ def _joint(
     ):
         notes.append(f"joint {name}: the rest position of its spring is not imported")
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0
-    return unchecked_joint(
+    return JointSpec.model_construct(
         **common,
         **losses,
         type="prismatic" if slide else "revolute" if limited else "continuous",
@@ -348,7 +436,9 @@ def _mimics(model: mujoco.MjModel, notes: list[str]) -> dict[int, Mimic]:
             notes.append("only the linear part of a joint equality is imported")
         leader = model.joint(int(model.eq_obj2id[e])).name
         offset, multiplier = (float(v) for v in model.eq_data[e, :2])
-        mimics[int(model.eq_obj1id[e])] = unchecked_mimic(leader, multiplier, offset)
+        mimics[int(model.eq_obj1id[e])] = Mimic.model_construct(
+            joint=leader, multiplier=multiplier, offset=offset
+        )
     return mimics
 
 

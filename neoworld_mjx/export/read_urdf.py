@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Cylinder, JointSpec, Site, Sphere
+from ..spec import Box, Cylinder, JointSpec, Mimic, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
 from .checked_xml import inside, read_xml
-from .drake_contact import DRAKE
 from .load_mesh import load_mesh
 from .mechanism import (
     GRAY,
@@ -22,9 +21,6 @@ from .mechanism import (
     Mechanism,
     Triangles,
     check_tree,
-    unchecked_joint,
-    unchecked_mimic,
-    unchecked_site,
 )
 from .write_urdf import CLEARANCE_M, original_half
 
@@ -75,7 +71,6 @@ def read_urdf(path: Path) -> Mechanism:
         [(joint.name, joint.parent, joint.child) for joint in robot.joints],
     ))  # fmt: skip
     colors = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
-    frictions = _frictions(root)
     shrunk = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
     links = [
         _link(
@@ -83,7 +78,7 @@ def read_urdf(path: Path) -> Mechanism:
             link,
             frames[link.name],
             colors,
-            frictions[link.name],
+            _friction(root, link.name),
             CLEARANCE_M if link.name in shrunk else 0.0,
             notes,
         )
@@ -111,31 +106,22 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
         link = next(link for link in links if link.name == joint.child)
         if link.shapes or link.mass or link.name in parents:
             continue
-        sites.append(unchecked_site(link.name, joint.parent, link.origin))
+        sites.append(Site.model_construct(name=link.name, part=joint.parent, pos=joint.pos))
         links.remove(link)
         joints.remove(joint)
     return sites
 
 
-def _frictions(root: ET.Element) -> dict[str, list[float]]:
-    """Return the friction coefficient of each <collision> of each link, by link name.
-
-    The coefficient is Drake's, if the file states it; otherwise PyBullet's; otherwise 0.5.
-    """
-    result = {}
-    for link in root.findall("link"):
-        of_link = link.find("contact/lateral_friction")
-        values = []
-        for collision in link.findall("collision"):
-            of_collision = collision.find(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}mu_dynamic")
-            stated = of_link if of_collision is None else of_collision
+def _friction(root: ET.Element, link: str) -> float:
+    """Return the friction coefficient that a link states for PyBullet; 0.5 if it states none."""
+    for element in root.findall("link"):
+        stated = element.find("contact/lateral_friction")
+        if element.get("name") == link and stated is not None:
             try:
-                value = 0.5 if stated is None else float(stated.get("value") or 0.5)
+                return float(stated.get("value") or 0.5)
             except ValueError:
-                value = 0.5
-            values.append(value)
-        result[str(link.get("name"))] = values
-    return result
+                return 0.5
+    return 0.5
 
 
 def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
@@ -216,16 +202,16 @@ def _link(
     link: Any,
     frame: NDArray,
     colors: dict[str, Any],
-    frictions: list[float],
+    friction: float,
     clearance: float,
     notes: list[str],
 ) -> Link:
-    result = Link(link.name, origin=frame[:3, 3])
+    result = Link(link.name)
     for item in link.visuals:
         rgba = _color(item.material, colors)
         for shape, pose in _shapes(path, item, link.name, frame, 0.0, notes):
             result.shapes.append(LinkShape(shape, pose, "visual", rgba))
-    for item, friction in zip(link.collisions, frictions, strict=False):
+    for item in link.collisions:
         for shape, pose in _shapes(path, item, link.name, frame, clearance, notes):
             result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
     inertial = link.inertial
@@ -313,8 +299,10 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
     leader = None
     if mimic is not None and kind != "fixed":
         multiplier = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
-        leader = unchecked_mimic(mimic.joint, multiplier, float(mimic.offset or 0.0))
-    return unchecked_joint(
+        leader = Mimic.model_construct(
+            joint=mimic.joint, multiplier=multiplier, offset=float(mimic.offset or 0.0)
+        )
+    return JointSpec.model_construct(
         name=joint.name,
         type=kind,
         parent=joint.parent,

@@ -8,7 +8,6 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import ExportError
@@ -24,12 +23,16 @@ from ..spec import (
 from ..spec.finish import finish
 from ..spec.pose import Pose
 from ..spec.triangles import corner_normals
-from .gltf_colliders import KIND, OBJECT, Y_UP, extras_of
 from .link_frames import transform
-from .textures import visible_surface
+from .meshes import visible_surface
 
 if TYPE_CHECKING:
     import trimesh
+
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Transform from Z-up axes to glTF's Y-up axes. Frames of objects and links are also Y-up."""
+OBJECT_EXTRAS = {"neoworld": "object"}
+"""Extras of the node of an object."""
 
 
 def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
@@ -69,7 +72,7 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
         frame_from=result.graph.base_frame,
         frame_to=item.name,
         matrix=Y_UP @ transform(pose) @ Y_UP.T,
-        metadata={KIND: OBJECT},
+        metadata=OBJECT_EXTRAS,
     )
     part_poses = link_poses(item.spec, item.joint_state)
     materials = {}
@@ -87,12 +90,11 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
         )
     for part in item.spec.parts:
-        link, visuals = f"{item.name}-{part.name}", list[NDArray]()
+        link = f"{item.name}-{part.name}"
         # As in MuJoCo, a part without visual shapes shows its colliders.
         visible = [geom for geom in part.geoms if geom.role != "collision"]
         for geom in visible or part.geoms:
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
-            visuals.append(geom.pose().apply(vertices))
             # Separate vertices for each corner keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
@@ -115,5 +117,4 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
             frame_from=item.name,
             frame_to=link,
             matrix=Y_UP @ transform(part_poses[part.name]) @ Y_UP.T,
-            metadata=extras_of(item.spec, part, visuals),
         )

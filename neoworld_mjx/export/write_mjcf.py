@@ -5,6 +5,10 @@ the triangle inequality of the inertia of thin plates. Therefore this module rep
 numbers, so that the file compiles to exactly the same model. Meshes are the files that URDF also
 uses, because other readers of MJCF do not support inline vertices.
 
+Visual geoms have materials named <object>-<material>. MuJoCo multiplies a texture by the color of
+the material, so textured materials are white. The plain color of a textured material is stored in
+<numeric name="<object>-<material>-rgb">, for readers that ignore textures.
+
 The file can be included in, or attached to, the MJCF of a robot, because it has no settings that
 would conflict. The physics is that of the search and of the final check (`physics.mjcf`).
 """
@@ -18,12 +22,11 @@ import mujoco
 import numpy as np
 
 from ..physics.lowering import lower_geoms
-from ..physics.mjcf import COLLISION_GROUP, VISUAL_GROUP, to_mjspec
-from ..spec import ObjectSpec, SceneSpec
-from .handles import frames
-from .link_frames import link_origins
-from .meshes import FOLDER, numbers
-from .mjcf_looks import add_materials, add_surfaces
+from ..physics.mjcf import COLLISION_GROUP, VISUAL_GROUP, to_mjspec, visual_name
+from ..spec import Material, ObjectSpec, SceneSpec
+from ..spec.finish import finish
+from .link_frames import frames, link_origins
+from .meshes import FOLDER, has_texture, is_textured, numbers, texture_file, visible_surface
 
 HIDDEN_GROUP = 3
 """Geom group of colliders in exported files; viewers show only groups 0 to 2 by default."""
@@ -32,6 +35,8 @@ FLOOR_M = 5.0
 SITE_RADIUS_M = 0.005
 BACKDROP_SIZE = 2.0
 """Half the edge length of the exported backdrop, relative to the distance of the backdrop."""
+COLOR_SUFFIX = "-rgb"
+"""Suffix of the name of a textured material's plain color."""
 
 
 def mjcf_text(
@@ -96,7 +101,7 @@ def mjcf_text(
     for name, spec, _ in objects:
         _add_frames(model, name, spec)
         if target != "mjx":
-            add_surfaces(model, name, spec)
+            _add_surfaces(model, name, spec)
     model.compile()
     root = ET.fromstring(model.to_xml())
     _restore_precision(root, model)
@@ -106,7 +111,7 @@ def mjcf_text(
         if (name := str(mesh.get("name"))) not in lowered:
             _name_file(mesh, name, folders)
     for name, spec, folder in objects:
-        add_materials(root, name, spec, folder, textured=target != "mjx")
+        _add_materials(root, name, spec, folder, textured=target != "mjx")
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -149,6 +154,78 @@ def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=name,
             )
+
+
+def _add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
+    """Replace textured primitives by meshes, because MuJoCo does not texture all of their sides."""
+    for part in spec.parts:
+        for geom in part.geoms:
+            if not is_textured(spec, geom) or geom.shape.primitive() is None:
+                continue
+            visual = model.geom(visual_name(owner, geom))
+            vertices, faces, _ = visible_surface(spec, part.name, geom)
+            mesh = model.add_mesh(
+                name=visual.name, uservert=vertices.ravel(), userface=faces.ravel()
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            visual.type, visual.meshname = mujoco.mjtGeom.mjGEOM_MESH, visual.name
+            visual.size = np.zeros(3)
+
+
+def _add_materials(
+    root: ET.Element, owner: str, spec: ObjectSpec, folder: str, *, textured: bool
+) -> None:
+    """Replace the colors of an object's visual geoms by materials.
+
+    Args:
+        root: root element of the MJCF file.
+        owner: name of the object in the file.
+        spec: the object.
+        folder: folder of the object's files, relative to the MJCF file: "" or "objects/cup/".
+        textured: if True, materials may have textures.
+    """
+    visuals = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
+    assets = _section(root, "asset")
+    added: set[str] = set()
+    for part in spec.parts:
+        for geom in part.geoms:
+            element = visuals.get(visual_name(owner, geom))
+            if element is None:
+                continue
+            material = spec.material(geom.material)
+            name = f"{owner}-{material.name}"
+            element.attrib.pop("rgba", None)
+            element.set("material", name)
+            if name not in added:
+                added.add(name)
+                file = folder + texture_file(material) if textured else None
+                _add_material(root, assets, name, material, file)
+
+
+def _add_material(
+    root: ET.Element, assets: ET.Element, name: str, material: Material, file: str | None
+) -> None:
+    surface = finish(material)
+    look = {
+        "name": name,
+        "rgba": numbers(material.rgba),
+        "specular": numbers([round(0.1 + 0.6 * (1 - surface.roughness), 6)]),
+        "shininess": numbers([round(1 - surface.roughness, 6)]),
+        "metallic": numbers([surface.metallic]),
+        "roughness": numbers([surface.roughness]),
+    }
+    if has_texture(material) and file is not None:
+        ET.SubElement(assets, "texture", name=name, type="2d", file=file)
+        look |= {"texture": name, "rgba": numbers([1, 1, 1, material.rgba[3]])}
+        custom = _section(root, "custom")
+        plain = {"name": name + COLOR_SUFFIX, "data": numbers(material.rgba[:3])}
+        ET.SubElement(custom, "numeric", plain)
+    ET.SubElement(assets, "material", look)
+
+
+def _section(root: ET.Element, tag: str) -> ET.Element:
+    section = root.find(tag)
+    return ET.SubElement(root, tag) if section is None else section
 
 
 def _remove_settings(root: ET.Element) -> None:

@@ -15,18 +15,14 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
+from ..io.names import unused
 from ..spec import Camera, SceneObject, SceneSpec, joint_value, link_poses, world_poses
 from ..spec.pose import Pose, pose
-from .link_frames import link_origins, unused
+from .link_frames import link_origins
 from .write_usd import new_stage, quatd, quatf, set_float, set_pose
 
 
-def scene_usd_text(scene: SceneSpec) -> str:
-    """Return a scene as USDA text, with references to ./objects/<name>/object.usda."""
-    return scene_usd_layer(scene).ExportToString()
-
-
-def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
+def scene_usd_layer(scene: SceneSpec, suffix: str) -> Sdf.Layer:
     """Return a scene as a USD layer, with references to ./objects/<name>/object.<suffix>."""
     stage = new_stage()
     root = UsdGeom.Xform.Define(stage, f"/{scene.name}")

@@ -1,4 +1,4 @@
-"""Writes SDF of an object or a scene, for Gazebo and Drake.
+"""Writes SDF of an object or a scene, for Gazebo.
 
 Link frames are those of `link_frames`. SDF can store neither joint positions nor armature, so all
 joints are at zero. The links, joints and frames of a model share one namespace, so an underscore is
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from ..io.names import unused
 from ..spec import (
     GeomSpec,
     JointSpec,
@@ -24,9 +25,7 @@ from ..spec import (
 from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import Pose, pose, to_rpy
-from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
-from .handles import frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins, unused
+from .link_frames import TENSOR_ENTRIES, frames, inertia_tensor, link_names, link_origins
 from .meshes import collision_file, number, numbers, visual_file
 
 VERSION = "1.11"
@@ -35,7 +34,7 @@ VERSION = "1.11"
 
 def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
     """Return a scene as an SDF world, or an object as an SDF model; meshes are separate files."""
-    root = ET.Element("sdf", {"version": VERSION, "xmlns:drake": DRAKE})
+    root = ET.Element("sdf", version=VERSION)
     if isinstance(scene, ObjectSpec):
         _add_model(root, scene.name, scene, "")
     else:
@@ -92,7 +91,6 @@ def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> 
         attached = {"name": label, "attached_to": links[frame.part]}
         offset = np.array(frame.pos) - origins[frame.part]
         _pose(ET.SubElement(model, "frame", attached), pose(offset))
-    add_filters(model, "sdf", spec, links)
     return model
 
 
@@ -132,13 +130,10 @@ def _add_collision(
     collision = ET.SubElement(link, "collision", name=f"{geom.name}-{k}")
     _pose(collision, local.then(pose(piece.pos, piece.quat)))
     _shape(collision, None if piece.kind == "mesh" else piece, folder + collision_file(geom, k))
-    for mesh in collision.iter("mesh"):
-        declare_convex(mesh)
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     for name in ("mu", "mu2"):
         _put(ode, name, material.friction)
-    add_contact(collision, "sdf", piece, material.friction)
 
 
 def _shape(parent: ET.Element, piece: Piece | None, file: str) -> None:

@@ -1,9 +1,8 @@
 """Writes the URDF and SRDF of one object.
 
 Link frames are those of `link_frames`, so joint origins are offsets without rotation. Sites and
-handles are links without geometry. Surface friction is written for PyBullet (<contact>) and for
-Drake (`drake_contact`). The stiffness and armature of joints are omitted, because URDF cannot store
-them.
+handles are links without geometry. The mean friction of a link's colliders is written as PyBullet's
+<contact>. The stiffness and armature of joints are omitted, because URDF cannot store them.
 
 A capsule becomes a cylinder and two spheres, and an ellipsoid becomes a mesh. A ball joint becomes
 three hinges <joint>_x, <joint>_y and <joint>_z through one point, with two links of tiny mass
@@ -27,9 +26,7 @@ from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import Pose, pose, to_rpy
-from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
-from .handles import Frame, frames
-from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_names, link_origins
+from .link_frames import TENSOR_ENTRIES, Frame, frames, inertia_tensor, link_names, link_origins
 from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
@@ -43,7 +40,7 @@ relative to half the size."""
 
 def urdf_text(spec: ObjectSpec) -> str:
     """Return the URDF of an object; mesh paths are relative to the object's folder."""
-    robot = ET.Element("robot", {"name": spec.name, "xmlns:drake": DRAKE})
+    robot = ET.Element("robot", name=spec.name)
     # By default, MuJoCo discards visuals, fuses fixed links and ignores the folder of meshes.
     ET.SubElement(
         ET.SubElement(robot, "mujoco"),
@@ -86,7 +83,6 @@ def urdf_text(spec: ObjectSpec) -> str:
     taken.add(links[spec.root])
     for frame in frames(spec):
         _add_frame(robot, links[frame.part], frame, origins[frame.part], taken)
-    add_filters(robot, "urdf", spec, links)
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -147,8 +143,7 @@ def _fill_link(
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
                 piece_pose = local.then(pose(piece.pos, piece.quat))
-                for element in _add_collision(link, geom, k, piece, piece_pose, clearance):
-                    add_contact(element, "urdf", piece, spec.material(geom.material).friction)
+                _add_collision(link, geom, k, piece, piece_pose, clearance)
 
 
 def _primitive(geometry: ET.Element, piece: Piece) -> None:
@@ -163,14 +158,13 @@ def _primitive(geometry: ET.Element, piece: Piece) -> None:
 
 def _add_collision(
     link: ET.Element, geom: GeomSpec, k: int, piece: Piece, local: Pose, clearance: float
-) -> list[ET.Element]:
-    """Add and return the elements of a piece that is shrunk by `clearance` on each side [m]."""
-    collisions: list[ET.Element] = []
+) -> None:
+    """Add the elements of a piece that is shrunk by `clearance` on each side [m]."""
 
     def geometry(name: str, origin: Pose) -> ET.Element:
-        collisions.append(ET.SubElement(link, "collision", name=name))
-        _origin(collisions[-1], origin)
-        return ET.SubElement(collisions[-1], "geometry")
+        collision = ET.SubElement(link, "collision", name=name)
+        _origin(collision, origin)
+        return ET.SubElement(collision, "geometry")
 
     name = f"{geom.name}-{k}"
     size = tuple(shrunk(v, clearance) for v in piece.size)
@@ -194,8 +188,7 @@ def _add_collision(
         if clearance:
             local = local.then(pose(middle * (1 - factor)))
             fields["scale"] = numbers(np.round(factor, 9))
-        declare_convex(ET.SubElement(geometry(name, local), "mesh", fields))
-    return collisions
+        ET.SubElement(geometry(name, local), "mesh", fields)
 
 
 def shrunk(half: float, clearance: float) -> float:

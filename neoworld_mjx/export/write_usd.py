@@ -13,6 +13,8 @@ Newton's (newton-usd-schemas) and PhysX's (for Isaac Sim). Both schemas use degr
 becomes a spherical joint with a cone limit; the damping and stiffness of the ball joint are custom
 attributes, in radians.
 
+A textured material also states its plain color, which the connection to the texture overrides.
+
 Semantic labels state the class and category of the object, the names of its parts and materials,
 and the purpose of its joints.
 """
@@ -21,27 +23,21 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, Vt
 
-from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
+from ..render.appearance import linear
+from ..spec import GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
+from ..spec.finish import finish
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
-from .handles import Frame, frames
-from .link_frames import link_origins, unjoined_pairs
-from .meshes import piece_mesh
-from .textures import is_textured, visible_surface
-from .usd_looks import add_label, add_material, bind_material
+from .link_frames import Frame, frames, link_origins, unjoined_pairs
+from .meshes import is_textured, piece_mesh, texture_file, visible_surface
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 FLAT = 1e-3
 """Angle between two faces of a collider above which normals are split at the common edge [rad]."""
-
-
-def usd_text(spec: ObjectSpec) -> str:
-    """Return an object with all joints at zero as USDA text."""
-    return usd_layer(spec).ExportToString()
 
 
 def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
@@ -372,3 +368,85 @@ def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
         prim = stage.GetPrimAtPath(links.AppendChild(first))
         pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
         pairs.AddTarget(links.AppendChild(second))
+
+
+PRINT_NOTE = "window of the photograph, with its light, projected on what faced the camera"
+
+
+def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material, *, textured: bool) -> None:
+    """Define a material, for rendering and for physics, below the prim `looks` of an object.
+
+    Args:
+        stage: the stage.
+        base: path of the object.
+        material: the material.
+        textured: if True, the object has a texture file for the material.
+    """
+    path = base.AppendChild("looks").AppendChild(material.name)
+    look = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(_color(material))
+    surface = finish(material)
+    if material.photo is not None:
+        look.GetPrim().SetCustomDataByKey("neoworld:print", PRINT_NOTE)
+    if textured:
+        _add_texture(stage, path, diffuse, material)
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(surface.metallic)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(surface.roughness)
+    look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
+    physics.CreateStaticFrictionAttr(material.friction)
+    physics.CreateDynamicFrictionAttr(material.friction)
+    physics.CreateRestitutionAttr(0.0)
+    physics.CreateDensityAttr(material.density)
+    add_label(look.GetPrim(), "material", material.name)
+
+
+def add_label(prim: Usd.Prim, kind: str, *labels: str) -> None:
+    """Add semantic labels to a prim."""
+    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr().Set(Vt.TokenArray(list(labels)))
+
+
+def _add_texture(
+    stage: Usd.Stage, path: Sdf.Path, diffuse: UsdShade.Input, material: Material
+) -> None:
+    """Connect the input of a color to a material's texture, which repeats if it is a pattern."""
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("coordinates"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    result = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    texture = UsdShade.Shader.Define(stage, path.AppendChild("texture"))
+    texture.CreateIdAttr("UsdUVTexture")
+    file = Sdf.AssetPath(f"./{texture_file(material)}")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(file)
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for edge in ("wrapS", "wrapT"):
+        texture.CreateInput(edge, Sdf.ValueTypeNames.Token).Set(
+            "repeat" if material.photo is None else "clamp"
+        )
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(result)
+    diffuse.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+
+
+def bind_material(
+    stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
+) -> None:
+    """Bind a material to a prim; if `physical`, bind the material only for physics."""
+    prim = stage.GetPrimAtPath(path)
+    look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
+    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_color(material)]))
+    if material.rgba[3] < 1:
+        UsdGeom.Gprim(prim).CreateDisplayOpacityAttr(Vt.FloatArray([material.rgba[3]]))
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    if physical:
+        binding.Bind(look, UsdShade.Tokens.weakerThanDescendants, "physics")
+    else:
+        binding.Bind(look)
+
+
+def _color(material: Material) -> Gf.Vec3f:
+    """Return the color of a material in linear light."""
+    return Gf.Vec3f(*np.round(linear(np.array(material.rgba[:3])), 6).tolist())

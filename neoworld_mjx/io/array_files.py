@@ -26,9 +26,9 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, contains something other than
-            plain arrays, or unpacks to more than `files.max_array_mib`.
+            plain arrays, or unpacks to more than `files.max_file_mib`.
     """
-    limit = file_bounds().max_array_mib * MIB
+    limit = file_bounds().max_file_mib * MIB
     try:
         data = read_bytes(Path(path), limit)
     except OSError as problem:
@@ -40,7 +40,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
             if len(members) > MAX_ARRAYS or declared > limit:
                 raise error(
                     f"{path} unpacks to {declared / MIB:.0f} MiB in {len(members)} arrays; the "
-                    f"limit is {limit // MIB} MiB in {MAX_ARRAYS} arrays (files.max_array_mib)"
+                    f"limit is {limit // MIB} MiB in {MAX_ARRAYS} arrays (files.max_file_mib)"
                 )
             return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,

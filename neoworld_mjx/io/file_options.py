@@ -10,21 +10,9 @@ from ..options import Options, option
 class FileOptions(Options):
     """Options that limit input files. A file that exceeds a limit is rejected with an error."""
 
-    max_text_mib: int = option(
-        64,
-        "Maximum size of a text file: JSON, tape, XML or program.",
-        unit="MiB",
-        ge=1,
-        le=1024,
-    )
-    max_values: int = option(
-        4_000_000, "Maximum number of values in a JSON file.", ge=1000, le=100_000_000
-    )
-    max_depth: int = option(100, "Maximum nesting depth of JSON, YAML and XML.", ge=10, le=180)
-    max_yaml_kib: int = option(256, "Maximum size of a YAML file.", unit="KiB", ge=1, le=4096)
-    max_array_mib: int = option(
+    max_file_mib: int = option(
         256,
-        "Maximum memory of the arrays in an .npz file.",
+        "Maximum size of a file, and of the arrays in an .npz file after unpacking.",
         unit="MiB",
         ge=1,
         le=16384,
@@ -53,8 +41,6 @@ class FileOptions(Options):
         gt=0,
         le=86400,
     )
-    max_mesh_mib: int = option(64, "Maximum size of a mesh file.", unit="MiB", ge=1, le=1024)
-    max_picture_mib: int = option(256, "Maximum size of an image file.", unit="MiB", ge=1, le=4096)
     max_picture_mpx: int = option(
         134,
         "Maximum number of pixels of a photograph; common phone cameras reach 108 megapixels. "

@@ -14,11 +14,15 @@ from .validation_message import validation_message
 
 T = TypeVar("T", bound=BaseModel)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+MAX_VALUES = 4_000_000
+"""Maximum number of values in a JSON file or a table."""
+MAX_DEPTH = 100
+"""Maximum nesting depth of JSON, YAML and XML."""
 _MAX_MESSAGE = 1000
 
 
 def read_untrusted_text(path: Path, error: type[NeoWorldError], kind: str = "") -> str:
-    """Read an untrusted text file of at most `files.max_text_mib`.
+    """Read an untrusted text file of at most `files.max_file_mib`.
 
     Args:
         path: the file.
@@ -30,7 +34,7 @@ def read_untrusted_text(path: Path, error: type[NeoWorldError], kind: str = "") 
             or not UTF-8.
     """
     try:
-        return read_text(Path(path), file_bounds().max_text_mib * MIB)
+        return read_text(Path(path), file_bounds().max_file_mib * MIB)
     except OSError as problem:
         raise error(f"cannot read {kind}{' ' * bool(kind)}{path}: {problem.strerror}") from None
 
@@ -40,7 +44,7 @@ def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds a
-            limit of the options `files`: the size, the nesting depth or the number of values.
+            limit: the size `files.max_file_mib`, the nesting depth or the number of values.
     """
     text = _checked_text(path, error, kind)
     try:
@@ -53,7 +57,7 @@ def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
         raise error(f"{path} holds an unpaired surrogate: save it again as UTF-8") from None
     except ValueError as problem:
         raise error(f"{path} is not JSON: {problem}; replace or regenerate the file") from None
-    if _depth_exceeds(value, file_bounds().max_depth):
+    if _depth_exceeds(value, MAX_DEPTH):
         raise error(_too_deep(path))
     return value
 
@@ -93,9 +97,8 @@ def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: st
 def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
     """Read the text of a JSON file and check that its number of values is within the limit."""
     text = read_untrusted_text(path, error, kind)
-    limit = file_bounds().max_values
-    if sum(map(text.count, ",[{")) > limit:
-        raise error(f"{path} holds over {limit} values; if you trust it, raise files.max_values")
+    if sum(map(text.count, ",[{")) > MAX_VALUES:
+        raise error(f"{path} holds over {MAX_VALUES} values")
     return text
 
 
@@ -116,7 +119,7 @@ def _depth_exceeds(value: Any, limit: int) -> bool:
 
 
 def _too_deep(path: Path) -> str:
-    return f"{path} is nested over {file_bounds().max_depth} levels deep"
+    return f"{path} is nested over {MAX_DEPTH} levels deep"
 
 
 def _reject_constant(constant: str) -> Any:

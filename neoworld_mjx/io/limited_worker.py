@@ -1,6 +1,6 @@
 """Calls functions that read untrusted files in worker processes with limited time and memory.
 
-A few bytes of USD, glTF or MJCF can make a library allocate all memory, run for hours or crash. A
+A few bytes of glTF or MJCF can make a library allocate all memory, run for hours or crash. A
 server process, started on the first call, imports the readers once and forks a worker for each
 call. The operating system limits the processor time of each worker and, on Linux, its address
 space. If a worker dies, the caller raises an error with a single message.

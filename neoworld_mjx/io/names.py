@@ -41,6 +41,13 @@ def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
     return name
 
 
+def unused(name: str, taken: Container[str]) -> str:
+    """Append underscores to a name until it is not taken."""
+    while name in taken:
+        name += "_"
+    return name
+
+
 def repeated(names: Iterable[str]) -> list[str]:
     """Return the names that occur more than once, sorted."""
     return sorted(name for name, count in Counter(names).items() if count > 1)

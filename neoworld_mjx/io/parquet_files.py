@@ -11,6 +11,7 @@ from arro3.core import Array, DataType, Table
 from ..errors import NeoWorldError, RunError
 from .file_options import file_bounds
 from .files import MIB, read_bytes, write_output
+from .json_files import MAX_VALUES
 from .limited_worker import call_limited
 
 MAX_ROWS = 500_000
@@ -62,7 +63,7 @@ def read_rows(
 
     Raises:
         NeoWorldError: of the class `error`: the file cannot be read, is not a Parquet file, is
-            damaged, lacks a column, or has over `MAX_ROWS` rows or `files.max_values` values.
+            damaged, lacks a column, or has over `MAX_ROWS` rows or `MAX_VALUES` values.
     """
     # A file of a few bytes can expand to any number of rows.
     return call_limited(_read_rows, path, tuple(required), error=error)
@@ -70,20 +71,19 @@ def read_rows(
 
 def _read_rows(path: Path, required: Sequence[str]) -> list[dict[str, Any]]:
     try:
-        data = read_bytes(path, file_bounds().max_text_mib * MIB)
+        data = read_bytes(path, file_bounds().max_file_mib * MIB)
     except OSError as failure:
         raise RunError(f"cannot read {path}: {failure.strerror}") from None
     if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
         raise RunError(f"{path} is not a Parquet file")
     rows: list[dict[str, Any]] = []
-    limit = file_bounds().max_values
     try:
         reader = arro3.io.read_parquet(io.BytesIO(data))
         names = list(reader.schema.names)
         for batch in reader:
             count = len(rows) + batch.num_rows
-            if count > MAX_ROWS or count * len(names) > limit:
-                raise RunError(f"{path} holds over {MAX_ROWS} rows, or over {limit} values")
+            if count > MAX_ROWS or count * len(names) > MAX_VALUES:
+                raise RunError(f"{path} holds over {MAX_ROWS} rows, or over {MAX_VALUES} values")
             columns = [column.to_pylist() for column in batch.columns]
             rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     except (KeyboardInterrupt, SystemExit, MemoryError, RunError):

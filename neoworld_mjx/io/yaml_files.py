@@ -6,10 +6,10 @@ from typing import Any
 import yaml
 
 from ..errors import ConfigError
-from .file_options import FileOptions
 from .files import read_text
+from .json_files import MAX_DEPTH
 
-_KIB = 1024
+_MAX_BYTES = 256 << 10
 
 
 class _BoundedLoader(yaml.SafeLoader):
@@ -18,20 +18,19 @@ class _BoundedLoader(yaml.SafeLoader):
     Aliases of aliases expand exponentially, so a few lines can exhaust the memory.
     """
 
-    max_depth = FileOptions().max_depth
     _depth = 0
 
     def fetch_flow_collection_start(self, TokenClass: Any) -> None:
-        if self.flow_level >= self.max_depth:
-            raise yaml.YAMLError(f"it is nested over {self.max_depth} levels deep")
+        if self.flow_level >= MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested over {MAX_DEPTH} levels deep")
         super().fetch_flow_collection_start(TokenClass)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it holds an alias (*name): write out the values")
         self._depth += 1
-        if self._depth > self.max_depth:
-            raise yaml.YAMLError(f"it is nested over {self.max_depth} levels deep")
+        if self._depth > MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested over {MAX_DEPTH} levels deep")
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
@@ -58,11 +57,11 @@ def read_yaml(path: Path, kind: str) -> Any:
         kind: kind of file for messages, such as "config".
 
     Raises:
-        ConfigError: the file cannot be read, is larger than the default of `files.max_yaml_kib`, or
-            is not YAML of plain values.
+        ConfigError: the file cannot be read, is larger than 256 KiB, or is not YAML of plain
+            values.
     """
     try:
-        return parse_yaml(read_text(Path(path), FileOptions().max_yaml_kib * _KIB))
+        return parse_yaml(read_text(Path(path), _MAX_BYTES))
     except OSError as error:
         raise ConfigError(f"cannot read {kind} {path}: {error.strerror}") from None
     except ValueError as error:

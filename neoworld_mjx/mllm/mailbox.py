@@ -142,7 +142,7 @@ class Mailbox:
         return partial.rename(folder)
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
-        path, max_bytes = folder / "response.json", file_bounds().max_text_mib * MIB
+        path, max_bytes = folder / "response.json", file_bounds().max_file_mib * MIB
         while True:
             if os.path.lexists(path):
                 text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")

@@ -106,7 +106,7 @@ def _read(path: Path) -> bytes:
             raise PhotoError(f"{path} is a folder; give the file of one photograph")
         if not path.exists():
             raise PhotoError(f"{path}: no such file; check the path of the photograph")
-        return read_bytes(path, file_bounds().max_picture_mib * MIB)
+        return read_bytes(path, file_bounds().max_file_mib * MIB)
     except OSError as error:
         raise PhotoError(
             f"cannot read {path}: {error.strerror}; give the file of one photograph"

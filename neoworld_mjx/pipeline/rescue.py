@@ -22,8 +22,8 @@ from ..compose.on_supports import in_contact
 from ..config import ComposeOptions, Config, RefineOptions
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
-from ..export.file_camera import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
-from ..export.importing_scene import ImportedScene, import_file
+from ..export.importing import ImportedScene, import_file
+from ..export.read_mesh_scene import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
 from ..io import bounded_by
 from ..io.files import write_output
 from ..measure import SceneMeasure, measured, object_moves, passes

@@ -1,4 +1,4 @@
-"""`neoworld check` of an object: a program, or a URDF, MJCF or USD file from any source."""
+"""`neoworld check` of an object: a program, or a URDF or MJCF file from any source."""
 
 import time
 from pathlib import Path
@@ -10,8 +10,7 @@ from ..checks.signals import has_errors
 from ..config import Config, ProgramOptions
 from ..errors import SpecError
 from ..export import export_object
-from ..export.importing import Imported
-from ..export.importing_scene import ImportedScene, import_file
+from ..export.importing import Imported, ImportedScene, import_file
 from ..io import read_model
 from ..spec import ObjectSpec
 from .patch import Patch, patch_path, read_patch, write_patch
@@ -23,7 +22,7 @@ MAX_JOINTS = 64
 
 
 def import_object(path: Path) -> Imported:
-    """Read a URDF, MJCF or USD file with one object.
+    """Read a URDF or MJCF file with one object.
 
     Raises:
         SpecError: the file has another format, contains several objects, is malformed, or exceeds
@@ -37,7 +36,7 @@ def import_object(path: Path) -> Imported:
 
 
 def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
-    """Read the object of a file: a program (.py), spec.json, URDF, MJCF or USD.
+    """Read the object of a file: a program (.py), spec.json, URDF or MJCF.
 
     Raises:
         SpecError: the file cannot be read, or the program builds no object.
@@ -65,7 +64,7 @@ def check_object(
     """Run the object tests on the object of a file, and repair the object on request.
 
     Args:
-        path: a program (.py), URDF, MJCF or USD file.
+        path: a program (.py), URDF or MJCF file.
         config: options of programs and of the object tests.
         imported: content of the file if it has already been read; if None, the file is read.
         fixed_base: if True, the base is fixed.

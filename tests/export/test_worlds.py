@@ -1,4 +1,4 @@
-"""Scenes as SDF worlds and Drake's directives, and world poses in scene.json."""
+"""Scenes as SDF worlds, and world poses in scene.json."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -7,13 +7,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_scene
-from neoworld_mjx.export.drake_contact import DRAKE
-from neoworld_mjx.export.link_frames import link_names
 from neoworld_mjx.export.write_sdf import sdf_text
-from neoworld_mjx.export.write_urdf import urdf_text
-from neoworld_mjx.physics.mjcf import excluded_pairs
 from neoworld_mjx.spec import SceneSpec, world_poses
-from neoworld_mjx.spec.pose import from_matrix
 from neoworld_mjx.spec.pose import matrix as rotation
 
 
@@ -55,34 +50,6 @@ def test_an_sdf_world_has_the_poses_of_all_objects(folder, scene):
     assert frames["pull"] == "knob" and frames["drawer_handle"] == "drawer"
 
 
-def test_drake_directives_set_poses_welds_and_joint_positions(folder, scene):
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        pass
-
-    Loader.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(node, deep=True))
-    steps = yaml.load((folder / "scene.dmd.yaml").read_text(), Loader)["directives"]
-    added = {s["add_model"]["name"]: s["add_model"] for s in steps if "add_model" in s}
-    described = ET.parse(folder / "package.xml")
-    package = described.find("name").text
-    # The files are the user's: they name neither a maintainer nor a licence that nobody stated.
-    assert described.find("maintainer") is None and described.find("license") is None
-    for model in added.values():
-        head, _, path = model["file"].partition(f"package://{package}/")
-        assert head == "" and (folder / path).is_file()
-    welds = {s["add_weld"]["child"]: s["add_weld"] for s in steps if "add_weld" in s}
-    assert set(welds) == {"physics::table", "fastened::cabinet"}
-    assert added["box"]["default_joint_positions"]["hinge"] == [0.8]
-    # A joint that follows stands where its leader puts it.
-    assert added["box"]["default_joint_positions"]["follow"] == [pytest.approx(0.6)]
-    at = world_poses(scene)["bowl"]
-    placed = added["bowl"]["default_free_body_pose"]["bowl"]
-    assert np.allclose(placed["translation"], at.pos)
-    turn = from_rpy(*np.radians(placed["rotation"]["deg"]))
-    assert np.allclose(abs(from_matrix(turn) @ at.quat), 1)
-
-
 def test_scene_json_has_world_poses_and_is_read_back(folder, scene):
     text = (folder / "scene.json").read_text()
     poses = json.loads(text)["world_poses"]
@@ -107,39 +74,3 @@ def test_names_in_an_sdf_model_are_unique(cabinet):
     assert len(names) == len(set(names)) and {"drawer", "drawer_"} <= set(names)
     tied = [mimic.get("joint") for mimic in model.iter("mimic")]
     assert set(tied) <= set(names) and "drawer" not in tied
-
-
-@pytest.mark.parametrize("form", ["urdf", "sdf"])
-def test_drake_reads_compliance_and_which_links_never_collide(form, cabinet):
-    root = ET.fromstring((urdf_text if form == "urdf" else sdf_text)(cabinet))
-    drake = f"{{{DRAKE}}}"
-
-    def value(element):
-        return element.text if form == "sdf" else next(iter(element.attrib.values()))
-
-    colliders = list(root.iter("collision"))
-    assert colliders
-    for collider in colliders:
-        properties = collider.find(f"{drake}proximity_properties")
-        assert properties.find(f"{drake}compliant_hydroelastic") is not None
-        assert float(value(properties.find(f"{drake}hydroelastic_modulus"))) == 1e8
-        mesh = collider.find("geometry/mesh")
-        assert mesh is None or mesh.find(f"{drake}declare_convex") is not None
-        radius = collider.find("geometry/cylinder")
-        hint = properties.find(f"{drake}mesh_resolution_hint")
-        if collider.find("geometry/box") is not None or (mesh is not None and form == "sdf"):
-            assert hint is None
-        if radius is not None:
-            assert float(value(hint)) > 0
-    groups = {}
-    for group in root.iter(f"{drake}collision_filter_group"):
-        member = value(group.find(f"{drake}member"))
-        others = group.findall(f"{drake}ignored_collision_filter_group")
-        groups[group.get("name")] = (member, [value(other) for other in others])
-    never = {(one, groups[name][0]) for one, names in groups.values() for name in names}
-    links = link_names(cabinet)
-    joined = {(links[joint.parent], links[joint.child]) for joint in cabinet.joints}
-    meant = {(links[one], links[other]) for one, other in excluded_pairs(cabinet)}
-    # Drake leaves out by itself what a joint joins.
-    assert never == meant - joined
-    assert never

@@ -1,11 +1,14 @@
 """Ball joints from the program to every format, and through the physics."""
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
+from pxr import Usd, UsdPhysics
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.export import export_object, import_urdf, read_mjcf, read_usd
+from neoworld_mjx.export import export_object, import_urdf, read_mjcf
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, inertial, link_poses, scale
@@ -70,12 +73,17 @@ def test_invalid_arguments_of_a_ball_joint_are_refused(more, words):
 def test_every_format_holds_a_ball_joint(lamp, tmp_path):
     export_object(lamp, tmp_path)
     (want,) = lamp.joints
-    for read in (read_usd(tmp_path / "object.usda"), read_mjcf(tmp_path / "object.xml")):
-        (joint,) = read.joints
-        assert joint.type == "ball" and joint.upper == pytest.approx(0.3, rel=1e-6)
-        assert np.allclose(joint.pos, want.pos, atol=1e-6)
-        for field in ("damping", "friction", "stiffness", "armature"):
-            assert getattr(joint, field) == pytest.approx(getattr(want, field), rel=1e-6)
+    (joint,) = read_mjcf(tmp_path / "object.xml").joints
+    assert joint.type == "ball" and joint.upper == pytest.approx(0.3, rel=1e-6)
+    assert np.allclose(joint.pos, want.pos, atol=1e-6)
+    for field in ("damping", "friction", "stiffness", "armature"):
+        assert getattr(joint, field) == pytest.approx(getattr(want, field), rel=1e-6)
+    stage = Usd.Stage.Open(str(tmp_path / "object.usda"))
+    written = stage.GetPrimAtPath(f"/{lamp.name}/joints/{want.name}")
+    cone = UsdPhysics.SphericalJoint(written).GetConeAngle0LimitAttr().Get()
+    assert cone == pytest.approx(math.degrees(0.3))
+    damping = written.GetAttribute("neoworld:damping").Get()
+    assert damping == pytest.approx(want.damping)
 
 
 def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):

@@ -34,7 +34,7 @@ BOUNDS: dict[str, float] = {
 """Tolerances; those of masses, inertias and dynamics are relative."""
 LOST: dict[Format, frozenset[str]] = {
     "mjcf": frozenset({"velocity"}),
-    "urdf": frozenset({"stiffness", "armature", "shine"}),
+    "urdf": frozenset({"stiffness", "armature", "friction", "shine"}),
 }
 """Fields of joints and materials that a format cannot store, as `neoworld export` reports."""
 DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")

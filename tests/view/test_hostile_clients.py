@@ -3,6 +3,7 @@
 import http.client
 import socket
 from contextlib import closing, suppress
+from pathlib import Path
 
 import pytest
 
@@ -16,8 +17,9 @@ from neoworld_mjx.commands.view_command import (  # noqa: E402
     ViewCommand,
 )
 from neoworld_mjx.view.pages.local_server import close_server, open_server  # noqa: E402
-from tests.faults.strikes import EXAMPLES  # noqa: E402
 from tests.support.hostile import FINE  # noqa: E402
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")

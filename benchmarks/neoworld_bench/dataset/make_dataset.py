@@ -175,7 +175,7 @@ def _scene(name: str) -> dict[str, Any]:
 
 
 def _scene_files(name: str) -> dict[str, str | bytes]:
-    from neoworld_mjx.export.write_files import scene_files
+    from neoworld_mjx.export.formats import scene_files
     from neoworld_mjx.render import render_scene, to_png
 
     scene = photographed(declaration(name))

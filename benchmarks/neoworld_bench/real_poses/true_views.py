@@ -73,7 +73,7 @@ def read_depth(file: Path, mm: float) -> Float[np.ndarray, "h w"]:
         SpecError: it cannot be read, or is no image of one channel.
     """
     try:
-        data = read_bytes(file, file_bounds().max_picture_mib * MIB)
+        data = read_bytes(file, file_bounds().max_file_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {file}: {error.strerror}") from None
     with open_image(data, str(file), SpecError) as image:

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from neoworld_mjx.export.importing_scene import scene_of_assemblies
+from neoworld_mjx.export.importing import scene_of_assemblies
 from neoworld_mjx.export.read_mesh_scene import mesh_object
 
 TABLE_Z = 0.4
@@ -103,4 +103,4 @@ def scene_of_meshes(objects):
         mesh_object(key, [(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
         for key, (mesh, pose) in objects.items()
     ]
-    return scene_of_assemblies(Path("scene"), assemblies, None)
+    return scene_of_assemblies(Path("scene"), assemblies)

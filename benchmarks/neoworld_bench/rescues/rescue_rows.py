@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.export.file_camera import FileCamera, viewpoint
+from neoworld_mjx.export.read_mesh_scene import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import Photographed, Rescued, rescue
 from neoworld_mjx.render import render_scene, visible_surface

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from neoworld_mjx.export.handles import MARGIN_M, frames
+from neoworld_mjx.export.link_frames import MARGIN_M, frames
 from neoworld_mjx.spec import (
     JointSpec,
     ObjectSpec,

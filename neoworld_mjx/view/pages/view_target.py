@@ -15,7 +15,8 @@ from ...parse.photo import load_photo
 from ...run_folder import refuse_links
 from ...spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
-OBJECT_FILES = (".urdf", ".xml", ".mjcf")
+OBJECT_FILES = (".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of files that `import_object` reads, or refuses with the name of a converter."""
 """Suffixes of object files."""
 SHOWN_PX = 1024
 """Longest side of the photograph on the page, in pixels."""

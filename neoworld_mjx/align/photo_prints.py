@@ -1,4 +1,4 @@
-"""Projects the photograph onto the objects of a scene.
+"""Projects the photograph onto the large flat faces of the objects of a scene.
 
 A projected image is called a print. Each combination of a part and a material gets a separate
 material with a print.
@@ -12,6 +12,7 @@ from PIL import Image
 from scipy import ndimage
 
 from ..errors import SpecError
+from ..io.names import unused
 from ..physics.mjcf import visual_name
 from ..render import RenderedImage, View, render
 from ..render.appearance import displayed, linear
@@ -28,7 +29,6 @@ from ..spec import (
 )
 from ..spec.photo_print import PhotoPrint
 from ..spec.pose import Pose, matrix
-from .link_frames import unused
 
 Alignment = tuple[NDArray, NDArray]
 """Stretch, shape [2], and shift [px], shape [2]: pixel x of the rendered image corresponds to pixel
@@ -46,13 +46,12 @@ rendered image may differ."""
 MOST_PX = 640
 """Maximum of the longer side of the rendered image [px]."""
 FLAT_SHARE = 0.5
-"""Minimum fraction of a material's visible pixels that must be on flat faces, if only flat faces
-are printed."""
+"""Minimum fraction of the visible pixels of a printed material that must be on flat faces."""
 PHOTO_SCALE = 2
-"""Ratio of the photograph's size to the rendered image's size, if only flat faces are printed."""
+"""Ratio of the photograph's size to the rendered image's size."""
 MARGIN = 0.006
 """Width of the border around other objects that a print excludes, relative to the width of the
-rendered image, if only flat faces are printed."""
+rendered image."""
 DEPTH_PX = 256
 """Approximate longer side of the depth image of a print [px]."""
 EDGE_STEPS = 2
@@ -60,17 +59,16 @@ EDGE_STEPS = 2
 the outermost pixels of a surface would have no depth to compare with, and would not be printed."""
 
 
-def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpec:
-    """Return a scene with the photograph printed on the surfaces that its camera sees.
+def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
+    """Return a scene with the photograph printed on the large flat faces that its camera sees.
 
-    A print on a flat face is correct even if the shape of the object is simplified. A print on a
-    round surface shows the background at the edges of the surface.
+    A print on a flat face is correct even if the shape of the object is simplified, whereas a print
+    on a round surface would show the background at the edges of the surface. An object is printed
+    only if its pose agrees with its 2D box. Printed materials get the mean color of the print.
 
     Args:
         scene: the scene, with the camera of the photograph.
         photo: the photograph, uint8, shape [h, w, 3].
-        flat: if True, print only on large flat faces, and only on objects whose pose agrees with
-            their 2D box. The printed materials get the mean color of the print.
 
     Raises:
         SpecError: the scene has no camera.
@@ -78,31 +76,30 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
     if scene.camera is None:
         raise SpecError("the scene has no camera, which is needed to print the photograph")
     camera, reduced = _reduced(scene.camera)
-    if flat:
-        size = (PHOTO_SCALE * camera.width, PHOTO_SCALE * camera.height_px)
-        photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
+    size = (PHOTO_SCALE * camera.width, PHOTO_SCALE * camera.height_px)
+    photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
     view = render(scene, camera, supersample=1, floor=False, shadows=False)
     poses, ones = world_poses(scene), np.ones(2)
     masks = {name: view.segmentation == k for k, name in enumerate(view.names)}
-    faces = flat_faces(view, View.of(camera)) if flat else np.ones(view.depth.shape, bool)
+    faces = flat_faces(view, View.of(camera))
     alignments = {i.name: _alignment(masks[i.name], i, camera, reduced) for i in scene.objects}
     scale = np.array(photo.shape[1::-1]) / (camera.width, camera.height_px)
     objects = []
     for item in scene.objects:
         mask = masks[item.name]
         alignment = alignments[item.name]
-        printable = _flat_materials(item, view, faces) if flat else None
-        if not mask.any() or (flat and (alignment is None or not printable)):
+        printable = _flat_materials(item, view, faces)
+        if not mask.any() or alignment is None or not printable:
             objects.append(item)
             continue
-        stretch, shift = alignment or IDENTICAL
+        stretch, shift = alignment
         covered = np.zeros(mask.shape, bool)
         for name, other in alignments.items():
             if name != item.name:
                 # Exclude pixels at which the aligned photograph shows another object.
                 s, t = other or IDENTICAL
                 covered |= _warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
-        if flat and covered.any():
+        if covered.any():
             width = max(1, round(MARGIN * camera.width))
             covered = ndimage.binary_dilation(covered, iterations=width)
         source = mask & np.logical_not(covered)
@@ -112,9 +109,7 @@ def printed(scene: SceneSpec, photo: NDArray, *, flat: bool = False) -> SceneSpe
         places = {
             part.name: poses[item.name].then(part_poses[part.name]) for part in item.spec.parts
         }
-        depth = np.where(mask, view.depth, np.inf)
-        if flat:
-            depth = np.where(faces, depth, np.inf)
+        depth = np.where(mask & faces, view.depth, np.inf)
         spec = _printed_object(item.spec, camera, filled, depth, places, printable)
         objects.append(item.model_copy(update={"spec": spec}))
     return scene.model_copy(update={"objects": tuple(objects)})
@@ -133,7 +128,7 @@ def _printed_object(
     filled: NDArray,
     depth: NDArray,
     places: dict[str, Pose],
-    printable: dict[tuple[str, str], NDArray] | None,
+    printable: dict[tuple[str, str], NDArray],
 ) -> ObjectSpec:
     """Return an object with prints.
 
@@ -144,8 +139,7 @@ def _printed_object(
         depth: depth of the object in each pixel [m], inf where the camera sees no printable face.
         places: poses of the parts in the world frame, by part name.
         printable: mask of the pixels of each (part, material) that is printed; the printed material
-            gets the mean color of these pixels. If None, all materials are printed and keep their
-            colors.
+            gets the mean color of these pixels.
     """
     materials, parts = list(spec.materials), []
     for part in spec.parts:
@@ -154,7 +148,7 @@ def _printed_object(
             material = spec.material(geom.material)
             if geom.role == "collision" or material.name in names or material.see_through:
                 continue
-            if printable is not None and (part.name, material.name) not in printable:
+            if (part.name, material.name) not in printable:
                 continue
             window = _window(camera, spec, part, material.name, places[part.name])
             photo = window and _print(camera, filled, depth, window, places[part.name])
@@ -162,10 +156,9 @@ def _printed_object(
                 taken = {material.name for material in materials}
                 name = unused(f"{material.name}_{part.name}"[:40] + PRINTED, taken)
                 names[material.name] = name
-                changes: dict[str, object] = {"name": name, "photo": photo}
-                if printable is not None:
-                    mask = printable[part.name, material.name]
-                    changes["rgba"] = (*_mean_color(filled, mask), material.rgba[3])
+                mask = printable[part.name, material.name]
+                rgba = (*_mean_color(filled, mask), material.rgba[3])
+                changes = {"name": name, "photo": photo, "rgba": rgba}
                 materials.append(material.model_copy(update=changes))
         geoms = tuple(
             geom.model_copy(update={"material": names[geom.material]})
