@@ -113,7 +113,8 @@ class ProgramOptions(JointSweepOptions):
     type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
         1.0,
-        "Time limit for the program's own code, and separately for the shapes that it builds.",
+        "Processor time limit for the program's own code, and separately for the shapes that it "
+        "builds, rounded up to whole seconds.",
         unit="s",
         gt=0,
     )
@@ -144,7 +145,6 @@ class ProgramOptions(JointSweepOptions):
         ge=1536,
         le=65_536,
     )
-    workers: int = option(2, "Number of sandbox processes for concurrent programs.", ge=1)
     check_timeout_s: float = option(1.0, "Time limit for each check of the object.", unit="s", gt=0)
 
 

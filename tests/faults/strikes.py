@@ -289,7 +289,7 @@ def strike(seed: int, home: Path, expected: dict[str, bytes], aim: Aim) -> Struc
 def _warm() -> None:
     """Import what runs need, once, before they are forked; nothing may start a thread."""
     names = (
-        *("parse", "program.synthesise", "program.monty_sandbox", "verify", "checks.simulation"),
+        *("parse", "program.synthesise", "program.execution", "verify", "checks.simulation"),
         *("compose", "measure", "render", "fit.refit", "view.report.run_report"),
     )
     for name in names:

@@ -1,7 +1,7 @@
 """One fault of each kind; `python -m benchmarks faults` injects two hundred.
 
 The slow ones have fast tests of their own: a server that is slow or answers nonsense in tests/mllm,
-clocks in tests/program/test_call_clock.py, two runs on a folder in tests/test_run_folder.py.
+two runs on a folder in tests/test_run_folder.py.
 """
 
 import json

@@ -26,8 +26,8 @@ from neoworld_mjx.config import Config, ProgramOptions, load_config
 from neoworld_mjx.errors import NeoWorldError
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from tests.program.test_hostile import BODY, FINE, HOSTILE
 from tests.support import answers
-from tests.support.hostile import BODY, FINE, HOSTILE
 from tests.support.hostile_assets import grown
 from tests.support.hostile_servers import server
 from tests.support.processor_time import processor_s

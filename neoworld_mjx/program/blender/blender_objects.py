@@ -14,10 +14,10 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
-from ..exception_signals import exception_signal, limit_signal
 from ..materials import MATERIALS
 from ..part import Joint, Part
 from ..placing import Shape
+from ..program_errors import exception_signal, limit_signal
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
 from .blender_availability import require_blender

@@ -11,7 +11,7 @@ from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..exception_signals import ENDLESS_HINT
+from ..program_errors import ENDLESS_HINT
 from .blender_child import UNAVAILABLE
 from .blender_environment import blender_python
 from .blender_scene import BlenderScene
