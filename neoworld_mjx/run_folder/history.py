@@ -72,6 +72,21 @@ def earlier_versions(steps: Steps, names: Iterable[str]) -> dict[str, tuple[str,
     return found
 
 
+def replaced_files(steps: Steps) -> set[str]:
+    """Return the paths of all files that have an earlier version in the history."""
+    names = set()
+    for entry in steps.values():
+        for version in map(PurePosixPath, entry["outputs"]):
+            if version.parent.parent.name == "history":
+                names.add((version.parents[2] / version.name).as_posix())
+    return names
+
+
+def has_writer(steps: Steps, name: str) -> bool:
+    """Return True if the outputs of a step contain a file."""
+    return _writer(steps, name) is not None
+
+
 def _writer(steps: Steps, name: str) -> str | None:
     """Return the part of a step whose outputs contain a file."""
     return next((part for part, entry in steps.items() if name in entry["outputs"]), None)

@@ -12,7 +12,7 @@ import json
 import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +21,15 @@ from ..errors import NeoWorldError, RunError, choices
 from ..io.files import content_hash, write_atomic, write_inside
 from ..progress import report
 from ..step_names import STEPS, Step
-from .history import earlier_versions, keep_versions, later_writers, path_before, step_of
+from .history import (
+    earlier_versions,
+    has_writer,
+    keep_versions,
+    later_writers,
+    path_before,
+    replaced_files,
+    step_of,
+)
 from .run_json import initial_record, read_run, strict_json
 from .run_log import RUN_LOG, RunLog
 from .staging import (
@@ -174,11 +182,13 @@ class RunFolder:
             yield staged
             names = [path.relative_to(staged).as_posix() for path in staged.rglob("*")]
             for other in sorted(later_writers(self.data["steps"], name, names)):
-                delete_files(self.path, self._forget(other))
+                self._discard(other)
             if keep_versions(self.path, self.data["steps"], name, names):
                 self.save()
             outputs = move_in(staged, self.path)
-            delete_files(self.path, set(old_outputs) - set(outputs))
+            obsolete = set(old_outputs) - set(outputs)
+            delete_files(self.path, obsolete)
+            self._restore(obsolete)
         # If the clock is set back, negative times would make run.json invalid.
         seconds, waiting = (
             max(end - start, 0.0) for end, start in zip(self.now(), started, strict=True)
@@ -252,7 +262,7 @@ class RunFolder:
         if until is None:
             for name in sorted(set(self.data["steps"]) - self._visited):
                 if step_of(name) not in self._accepted:
-                    delete_files(self.path, self._forget(name))
+                    self._discard(name)
         self.data["status"] = "finished" if until is None else f"stopped after {until}"
         self.save()
 
@@ -278,12 +288,13 @@ class RunFolder:
         if mode in ("redo", "overwrite"):
             for name in [*self.data["steps"]]:
                 if step_of(name) not in self._accepted:
-                    delete_files(self.path, self._forget(name))
+                    self._discard(name)
         if mode in ("new", "overwrite"):
             for name in ("report.html", RUN_LOG):
                 (self.path / name).unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
         clear_unfinished(self.path)
+        self._restore(replaced_files(self.data["steps"]))
         self.data = initial_record(config, self.data)
         self.save()
 
@@ -322,40 +333,53 @@ class RunFolder:
             if (self.path / name).is_file() and content_hash(self.path / name) != written
         ]
 
-    def _forget(self, name: str) -> list[str]:
-        """Delete the record of a step, and return its files, which the caller deletes.
+    def _discard(self, name: str) -> None:
+        """Delete the record and the files of a step, and restore the files that it had replaced."""
+        files = self._forget(name)
+        delete_files(self.path, files)
+        self._restore(files)
 
-        Files that the step had replaced are restored. Files that were edited by hand are moved to
-        `replaced/`; if steps are redone, an edited file replaces the earlier version instead.
+    def _forget(self, name: str) -> list[str]:
+        """Delete the record of a step, and return its files.
+
+        Files that were edited by hand are moved to `replaced/`. If steps are redone, an edited file
+        that has an earlier version replaces this version instead.
         """
         for kind in ("fallbacks", "notes"):
             self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
         if entry is None:
             return []
-        versions = earlier_versions(self.data["steps"], entry["outputs"])
+        files = [*entry["outputs"]]
+        versions = earlier_versions(self.data["steps"], files)
         with disk_errors(self.path):
-            edited = self._edited(entry)
-            # If steps are redone, an edited file replaces the earlier version.
-            taken_over = {
-                path
-                for path, (writer, _) in versions.items()
-                if path in edited and step_of(writer) in self._accepted
-            }
-            for path in edited:
-                if path not in taken_over:
+            for path in self._edited(entry):
+                if path in versions and step_of(versions[path][0]) in self._accepted:
+                    self._make_current(path, *versions[path])
+                    files.remove(path)
+                else:
                     aside = set_aside(self.path, path)
                     _log.warning(
                         "%s was edited after step %s wrote it: moved to %s", path, name, aside
                     )
-            for path, (writer, version) in versions.items():
-                if path not in taken_over:
-                    write_inside(self.path, path, (self.path / version).read_bytes())
-                outputs = self.data["steps"][writer]["outputs"]
-                outputs[path] = outputs.pop(version)
         self.save()
-        delete_files(self.path, [version for _, version in versions.values()])
-        return [path for path in entry["outputs"] if path not in versions]
+        return files
+
+    def _restore(self, names: Iterable[str]) -> None:
+        """Put back the last earlier version of each file that no step has written since."""
+        steps = self.data["steps"]
+        with disk_errors(self.path):
+            for name, (writer, version) in earlier_versions(steps, names).items():
+                if not has_writer(steps, name) and (self.path / version).is_file():
+                    write_inside(self.path, name, (self.path / version).read_bytes())
+                    self._make_current(name, writer, version)
+
+    def _make_current(self, name: str, writer: str, version: str) -> None:
+        """Make a file the output of the step that wrote its earlier version; delete the version."""
+        outputs = self.data["steps"][writer]["outputs"]
+        outputs[name] = outputs.pop(version)
+        self.save()
+        delete_files(self.path, [version])
 
     def _hashes(self, name: str, inputs: Mapping[str, object]) -> dict[str, str]:
         try:

@@ -8,11 +8,12 @@ from PIL import Image
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, make_check
-from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.coroutines import run_coroutine
 from neoworld_mjx.program.attempt import SynthesisResult
+from neoworld_mjx.program.synthesise import ProgramSource
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
@@ -21,12 +22,13 @@ from neoworld_mjx.verify.critic import (
     ProposedEdit,
     edit_request,
     key_frames_request,
-    revise_with_models,
 )
 from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
+from neoworld_mjx.verify.verification import revise_with_models
+from tests.support import answers
 from tests.support import furniture as objects
 from tests.support.scripted_model import ScriptedModel
 
@@ -56,7 +58,7 @@ def edited_by(*answers):
     """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
     repaired = repair(BAD, results_of, rounds=0)
     model = ScriptedModel(*answers)
-    critiques = run_coroutine(revise_with_models(repaired, model))
+    critiques = run_coroutine(revise_with_models(repaired, model, VerifyOptions()))
     return repaired, critiques, model
 
 
@@ -243,22 +245,31 @@ def test_direct_repairs_come_before_models():
     assert result.seen == ("door: swings in",)
 
 
-def rewritten(spec, text="# another program"):
-    """Return a function that gives an object's new program, and the findings that it receives."""
-    received = []
+@pytest.fixture
+def rewritten(monkeypatch):
+    """Set the object that a new program builds; return the findings that the request contains."""
 
-    async def reprogram(findings):
-        received.append(list(findings))
-        return SynthesisResult(spec, {"program": text}, (), 9.0, ())
+    def give(spec):
+        received = []
 
-    return reprogram, received
+        async def reprogram(source, findings, models):
+            received.append(list(findings))
+            return SynthesisResult(spec, {"program": "# another program"}, (), 9.0, ())
+
+        monkeypatch.setattr(verification, "reprogram", reprogram)
+        return received
+
+    return give
 
 
-def test_the_verdict_reprogram_leads_to_a_new_program():
+SOURCE = ProgramSource(answers.exact().nodes[0], b"", "# a program", ProgramOptions())
+
+
+def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
     flipped, verdict = objects.cupboard(axis=(0, 0, -1)), MotionCritique(verdict="reprogram")
     verdict.findings.append(Finding(where="hinge", what="opens inwards", suggestion="turn it over"))
-    reprogram, received = rewritten(objects.cupboard())
-    result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), reprogram=reprogram)
+    received = rewritten(objects.cupboard())
+    result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), source=SOURCE)
     assert result.verdict.passed and not result.before.passed
     assert result.program == "# another program"
     assert result.applied(flipped) == objects.cupboard()
@@ -266,11 +277,11 @@ def test_the_verdict_reprogram_leads_to_a_new_program():
     assert received[0][1].startswith("simulated by itself: ")
 
 
-def test_a_new_program_that_is_not_better_is_dropped_and_the_critic_learns_of_it():
+def test_a_new_program_that_is_not_better_is_dropped_and_the_critic_learns_of_it(rewritten):
     flipped = objects.cupboard(axis=(0, 0, -1))
-    reprogram, received = rewritten(flipped)
+    received = rewritten(flipped)
     script = ScriptedModel(MotionCritique(verdict="reprogram"), MotionCritique(verdict="sound"))
-    result = verify_and_repair(flipped, models=Panel(script), reprogram=reprogram)
+    result = verify_and_repair(flipped, models=Panel(script), source=SOURCE)
     assert len(received) == 1 and result.program is None and not result.verdict.passed
     assert "new program: fault score" in script.requests[1].prompt
 
