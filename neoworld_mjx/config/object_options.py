@@ -240,11 +240,6 @@ class VerifyOptions(JointSweepOptions):
             "always", "Calls about objects that clearly pass find no faults."
         ),
     )
-    films: Literal["questionable", "always", "never"] = option(
-        "questionable",
-        "Save the two standard scenarios as GIFs. questionable: for objects with failed or "
-        "borderline checks. always: for all objects. never: for none.",
-    )
 
     @model_validator(mode="after")
     def _check_push(self) -> "VerifyOptions":

@@ -5,7 +5,6 @@ from collections.abc import Coroutine, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..checks.object_tests import run_object_tests
 from ..compose.resting_pose import on_level, pose_without_scene
 from ..config import ProgramOptions
 from ..errors import ProgramError, SpecError
@@ -16,7 +15,6 @@ from ..parse.support_colours import SupportColour, support_colours
 from ..program.synthesise import ProgramSource, all_instructions, synthesise
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
-from ..verify.films import films
 from ..verify.patch import write_patch
 from ..verify.verification import VerificationResult, verify_object
 from .step_context import (
@@ -203,22 +201,8 @@ def verify_objects(context: StepContext) -> None:
         with run.step(name, inputs, started=last_finished) as out:
             assert out is not None
             write_object_files(out, node.name, _changed_files(result, spec))
-            folder = out / "objects" / node.name
             if not result.patch.empty:
-                write_patch(folder / PROGRAM, result.patch)
-            if options.films == "always" or (
-                options.films == "questionable" and result.verdict.questionable
-            ):
-                rounds = folder / ROUNDS
-                tests = run_object_tests(
-                    result.applied(spec),
-                    options,
-                    fixed_base=fixed_base,
-                    tilt=tilt,
-                    allowed=read_allowances(rounds if rounds.is_file() else rounds_file),
-                )
-                for kind, film in films(tests).items():
-                    (folder / f"{kind}.gif").write_bytes(film)
+                write_patch(out / object_file(node.name, PROGRAM), result.patch)
             _record_verification(run, node.name, result)
         last_finished = run.now()
 

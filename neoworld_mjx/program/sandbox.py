@@ -23,8 +23,8 @@ from ..errors import open_files_exhausted
 from ..io.limited_worker import WorkerEndedError, WorkerFailedError, run_limited
 from ..spec import ObjectSpec
 from .assemble import assemble
-from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
+from .blender.blender_process import require_blender
 from .execution import WALL_FACTOR, limited_calls, run_in_process, run_sandboxed
 from .program_errors import ENDLESS_HINT, limit_signal
 from .session import LimitExceeded, Session

@@ -9,7 +9,7 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
 from neoworld_mjx.physics.decompose import coacd_installed
 from neoworld_mjx.program.assemble import assemble
-from neoworld_mjx.program.blender import blender_availability
+from neoworld_mjx.program.blender import blender_process
 from neoworld_mjx.program.blender.blender_objects import build_object
 from neoworld_mjx.program.blender.blender_scene import BlenderScene
 from neoworld_mjx.program.blender.mesh_solids import shape_of, split_solids
@@ -217,7 +217,7 @@ def test_without_blender_the_error_names_the_install_command(tmp_path, monkeypat
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     with pytest.raises(ProgramError, match="neoworld doctor --install blender"):
         run("import bpy\n", ProgramOptions(language="blender"))
-    assert blender_availability.unavailable() is not None
+    assert blender_process.unavailable() is not None
 
 
 def test_the_sdk_refuses_a_blender_program_by_name():

@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
-from neoworld_mjx.program.blender.blender_availability import unavailable
+from neoworld_mjx.program.blender.blender_process import unavailable
 
 OPTIONS = ProgramOptions(language="blender", blender_timeout_s=3)
 DENIED = "forbidden|runtime"

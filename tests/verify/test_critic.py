@@ -1,10 +1,8 @@
 """The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
-import io
 import json
 
 import pytest
-from PIL import Image
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, make_check
@@ -23,7 +21,6 @@ from neoworld_mjx.verify.critic import (
     edit_request,
     key_frames_request,
 )
-from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
@@ -169,19 +166,6 @@ def test_a_cached_result_without_borderline_checks_is_used(tmp_path, monkeypatch
     first = verify_and_repair(objects.cupboard())
     monkeypatch.setattr(verification, "run_object_tests", None)
     assert verify_and_repair(objects.cupboard(), models=Panel(ScriptedModel())) == first
-
-
-def test_films_show_the_two_standard_scenarios():
-    films_of = films(results_of(objects.cupboard()))
-    assert list(films_of) == ["free_fall", "force_perturbation"]
-    for data in films_of.values():
-        with Image.open(io.BytesIO(data), formats=["GIF"]) as film:
-            assert film.n_frames >= 2 and film.size == (240, 200)
-            moved = film.convert("RGB").tobytes()
-            film.seek(film.n_frames - 1)
-            assert film.convert("RGB").tobytes() != moved
-    # What is fixed is filmed while it is driven; what has no joint then does nothing.
-    assert list(films(run_object_tests(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
 
 
 def test_a_critique_does_not_change_other_checks():

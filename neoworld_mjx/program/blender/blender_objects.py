@@ -20,8 +20,7 @@ from ..placing import Shape
 from ..program_errors import exception_signal, limit_signal
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
-from .blender_availability import require_blender
-from .blender_process import failure, run_confined
+from .blender_process import failure, require_blender, run_confined
 from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
 from .mesh_solids import MAX_FACES, shape_of, split_solids
 
@@ -69,7 +68,7 @@ def build_object(
         return [_raised(scene)]
     try:
         with use_session(session):
-            return _Conversion(scene, time.monotonic() + options.blender_timeout_s).run()
+            return _Conversion(scene, time.process_time() + options.blender_timeout_s).run()
     except LimitExceeded as exceeded:
         return [limit_signal(exceeded, session)]
     except (ValueError, TypeError, TimeoutError) as error:
@@ -134,7 +133,7 @@ class _Conversion:
         if len(faces) > MAX_FACES:
             raise ValueError(f"{context} has {len(faces)} triangles, at most {MAX_FACES} are read")
         for solid in split_solids(vertices, faces, slots):
-            if time.monotonic() > self.deadline:
+            if time.process_time() > self.deadline:
                 raise TimeoutError("splitting the shapes into convex pieces takes too long")
             try:
                 shape_and_pose = shape_of(solid, shape.convex or shape.role == "visual")
