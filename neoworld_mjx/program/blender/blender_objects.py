@@ -20,7 +20,7 @@ from ..placing import Shape
 from ..program_errors import exception_signal, limit_signal
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
-from .blender_process import failure, require_blender, run_confined
+from .blender_process import failure, run_confined
 from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
 from .mesh_solids import MAX_FACES, shape_of, split_solids
 
@@ -36,12 +36,7 @@ _DEFAULT_MATERIAL = "plastic"
 
 
 def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
-    """Run a program in Blender, create its object, and return its printed text and its signals.
-
-    Raises:
-        ProgramError: Blender is not installed, or this machine cannot confine the process.
-    """
-    require_blender()
+    """Run a program in Blender, create its object, and return its printed text and its signals."""
     output = run_confined(
         text,
         timeout_s=options.blender_timeout_s,
