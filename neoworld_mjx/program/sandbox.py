@@ -10,7 +10,6 @@ objects. With `program.language: blender`, a program that imports bpy runs in Bl
 import errno
 import os
 import re
-import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -49,8 +48,6 @@ class BuildResult:
     """Line that creates each part or joint, by "part:NAME" or "joint:NAME"."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
-    seconds: float = 0.0
-    """Wall time of running the program and checking the object [s]."""
 
     @property
     def ok(self) -> bool:
@@ -70,14 +67,12 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     result = run(text, options)
     if result.spec is None:
         return result
-    start = time.monotonic()
     try:
         signals = check(result.spec, options, result.lines, result.allowances)
     except Exception as error:  # Report a check that raises as a signal.
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
         signals = (error_signal("internal", message),)
-    seconds = result.seconds + time.monotonic() - start
-    return replace(result, signals=deduplicated((*result.signals, *signals)), seconds=seconds)
+    return replace(result, signals=deduplicated((*result.signals, *signals)))
 
 
 def run(
@@ -101,13 +96,10 @@ def run(
     in_blender = options.language == "blender" and _BPY.search(text) is not None
     if in_blender:
         require_blender()
-    start = time.monotonic()
     if in_blender or options.sandbox == "cpython":
         language = run_blender if in_blender else run_in_process
-        result = _result(language, text, options, without_joints=without_joints)
-    else:
-        result = _run_in_worker(text, options, without_joints=without_joints)
-    return replace(result, seconds=time.monotonic() - start)
+        return _result(language, text, options, without_joints=without_joints)
+    return _run_in_worker(text, options, without_joints=without_joints)
 
 
 def _run_in_worker(text: str, options: ProgramOptions, *, without_joints: bool) -> BuildResult:
