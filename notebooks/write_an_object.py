@@ -21,10 +21,9 @@
 # %%
 from IPython.display import Image
 
-from neoworld_mjx.config import ProgramOptions, VerifyOptions
+from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.export import object_files
 from neoworld_mjx.program import build
-from neoworld_mjx.program.failed_picture import failed_picture
 from neoworld_mjx.render import render_object, to_png
 from neoworld_mjx.verify import verify_and_repair
 
@@ -50,12 +49,6 @@ program = BOX.format(height=0.245, widest=100)
 first = build(program)
 for signal in first.signals:
     print(signal.listing("chest.py", program))
-
-# %% [markdown]
-# Overlaps are red; `neoworld build` writes this image as `failed.png`:
-
-# %%
-Image(failed_picture(first.spec, ProgramOptions()), width=320)
 
 # %% [markdown]
 # ## Corrected version

@@ -145,9 +145,10 @@ def test_the_run_folder_contains_the_documented_files(example_run):
     tree = SceneTree.model_validate_json((out / "tree.json").read_text())
     assert [node.name for node in tree.nodes] == OBJECTS
     scene = SceneSpec.model_validate_json((out / "scene.json").read_text())
-    fitted = SceneTree.model_validate_json((out / "compose" / "tree.json").read_text())
+    parsed = SceneTree.model_validate_json((out / "history" / "parse" / "tree.json").read_text())
+    assert [node.box2d for node in parsed.nodes] == [node.box2d for node in tree.nodes]
     aligned = json.loads((out / "compose" / "align.json").read_text())
-    turned = np.degrees(scene.camera.pitch - fitted.camera.pitch)
+    turned = np.degrees(scene.camera.pitch - tree.camera.pitch)
     assert turned == pytest.approx(aligned["pitch_deg"], abs=1e-4)
     assert aligned["objects"]["cup"]["evidence"] == "pixels"
     assert scene.object("cup").uncertainty.across < scene.object("cup").uncertainty.along

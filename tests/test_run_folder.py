@@ -92,6 +92,58 @@ def test_redo_repeats_the_step_and_later_ones(tmp_path):
     assert _two_steps(out, "redo", step="parse") == ["parse", "compose"]
 
 
+def _three_steps(out, mode="new", *, step=None, text="tree", compose="fitted"):
+    """A pipeline in which program and compose replace the tree; return the steps that ran."""
+    ran = []
+    with RunFolder(out, Config(), mode, step=step) as run:
+        for name, content in (("parse", text), ("program/cup", "sized"), ("compose", compose)):
+            before = name.partition("/")[0]
+            inputs = {"text": content}
+            if name != "parse":
+                inputs["tree"] = run.before(before, "tree.json").read_text()
+            with run.step(name, inputs) as stage:
+                if stage is not None:
+                    ran.append(name)
+                    earlier = "" if name == "parse" else f"{inputs['tree']} "
+                    (stage / "tree.json").write_text(earlier + content)
+        run.finish()
+    return ran
+
+
+def test_a_replaced_file_stays_in_the_history_and_is_restored(tmp_path):
+    out, steps = tmp_path / "out", ["parse", "program/cup", "compose"]
+    assert _three_steps(out) == steps
+    texts = lambda: [
+        (out / name).read_text()
+        for name in ("history/parse/tree.json", "history/program/tree.json", "tree.json")
+    ]
+    assert texts() == ["tree", "tree sized", "tree sized fitted"]
+    assert _three_steps(out, "resume") == []
+    assert _three_steps(out, "resume", compose="refitted") == ["compose"]
+    assert texts() == ["tree", "tree sized", "tree sized refitted"]
+    assert _three_steps(out, "resume", text="bush", compose="refitted") == steps
+    assert texts() == ["bush", "bush sized", "bush sized refitted"]
+    assert _three_steps(out, "redo", step="program") == steps[1:]
+    with RunFolder(out, Config(), "redo", step="program"):
+        assert (out / "tree.json").read_text() == "bush"
+        assert not (out / "history").exists()
+    assert not (out / "replaced").exists()
+
+
+def test_an_edit_of_a_replaced_file_counts_for_the_step_before_from(tmp_path):
+    out = tmp_path / "out"
+    _three_steps(out)
+    (out / "tree.json").write_text("mine")
+    assert _three_steps(out, "redo", step="program") == ["program/cup", "compose"]
+    assert (out / "tree.json").read_text() == "mine sized fitted"
+    assert read_run(out)["steps"]["parse"]["edited"] == ["tree.json"]
+    assert _three_steps(out, "resume") == []
+    (out / "tree.json").write_text("lost?")
+    assert _three_steps(out, "resume") == ["compose"]
+    assert (out / "replaced" / "tree.json").read_text() == "lost?"
+    assert (out / "tree.json").read_text() == "mine sized fitted"
+
+
 def test_edited_keeps_edits_and_repeats_only_changed_later_steps(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)

@@ -10,12 +10,10 @@ import pytest
 from neoworld_mjx import progress
 from neoworld_mjx.commands.result_lines import run_lines
 from neoworld_mjx.commands.status_line import StatusLine
-from neoworld_mjx.config import Config, ProgramOptions
+from neoworld_mjx.config import Config
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build
-from neoworld_mjx.program.failed_picture import deepest_overlap, overlap_meshes
 from neoworld_mjx.run_folder import RunFolder
-from neoworld_mjx.spec.triangles import enclosed_volume
 
 GOOD = """from neoworld_mjx.program.sdk import Object, box
 o = Object("thing", "a thing")
@@ -98,26 +96,6 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     code, out, _ = neoworld("check", program)
     assert code == 0 and "unknown" not in out
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
-
-
-def test_a_failed_build_renders_an_image_that_a_successful_one_removes(neoworld, tmp_path):
-    program, out = tmp_path / "thing.py", tmp_path / "out"
-    program.write_text(DOOR.format(y=-0.05, most=1))
-    code, said, _ = neoworld("build", program, "--out", out)
-    assert code == 1 and f"picture: {out / 'failed.png'}" in said
-    assert [path.name for path in out.iterdir()] == ["failed.png"]
-    program.write_text(DOOR.format(y=-0.0615, most=1))
-    assert neoworld("build", program, "--out", out, "--overwrite")[0] == 0
-    assert "failed.png" not in {path.name for path in out.iterdir()}
-
-
-def test_the_red_volume_is_the_overlap_of_two_parts():
-    spec = build(DOOR.format(y=-0.05, most=1)).spec
-    pairs, state = deepest_overlap(spec, ProgramOptions())
-    assert (pairs, state) == ([(0, 1)], {})
-    (mesh,) = overlap_meshes(spec, pairs, state)
-    # The door's 2 cm lie half inside.
-    assert enclosed_volume(*mesh.surface()) == pytest.approx(0.1 * 0.01 * 0.1, rel=1e-3)
 
 
 def test_the_status_line_shows_step_rate_cost_and_time_left():

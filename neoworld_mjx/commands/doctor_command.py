@@ -48,7 +48,7 @@ def _cached() -> bool:
 
 
 def _blender() -> bool:
-    from ..program.blender.blender_environment import blender_python
+    from ..program.blender.blender_process import blender_python
 
     return blender_python().exists()
 
@@ -112,7 +112,7 @@ class DoctorCommand(Command):
     def run(self) -> CommandResult:
         """Inspect this machine."""
         if self.install == "blender":
-            from ..program.blender.blender_availability import install_blender
+            from ..program.blender.blender_process import install_blender
 
             return {"installed": "blender", "folder": str(install_blender())}
         import platform

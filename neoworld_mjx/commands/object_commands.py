@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -81,22 +81,16 @@ class CheckCommand(ConfiguredCommand):
 class BuildCommand(ConfiguredCommand):
     """Convert an object's program, URDF or MJCF file into every format and images."""
 
-    ends_by_interrupt: ClassVar[bool] = True
-
     program: Positional[Path]
     """The program (.py), or a URDF or MJCF file with one object."""
     out: Path
     """Output folder, new or empty."""
     overwrite: bool = False
     """Allow an output folder that is not empty."""
-    watch: bool = False
-    """Build again whenever the program is saved, until Ctrl-C; each build prints a line."""
 
     def run(self) -> CommandResult:
         """Build the program and write the object in every format."""
-        from ..program.watch import FAILED, watch, write_built, write_failed
-        from ..verify.patch import patch_path
-        from ..verify.patched import build_patched, read_program
+        from ..verify.patched import build_patched, write_built
 
         out = self.out
         if out.exists() and not out.is_dir():
@@ -106,28 +100,19 @@ class BuildCommand(ConfiguredCommand):
         options = self.load_config().program
         if self.program.suffix.lower() != ".py":
             return self._convert()
-        if self.watch:
-            read_program(self.program)  # Report a missing file immediately.
-            overlays = (patch_path(self.program),)
-            builds = watch(
-                self.program, out, lambda p: build_patched(p, options), overlays, options
-            )
-            return {"folder": str(out), "builds": builds}
         patched = build_patched(self.program, options)
         built = patched.built
         result: CommandResult = {"passed": built.ok, "signals": _signals(built)}
         if built.printed:
             result["printed"] = built.printed
         if built.spec is None or not built.ok:
-            picture = write_failed(patched, out, options)
-            return result | ({} if picture is None else {"picture": str(picture)})
+            return result
         if patched.patch is not None:
             result["overlay"] = {
                 "changes": list(patched.patch.changes()),
                 "stale": list(patched.stale),
             }
         write_built(patched, out)
-        (out / FAILED).unlink(missing_ok=True)
         return {"object": built.spec.name, "folder": str(out), **result}
 
     def lines(self, result: CommandResult) -> list[str]:
@@ -140,11 +125,9 @@ class BuildCommand(ConfiguredCommand):
 
     def _convert(self) -> CommandResult:
         """Convert a URDF or MJCF file."""
-        from ..program.watch import spec_files, write_files
         from ..verify.checking import import_object
+        from ..verify.patched import spec_files, write_files
 
-        if self.watch:
-            raise SpecError(f"{self.program}: only programs (.py) can be watched")
         imported = import_object(self.program)
         write_files(spec_files(imported.spec), self.out)
         return {
@@ -162,8 +145,7 @@ def _signals(built: "BuildResult") -> list[dict[str, Any]]:
 def _listings(program: Path, result: CommandResult) -> list[str]:
     """Format the output and the signals of a program."""
     from ..checks.signals import Signal
-    from ..program.watch import listings
-    from ..verify.patched import read_program
+    from ..verify.patched import listings, read_program
 
     if "signals" not in result:
         return []

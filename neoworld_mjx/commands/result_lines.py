@@ -140,15 +140,11 @@ def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> l
 def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
     """Summarize a build."""
     rows = list(listings)
-    if "builds" in result:
-        return [f"builds: {result['builds']}", f"folder: {result['folder']}"]
     if result["passed"]:
         rows.append(f"built: {result['object']} in {result['folder']}")
         rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     else:
         rows.append("not built: see the errors above")
-    if "picture" in result:
-        rows.append(f"picture: {result['picture']}")
     return rows
 
 

@@ -105,7 +105,8 @@ class ProgramOptions(JointSweepOptions):
     type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
         1.0,
-        "Time limit for the program's own code, and separately for the shapes that it builds.",
+        "Processor time limit for the program's own code, and separately for the shapes that it "
+        "builds, rounded up to whole seconds.",
         unit="s",
         gt=0,
     )
@@ -136,7 +137,6 @@ class ProgramOptions(JointSweepOptions):
         ge=1536,
         le=65_536,
     )
-    workers: int = option(2, "Number of sandbox processes for concurrent programs.", ge=1)
     check_timeout_s: float = option(1.0, "Time limit for each check of the object.", unit="s", gt=0)
 
 
@@ -231,11 +231,6 @@ class VerifyOptions(JointSweepOptions):
         difference=PaperDifference(
             "always", "Calls about objects that clearly pass find no faults."
         ),
-    )
-    films: Literal["questionable", "always", "never"] = option(
-        "questionable",
-        "Save the two standard scenarios as GIFs. questionable: for objects with failed or "
-        "borderline checks. always: for all objects. never: for none.",
     )
 
     @model_validator(mode="after")

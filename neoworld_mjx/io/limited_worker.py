@@ -1,4 +1,4 @@
-"""Calls functions that read untrusted files in worker processes with limited time and memory.
+"""Calls functions on untrusted files and programs in worker processes with limited time and memory.
 
 A few bytes of glTF or MJCF can make a library allocate all memory, run for hours or crash. A
 server process, started on the first call, imports the readers once and forks a worker for each
@@ -29,7 +29,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any, Literal, TypeVar
 
 from ..errors import NeoWorldError, SpecError
 from .file_options import file_bounds, set_file_bounds
@@ -82,31 +82,89 @@ def call_limited(
     """
     bounds = file_bounds()
     allowed_s = getattr(bounds, time_option)
-    bounds = bounds.model_copy(update={"timeout_s": min(allowed_s, timeout_s or allowed_s)})
-    call = (function, (path, *arguments), tuple(needs), bounds, Path.cwd())
+    try:
+        return run_limited(
+            function,
+            (path, *arguments),
+            needs=needs,
+            timeout_s=min(allowed_s, timeout_s or allowed_s),
+            memory_mib=bounds.memory_mib,
+        )
+    except WorkerFailedError as failure:
+        raise error(str(failure)) from None
+    except WorkerEndedError as end:
+        if end.reason == "lost":
+            raise error(f"{path}: the process that reads files has died") from None
+        if end.reason == "time":
+            raise error(
+                f"{path}: it takes over {allowed_s:g} s to read; make the file smaller, or "
+                f"raise files.{time_option} if you trust it"
+            ) from None
+        crash = f", or crashes its reader (status {end.status})" if end.reason == "crash" else ""
+        raise error(
+            f"{path}: it takes over {bounds.memory_mib} MiB of memory to read{crash}; make the "
+            "file smaller, or raise files.memory_mib if you trust it"
+        ) from None
+
+
+class WorkerFailedError(Exception):
+    """The function raised an exception in the worker; the message describes it."""
+
+
+class WorkerEndedError(Exception):
+    """The worker exceeded a limit or crashed."""
+
+    def __init__(self, reason: Literal["time", "memory", "crash", "lost"], status: int = 0) -> None:
+        """Store why the worker ended: "lost" if its server has died, and its exit status."""
+        super().__init__(reason)
+        self.reason, self.status = reason, status
+
+
+def run_limited(
+    function: Callable[..., R],
+    arguments: Sequence[Any],
+    *,
+    needs: Sequence[str] = (),
+    timeout_s: float,
+    memory_mib: int,
+    wall_factor: float = _WALL_FACTOR,
+) -> R:
+    """Call a function in a worker; the calls of a process run one after another.
+
+    Args:
+        function: a module-level function.
+        arguments: its arguments, which must be picklable.
+        needs: modules that `function` imports when it is called; the server imports them before
+            it forks.
+        timeout_s: limit of the processor time of the worker, and of each process that it starts
+            [s], rounded up to whole seconds. At the limit, the process receives SIGXCPU; one second
+            later, it is killed.
+        memory_mib: limit of the address space that the worker may allocate [MiB], on Linux.
+        wall_factor: ratio of the limit of wall time to `timeout_s`.
+
+    Raises:
+        WorkerFailedError: the function raised an exception.
+        WorkerEndedError: the worker exceeded a limit or crashed.
+        OSError: the server cannot be started.
+    """
+    bounds = file_bounds().model_copy(update={"timeout_s": timeout_s, "memory_mib": memory_mib})
+    call = (function, tuple(arguments), tuple(needs), bounds, wall_factor, Path.cwd())
     with _lock:
         try:
             kind, payload = _exchange(_server(os.getpid()), pickle.dumps(call))
         except BaseException as failure:
             _stop()  # A late result must not be taken for the result of the next call.
             if isinstance(failure, EOFError | BrokenPipeError):
-                raise error(f"{path}: the process that reads files has died") from None
+                raise WorkerEndedError("lost") from None
             raise
     if kind == _RESULT:
         return pickle.loads(payload)
     if kind == _ERROR:
-        raise error(payload.decode())
+        raise WorkerFailedError(payload.decode())
     status = int(payload)
     if -status in (signal.SIGXCPU, signal.SIGKILL):
-        raise error(
-            f"{path}: it takes over {allowed_s:g} s to read; make the file smaller, or "
-            f"raise files.{time_option} if you trust it"
-        )
-    reason = "" if status == _OUT_OF_MEMORY else f", or crashes its reader (status {status})"
-    raise error(
-        f"{path}: it takes over {bounds.memory_mib} MiB of memory to read{reason}; make the file "
-        "smaller, or raise files.memory_mib if you trust it"
-    )
+        raise WorkerEndedError("time", status)
+    raise WorkerEndedError("memory" if status == _OUT_OF_MEMORY else "crash", status)
 
 
 @lru_cache(maxsize=1)
@@ -171,7 +229,7 @@ def _serve() -> None:
         except EOFError:
             return
         try:
-            function, arguments, needs, bounds, folder = pickle.loads(data)
+            function, arguments, needs, bounds, wall_factor, folder = pickle.loads(data)
             for name in needs:
                 importlib.import_module(name)
         except Exception as failure:
@@ -186,10 +244,8 @@ def _serve() -> None:
                 _work(output, arguments[0], partial(function, *arguments))
             os.close(held)
             # `alive` becomes readable when the worker ends, `calls` when the caller ends.
-            if (
-                alive
-                not in select.select([alive, calls], [], [], bounds.timeout_s * _WALL_FACTOR)[0]
-            ):
+            wall_s = bounds.timeout_s * wall_factor
+            if alive not in select.select([alive, calls], [], [], wall_s)[0]:
                 os.kill(pid, signal.SIGKILL)
             os.close(alive)
             status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])

@@ -30,11 +30,12 @@ from pydantic import BaseModel
 
 from ..config import RoleOptions
 from ..errors import ModelError
-from ..io import file_bounds, read_model
-from ..io.files import MIB, irregular_entry, read_bytes, write_inside
+from ..io import read_model
+from ..io.files import irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
 from .requests import Rejection, Reply, Request, Usage
 from .responses import InvalidResponse, is_json, read_response
+from .server import MAX_BODY_BYTES
 
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
@@ -142,7 +143,7 @@ class Mailbox:
         return partial.rename(folder)
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
-        path, max_bytes = folder / "response.json", file_bounds().max_file_mib * MIB
+        path, max_bytes = folder / "response.json", MAX_BODY_BYTES
         while True:
             if os.path.lexists(path):
                 text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")

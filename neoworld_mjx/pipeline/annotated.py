@@ -14,19 +14,19 @@ from ..parse.draw import draw_parse
 from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from ..parse.support_colours import support_colours
 from ..program import build
-from ..program.attempt import ProgramAttempt, SynthesisResult
+from ..program.attempt import written_without_model
 from ..program.supports import support_program
 from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
-from .program_inputs import program_inputs
+from .object_steps import program_inputs, write_object_files
 from .reconstruction import finish, run_steps
-from .step_context import ANNOTATION, RESPONSE_TREE, TREE
+from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE
 
 Files = dict[str, str]
 """Contents of an object's files, by file name."""
 _STAGE_FILES = ("geometry.py", "articulation.py", "export.py")
-_PROGRAM_FILES = ("program.py", "spec.json", "program.json")
+_PROGRAM_FILES = (PROGRAM, SPEC, ROUNDS)
 
 
 def read_annotation(folder: Path) -> Annotation:
@@ -92,7 +92,6 @@ def write_annotated(
             with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
                 assert step is not None
                 (step / TREE).write_text(tree.to_json(), encoding="utf-8")
-                (step / RESPONSE_TREE).write_text(tree.to_json(), encoding="utf-8")
                 (step / ANNOTATION).write_text(
                     annotation.model_dump_json(indent=1) + "\n", encoding="utf-8"
                 )
@@ -117,10 +116,7 @@ def _write_programs(
         with run.step(f"program/{name}", inputs[name]) as step:
             if step is None:
                 continue
-            object_folder = step / "objects" / name
-            object_folder.mkdir(parents=True)
-            for file, content in files.items():
-                (object_folder / file).write_text(content, encoding="utf-8")
+            write_object_files(step, name, files)
 
 
 def _build_files(node: TreeNode, text: str, stage: str, config: Config) -> Files:
@@ -129,13 +125,7 @@ def _build_files(node: TreeNode, text: str, stage: str, config: Config) -> Files
     if built.spec is None:
         reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
         raise ProgramError(f"object {node.name}: {reasons}")
-    attempt = ProgramAttempt(stage, text, built)
-    programmed = SynthesisResult(
-        *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
-        allowances=built.allowances,
-    )
-    contents = (text, built.spec.to_json(), programmed.to_json())
-    return dict(zip(_PROGRAM_FILES, contents, strict=True))
+    return written_without_model(stage, text, built).files()
 
 
 def _read_files(object_folder: Path) -> Files:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import UInt8
 
+from ..errors import SpecError
+from ..io import read_model
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneSpec, SceneTree, read_scene
-from .program_inputs import with_corrected_sizes
 from .step_context import (
     ALIGNED,
     ANNOTATION,
@@ -21,9 +22,10 @@ from .step_context import (
     OUTLINES,
     REFIT,
     RESPONSE_TREE,
+    SPEC,
     TREE,
-    VERIFIED_FILE,
     StepContext,
+    object_file,
     read_spec,
     read_tree,
 )
@@ -37,24 +39,23 @@ if TYPE_CHECKING:
 def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
 
-    The step writes compose/tree.json, compose/fit.json, compose/align.json, compose/scene.json,
+    The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png and pictures/evidence.png. If
-    `compose.align.dimensions` is set, it also writes each changed program as
-    objects/NAME/resized.py, with the object that it builds. The scene's picture is rendered in the
-    background.
+    `compose.align.dimensions` is set, it also writes each changed program.py, with the spec.json
+    that it builds. The scene's picture is rendered in the background.
     """
     from ..compose.compose import compose
     from ..compose.layout_patch import apply_layout, read_layout_patch
 
     run, config = context.run, context.config
     options = config.compose
-    tree = with_corrected_sizes(run, read_tree(run))
-    specs = {node.name: _spec_file(run, node.name) for node in tree.nodes}
-    edited = TREE in run.edited_by_hand("parse")
+    tree = read_tree(run, before="compose")
+    specs = {node.name: run.before("compose", object_file(node.name, SPEC)) for node in tree.nodes}
+    edited = any(TREE in run.edited_by_hand(step) for step in ("parse", "program"))
     refits = options.refit and config.parse.fit
     if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
         # Start from the unfitted tree: the first fit has already used the same boxes.
-        tree = with_corrected_sizes(run, read_tree(run, RESPONSE_TREE))
+        tree = _unfitted(run, tree)
     patch = read_layout_patch(run.path)
     inputs = _inputs(context, tree, specs, patch, refits=refits)
     with run.step("compose", inputs) as out:
@@ -85,11 +86,16 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def _spec_file(run: RunFolder, name: str) -> Path:
-    """Return the file that contains an object after Step 3."""
-    folder = run.path / "objects" / name
-    repaired = folder / VERIFIED_FILE
-    return repaired if repaired.is_file() else folder / "spec.json"
+def _unfitted(run: RunFolder, tree: SceneTree) -> SceneTree:
+    """Return the tree of the model's response, with the sizes that Step 2 corrected."""
+    parsed = read_tree(run, before="program")
+    response = read_model(run.path / RESPONSE_TREE, SceneTree, SpecError, "a scene tree")
+    sizes = {
+        node.name: node.box3d.size
+        for node, before in zip(tree.nodes, parsed.nodes, strict=True)
+        if node.box3d.size != before.box3d.size
+    }
+    return response.with_sizes(sizes)
 
 
 def _inputs(
@@ -110,7 +116,7 @@ def _inputs(
         inputs["photo"] = run.path / "photo.png"
     if align.enabled and align.dimensions:
         inputs |= {"program": config.program, "verify": config.verify}
-        inputs |= program_files(run.path, tree)
+        inputs |= program_files(run, tree)
     if patch.objects:
         inputs["layout"] = patch
     return inputs
@@ -132,7 +138,7 @@ def _refit(
     run = context.run
     visible_sides = shown_sides(compose(tree, objects, context.config.compose).scene)
     tree, report = refit_tree(tree, objects, visible_sides, change_supports=change_supports)
-    (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
+    (out / TREE).write_text(tree.to_json(), encoding="utf-8")
     _write_json(out / REFIT, report.to_json())
     for outcome, reason in report.notes():
         run.note("compose", outcome, reason)
@@ -166,7 +172,7 @@ def _align(
     alignment = align(start, photo, options.align, measured=tree.camera_measured)
     if options.align.dimensions:
         freed = with_freed_dimensions(
-            run.path,
+            run,
             tree,
             objects,
             config,
@@ -175,7 +181,7 @@ def _align(
             alignment,
             lambda changed: compose(tree, changed, options).scene,
         )
-        write_resized(run.path, freed, out)
+        write_resized(freed, out)
         composed = compose(tree, {**objects, **freed.specs}, options)
         alignment = freed.alignment
     write_alignment(run, start, alignment, photo, out)

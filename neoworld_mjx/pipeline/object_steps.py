@@ -1,25 +1,41 @@
 """Steps 1 to 3 of a run: parse the photograph, program the objects, verify them."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable
-from typing import Any, TypeVar
+from collections.abc import Coroutine, Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
-from ..errors import ProgramError
+from ..compose.resting_pose import on_level, pose_without_scene
+from ..config import ProgramOptions
+from ..errors import ProgramError, SpecError
+from ..io import read_object
 from ..mllm.coroutines import run_coroutine
-from ..spec import TreeNode
-from .program_inputs import program_inputs, with_corrected_sizes
+from ..parse.crops import Crop, crops
+from ..parse.support_colours import SupportColour, support_colours
+from ..program.synthesise import ProgramSource, all_instructions, synthesise
+from ..run_folder import RunFolder
+from ..spec import ObjectSpec, SceneTree, TreeNode
+from ..verify.patch import write_patch
+from ..verify.verification import VerificationResult, verify_object
 from .step_context import (
+    PROGRAM,
     RESPONSE_TREE,
+    ROUNDS,
+    SPEC,
     TREE,
     StepContext,
+    object_file,
+    read_allowances,
+    read_spec,
     read_tree,
 )
 
-T = TypeVar("T")
-
 
 def parse_photo(context: StepContext) -> None:
-    """Step 1: write answered.json, tree.json, parse.json, photo.png and pictures/parse.png."""
+    """Step 1: write tree.json, parse.json, photo.png and pictures/parse.png.
+
+    The tree of the model's response, before its fit, is kept as history/response/tree.json.
+    """
     from ..parse.parse import parse
     from ..render import to_png
 
@@ -30,6 +46,7 @@ def parse_photo(context: StepContext) -> None:
             return
         parsed = run_coroutine(parse(photo, models, options))
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
+        (out / RESPONSE_TREE).parent.mkdir(parents=True)
         (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")
         (out / "photo.png").write_bytes(to_png(photo.rgb))
         (out / "pictures").mkdir()
@@ -45,15 +62,12 @@ def program_objects(context: StepContext) -> None:
     """Step 2: write program.py, spec.json and program.json of all objects, in parallel.
 
     If programs are written in three stages, the parts of program.py are also written, as
-    geometry.py, articulation.py and export.py.
+    geometry.py, articulation.py and export.py. If models corrected measured boxes, tree.json is
+    written again with the corrected sizes.
     """
-    from ..parse.crops import crops
-    from ..parse.support_colours import support_colours
-    from ..program.synthesise import synthesise
-
     run, options = context.run, context.config.program
     photo, models = context.photo_and_models()
-    tree = read_tree(run)
+    tree = read_tree(run, before="program")
     crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, crop_by_name, colours, options)
@@ -63,13 +77,12 @@ def program_objects(context: StepContext) -> None:
 
     async def program_one(node: TreeNode) -> None:
         nonlocal last_finished
-        name, crop = f"program/{node.name}", crop_by_name[node.name]
-        colour = colours.get(node.name)
+        name, colour = f"program/{node.name}", colours.get(node.name)
         if run.finished(name, inputs[node.name]):
             return
         result = await synthesise(
             node,
-            crop,
+            crop_by_name[node.name],
             models,
             options,
             camera=tree.camera,
@@ -79,14 +92,7 @@ def program_objects(context: StepContext) -> None:
             raise ProgramError(f"object {node.name}: {result.reason}")
         with run.step(name, inputs[node.name], started=last_finished) as out:
             assert out is not None
-            object_folder = out / "objects" / node.name
-            object_folder.mkdir(parents=True)
-            (object_folder / "program.py").write_text(result.text, encoding="utf-8")
-            if len(result.texts) > 1:
-                for file, text in result.texts.items():
-                    (object_folder / f"{file}.py").write_text(text, encoding="utf-8")
-            (object_folder / "spec.json").write_text(result.spec.to_json(), encoding="utf-8")
-            (object_folder / "program.json").write_text(result.to_json(), encoding="utf-8")
+            write_object_files(out, node.name, result.files())
             for skipped, reason in result.fallbacks:
                 run.fallback(name, skipped, reason)
             if colour is not None and colour.source in ("answer", "material"):
@@ -100,40 +106,162 @@ def program_objects(context: StepContext) -> None:
         last_finished = run.now()
 
     run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
+    _correct_sizes(run, tree)
+
+
+def program_inputs(
+    tree: SceneTree,
+    crops: Mapping[str, Crop],
+    colours: Mapping[str, SupportColour],
+    options: ProgramOptions,
+) -> dict[str, dict[str, object]]:
+    """Return everything that determines the program of each object, by the object's name."""
+    return {
+        node.name: {
+            "node": node.model_dump(mode="json"),
+            "crop": crops[node.name].picture.pixels,
+            "options": options.model_dump(mode="json"),
+            "guide": all_instructions(options),
+            "colour": None if node.name not in colours else colours[node.name].rgb,
+        }
+        for node in tree.nodes
+    }
+
+
+def write_object_files(out: Path, name: str, files: Mapping[str, str]) -> None:
+    """Write files of an object into the staging folder of a step, by file name."""
+    folder = out / "objects" / name
+    folder.mkdir(parents=True)
+    for file, content in files.items():
+        (folder / file).write_text(content, encoding="utf-8")
+
+
+def _correct_sizes(run: RunFolder, tree: SceneTree) -> None:
+    """Write tree.json with the sizes of boxes that models corrected in Step 2."""
+    sizes: dict[str, tuple[float, float, float]] = {}
+    for node in tree.nodes:
+        path = run.before("verify", object_file(node.name, ROUNDS))
+        try:
+            size = read_object(path, SpecError).get("size")
+            if size is not None:
+                x, y, z = size
+                sizes[node.name] = (x, y, z)
+        except (ValueError, TypeError) as error:
+            raise SpecError(f"{path} contains no valid size: {error}") from None
+    with run.step("program", {"tree": tree, "sizes": sizes}) as out:
+        if out is not None and sizes:
+            (out / TREE).write_text(tree.with_sizes(sizes).to_json(), encoding="utf-8")
 
 
 def verify_objects(context: StepContext) -> None:
-    """Step 3: write each object's verify.json, and the repaired object if it was changed.
+    """Step 3: write each object's verify.json, and its changed files if it was changed.
 
-    Objects are simulated one after another, but their requests to models run concurrently.
+    These are spec.json, program.patch.json, which Step 3 applied to the object, and, if the critic
+    asked for another program, program.py and program.json. Objects are simulated one after another,
+    but their requests to models run concurrently.
     """
-    from ..parse.crops import crops
-    from .object_verification import ObjectVerification
-
-    tree = with_corrected_sizes(context.run, read_tree(context.run))
+    run, options = context.run, context.config.verify
+    tree = read_tree(run, before="verify")
     crop_by_name = {} if context.photo is None else crops(context.photo, tree)
     # The time of an object starts when the previous object finishes, so that times add up.
-    last_finished = context.run.now()
+    last_finished = run.now()
 
-    async def verify_all() -> None:
-        compute_lock = asyncio.Lock()
+    async def verify_one(node: TreeNode) -> None:
+        nonlocal last_finished
+        name, level = f"verify/{node.name}", on_level(node, tree)
+        spec_file, rounds_file, program_file = (
+            run.before("verify", object_file(node.name, file)) for file in (SPEC, ROUNDS, PROGRAM)
+        )
+        inputs: dict[str, object] = {
+            "spec": spec_file,
+            "program": rounds_file,
+            "options": options,
+            "node": node,
+            "level": level,
+            "surroundings": surroundings(node, tree),
+        }
+        if run.finished(name, inputs):
+            return
+        spec = read_spec(spec_file)
+        tilt, fixed_base = pose_without_scene(node, spec, level=level)
+        source, crop = None, crop_by_name.get(node.name)
+        if crop is not None and not node.slab and program_file.is_file():
+            text = program_file.read_text(encoding="utf-8")
+            source = ProgramSource(node, crop, text, context.config.program, tree.camera)
+        result = await verify_object(
+            spec,
+            options,
+            fixed_base=fixed_base,
+            tilt=tilt,
+            allowed=read_allowances(rounds_file),
+            models=None if options.critic == "never" else context.models,
+            surroundings=surroundings(node, tree),
+            source=source,
+        )
+        with run.step(name, inputs, started=last_finished) as out:
+            assert out is not None
+            write_object_files(out, node.name, _changed_files(result, spec))
+            if not result.patch.empty:
+                write_patch(out / object_file(node.name, PROGRAM), result.patch)
+            _record_verification(run, node.name, result)
+        last_finished = run.now()
 
-        async def compute(work: Callable[[], T]) -> T:
-            async with compute_lock:
-                return await asyncio.to_thread(work)
+    run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
 
-        async def verify_one(node: TreeNode) -> None:
-            nonlocal last_finished
-            verification = ObjectVerification(context, node, tree, crop_by_name.get(node.name))
-            if context.run.finished(verification.name, verification.inputs):
-                return
-            result = await verification.result(compute)
-            await compute(lambda: verification.write(result, last_finished))
-            last_finished = context.run.now()
 
-        await _all_or_first_error(verify_one(node) for node in tree.nodes)
+def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:
+    """Return the contents of verify.json and of the changed files of an object by file name."""
+    files = {"verify.json": result.to_json()}
+    if result.program is not None and result.program_json is not None:
+        files |= {PROGRAM: result.program, ROUNDS: result.program_json}
+    if result.changed:
+        files[SPEC] = result.applied(spec).to_json()
+    return files
 
-    run_coroutine(verify_all())
+
+def _record_verification(run: RunFolder, name: str, result: VerificationResult) -> None:
+    """Record the outcome of the verification of an object in run.json."""
+    step = f"verify/{name}"
+    if result.program is not None:
+        reason = "; ".join(result.seen) or "the critic asked for it"
+        run.note(step, f"{name} has a new program", reason)
+    if not result.patch.empty:
+        run.note(step, f"{name} was edited", "; ".join(result.changes))
+    if result.waived:
+        phrases = "; ".join(check.phrase() for check in result.waived)
+        run.note(step, f"{name} is valid according to the critic", phrases)
+    for critic, reason in result.lost_critics:
+        run.fallback(step, f"{name} without the response to {critic}", reason)
+    for reason in result.unmet:
+        run.fallback(
+            step,
+            f"{name} keeps its program, although the critic asks for another one",
+            reason,
+        )
+    failed = [check for check in result.verdict.checks if check.failed]
+    if failed:
+        checks = [check.phrase() if check.outcome == "FAIL" else check.hint for check in failed]
+        hints = dict.fromkeys(check.hint for check in failed if check.outcome == "FAIL")
+        remedy = f"; to repair it: {next(iter(hints))}" if hints else ""
+        run.fallback(
+            step,
+            f"{name} fails {len(failed)} of its object tests and is used as it is",
+            "; ".join(checks) + remedy,
+        )
+
+
+def surroundings(node: TreeNode, tree: SceneTree) -> str:
+    """Describe what supports an object in its scene, as a sentence; "" if nothing does."""
+    if node.parent is None:
+        return ""
+    parent = tree.node(node.parent)
+    relation = {
+        "on": "rests on",
+        "in": "stands or lies in",
+        "attached": "is fastened to",
+        "leaning": "stands on, and leans against something next to,",
+    }[node.relation]
+    return f"In the scene it {relation} {parent.name} ({parent.label})."
 
 
 async def _all_or_first_error(work: Iterable[Coroutine[Any, Any, None]]) -> None:

@@ -71,7 +71,7 @@ def reconstruct(
             made=f"recorded from provider {config.provider}",
         )
         if config.program.language == "blender" and until != "parse":
-            from ..program.blender.blender_availability import require_blender
+            from ..program.blender.blender_process import require_blender
 
             require_blender()
         open_models()  # Report a wrong provider or key before anything is written to the folder.

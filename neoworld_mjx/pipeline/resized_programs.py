@@ -1,7 +1,7 @@
 """Programs whose dimensions Step 4 changes: how a run builds and checks them, and their files.
 
-The changed program is written as `RESIZED_FILE`, next to the program that it replaces. The object
-that it builds and the patch of Step 3 that is applied to this object are written next to it.
+The changed program and the object that it builds, with the patch of Step 3, replace program.py and
+spec.json of the object.
 """
 
 from collections.abc import Callable, Mapping, Set
@@ -21,14 +21,16 @@ from ..config import Config, ProgramOptions, VerifyOptions
 from ..errors import SpecError
 from ..io import read_object
 from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
-from ..program.sandbox import BuildResult, build, run
+from ..program.sandbox import BuildResult, build
+from ..program.sandbox import run as run_program
+from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
-from ..verify.patch import Patch, apply, read_patch, write_patch
-from .step_context import REPROGRAMMED_FILE, RESIZED_FILE
+from ..verify.patch import Patch, apply, read_patch
+from .step_context import PROGRAM, SPEC, object_file
 
 
 def with_freed_dimensions(
-    folder: Path,
+    run: RunFolder,
     tree: SceneTree,
     objects: Mapping[str, ObjectSpec],
     config: Config,
@@ -40,7 +42,7 @@ def with_freed_dimensions(
     """Change dimensions of a run's programs that contradict the photograph.
 
     Args:
-        folder: the run folder.
+        run: the run folder.
         tree: the scene tree from which the scene is composed.
         objects: the built objects, by name.
         config: options of the run.
@@ -49,7 +51,7 @@ def with_freed_dimensions(
         alignment: the alignment of the composed scene.
         compose: function that composes the scene from given objects, by name.
     """
-    sources = {node.name: _source(folder, node, tree, config) for node in tree.nodes}
+    sources = {node.name: _source(run, node, tree, config) for node in tree.nodes}
     texts, unchangeable = {}, {}
     for name, source in sources.items():
         reason = source.unchangeable(objects[name])
@@ -69,41 +71,25 @@ def with_freed_dimensions(
     return free_dimensions(composed, alignment, photo, programs, align_again)
 
 
-def program_files(folder: Path, tree: SceneTree) -> dict[str, Path]:
+def program_files(run: RunFolder, tree: SceneTree) -> dict[str, Path]:
     """Return the files on which the changed programs of a run depend, by the name of the input."""
     files = {}
     for node in tree.nodes:
         if not node.environment:
-            object_folder = folder / "objects" / node.name
-            for path in (_program(object_folder), object_folder / "verify.json"):
+            for file in (PROGRAM, "verify.json"):
+                path = run.before("compose", object_file(node.name, file))
                 if path.is_file():
-                    files[f"{node.name}/{path.name}"] = path
+                    files[f"{node.name}/{file}"] = path
     return files
 
 
-def write_resized(folder: Path, freed: FreedScene, out: Path) -> None:
-    """Write the changed programs, their patches and the objects that they build.
-
-    Args:
-        folder: the run folder.
-        freed: the scene with the changed objects.
-        out: folder of the step's files.
-    """
+def write_resized(freed: FreedScene, out: Path) -> None:
+    """Write the changed programs and the objects that they build into a step's staging folder."""
     for name, text in freed.texts.items():
-        object_folder = out / "objects" / name
-        object_folder.mkdir(parents=True)
-        (object_folder / RESIZED_FILE).write_text(text, encoding="utf-8")
-        patch = read_patch(_program(folder / "objects" / name))
-        if patch is not None and not patch.empty:
-            write_patch(object_folder / RESIZED_FILE, patch)
-        spec = (object_folder / RESIZED_FILE).with_suffix(".json")
-        spec.write_text(freed.specs[name].to_json(), encoding="utf-8")
-
-
-def _program(folder: Path) -> Path:
-    """Return the program of an object before this step."""
-    replaced = folder / REPROGRAMMED_FILE
-    return replaced if replaced.is_file() else folder / "program.py"
+        folder = out / "objects" / name
+        folder.mkdir(parents=True)
+        (folder / PROGRAM).write_text(text, encoding="utf-8")
+        (folder / SPEC).write_text(freed.specs[name].to_json(), encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -134,7 +120,7 @@ class _Source:
 
     def object_of(self, text: str) -> ObjectSpec | str:
         """Return the patched object that a program builds, or the reason why it builds none."""
-        result = run(text, self.options)
+        result = run_program(text, self.options)
         return _errors(result) if result.spec is None else self._patched(result.spec)
 
     def fault(self, text: str) -> str:
@@ -154,12 +140,13 @@ class _Source:
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
 
-def _source(folder: Path, node: TreeNode, tree: SceneTree, config: Config) -> _Source:
-    object_folder = folder / "objects" / node.name
-    path, verdict = _program(object_folder), object_folder / "verify.json"
+def _source(run: RunFolder, node: TreeNode, tree: SceneTree, config: Config) -> _Source:
+    path = run.before("compose", object_file(node.name, PROGRAM))
+    folder = run.path / "objects" / node.name
+    verdict, patch = folder / "verify.json", read_patch(folder / PROGRAM)
     return _Source(
         path.read_text(encoding="utf-8") if path.is_file() else "",
-        (read_patch(path) if path.is_file() else None) or Patch(),
+        patch or Patch(),
         node,
         on_level(node, tree),
         # A run folder is untrusted: its options must not disable the sandbox.

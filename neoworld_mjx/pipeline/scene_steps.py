@@ -89,7 +89,7 @@ def refine_layout(context: StepContext) -> None:
             "before": refined.before.model_dump(mode="json"),
         }
         if (run.path / TREE).is_file():  # A rescue has no tree.
-            summary["box_iou"] = box_iou(read_tree(run), composed, scene)
+            summary["box_iou"] = box_iou(read_tree(run, before="program"), composed, scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=seconds)
         for note in refined.fallbacks:

@@ -11,9 +11,10 @@ from ..mllm import Panel
 from ..parse.photo import Photo
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree
+from ..step_names import Step
 from .scene_pictures import Pictures
 
-RESPONSE_TREE = "answered.json"
+RESPONSE_TREE = "history/response/tree.json"
 """Scene tree of the model's response, before its fit to the 2D boxes."""
 ANNOTATION = "annotation.json"
 """Annotation of the photograph by a person; missing if there is none."""
@@ -24,15 +25,8 @@ ALIGNED = "compose/align.json"
 OUTLINES, EVIDENCE = "pictures/outlines.png", "pictures/evidence.png"
 RESULT = "refine/result.json"
 TAPE = "answers.tape.json"
-VERIFIED_FILE = "verified.json"
-"""Object after repairs by Step 3; missing if Step 3 did not change the object."""
-REPROGRAMMED_FILE = "reprogrammed.py"
-"""New program that Step 3 requested. It replaces program.py, and its synthesis is recorded in
-reprogrammed.json."""
-
-RESIZED_FILE = "resized.py"
-"""Program whose dimensions Step 4 changed. It replaces the earlier programs, and resized.json
-contains the object that it builds."""
+PROGRAM, SPEC, ROUNDS = "program.py", "spec.json", "program.json"
+"""Files of an object: its program, the object that it builds, and the rounds of its synthesis."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +47,19 @@ class StepContext:
         return self.photo, self.models
 
 
-def read_tree(run: RunFolder, name: str = TREE) -> SceneTree:
-    """Read the scene tree of Step 1: the fitted one, or `RESPONSE_TREE`."""
-    return read_model(run.path / name, SceneTree, SpecError, "a scene tree")
+def read_tree(run: RunFolder, *, before: Step | None = None) -> SceneTree:
+    """Read the scene tree of a run: the current tree, or the tree before a step changed it."""
+    path = run.path / TREE if before is None else run.before(before, TREE)
+    return read_model(path, SceneTree, SpecError, "a scene tree")
+
+
+def object_file(name: str, file: str) -> str:
+    """Return the path of a file of an object, relative to the run folder."""
+    return f"objects/{name}/{file}"
 
 
 def read_spec(path: Path) -> ObjectSpec:
-    """Read the object that Step 2 or 3 wrote."""
+    """Read an object that a step wrote."""
     return read_model(path, ObjectSpec, SpecError, "an object")
 
 

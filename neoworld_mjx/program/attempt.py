@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from ..checks.allowance import Allowance
 from ..checks.signals import Signal
+from ..errors import ProgramError
 from ..spec import ObjectSpec
 from .critique import Critique, mean_score
 from .sandbox import BuildResult
@@ -125,6 +126,24 @@ class SynthesisResult:
             "to request more, use --resume with a higher program.debug_rounds"
         )
 
+    def files(self) -> dict[str, str]:
+        """Return the contents of program.py, spec.json and program.json by file name.
+
+        With several stages, the text of each stage is added, such as geometry.py.
+
+        Raises:
+            ProgramError: the program builds no object.
+        """
+        if self.spec is None:
+            raise ProgramError(self.reason)
+        stages = self.texts if len(self.texts) > 1 else {}
+        return {
+            "program.py": self.text,
+            "spec.json": self.spec.to_json(),
+            "program.json": self.to_json(),
+            **{f"{file}.py": text for file, text in stages.items()},
+        }
+
     def to_json(self) -> str:
         """Return all rounds as JSON."""
         rounds = [
@@ -140,6 +159,26 @@ class SynthesisResult:
             "rounds": rounds,
         }
         return json.dumps(data, indent=1) + "\n"
+
+
+def written_without_model(stage: str, text: str, built: BuildResult) -> SynthesisResult:
+    """Return the result of a program that was written without a model, such as a support's.
+
+    Args:
+        stage: origin of the program: "support" or "annotation".
+        text: the program.
+        built: the result of running the program.
+    """
+    attempt = ProgramAttempt(stage, text, built)
+    errors = [signal for signal in built.signals if signal.severity == "error"]
+    fallbacks = ()
+    if built.spec is not None and errors:
+        reasons = "; ".join(signal.phrase() for signal in errors[:4])
+        fallbacks = ((f"{built.spec.name}: kept with {len(errors)} errors", reasons),)
+    return SynthesisResult(
+        *(built.spec, attempt.texts, built.signals, attempt.score, (attempt,), fallbacks),
+        allowances=built.allowances,
+    )
 
 
 def _dumped(signals: tuple[Signal, ...]) -> list[dict[str, object]]:

@@ -1,32 +1,38 @@
 """Execution of programs, and checks of the objects that they build.
 
 Errors of a program are returned as signals. Programs call the SDK. The sandbox `monty`, the
-default, runs a program in an isolated worker process. `cpython` runs a program in this process
-without isolation; use it only for programs that you trust. Equal texts build byte-identical
+default, runs a program in a worker process whose processor time and address space the operating
+system limits. `cpython` runs a program in this process without isolation and limits of time; use it
+only for programs that you trust. Equal texts build byte-identical
 objects. With `program.language: blender`, a program that imports bpy runs in Blender (`blender/`).
 """
 
 import errno
 import os
 import re
-import time
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib import import_module
 
 from ..checks.allowance import Allowance
 from ..checks.compile_checks import check
 from ..checks.signals import Signal, deduplicated, error_signal, has_errors
 from ..config import ProgramOptions
 from ..errors import open_files_exhausted
+from ..io.limited_worker import WorkerEndedError, WorkerFailedError, run_limited
 from ..spec import ObjectSpec
 from .assemble import assemble
-from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
-from .in_process import run_in_process
-from .monty_sandbox import WorkerStarved, run_sandboxed
-from .session import Session
+from .blender.blender_process import require_blender
+from .execution import WALL_FACTOR, limited_calls, run_in_process, run_sandboxed
+from .program_errors import ENDLESS_HINT, limit_signal
+from .session import LimitExceeded, Session
 
+_NEEDS = ("scipy.spatial", "manifold3d", "neoworld_mjx.program.sdk")
+"""Modules that are imported before the worker starts, so that no program's time includes them."""
+_SHAPES_MIB = 1024
+"""Address space for the SDK's shapes, in addition to the program's memory [MiB]."""
+_INTERNAL = "this is a fault of the SDK, not of the program"
 _BPY = re.compile(r"^[ \t]*(import|from)[ \t]+bpy\b", re.MULTILINE)
 
 
@@ -42,8 +48,6 @@ class BuildResult:
     """Line that creates each part or joint, by "part:NAME" or "joint:NAME"."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
-    seconds: float = 0.0
-    """Wall time of running the program and checking the object [s]."""
 
     @property
     def ok(self) -> bool:
@@ -63,14 +67,12 @@ def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     result = run(text, options)
     if result.spec is None:
         return result
-    start = time.monotonic()
     try:
         signals = check(result.spec, options, result.lines, result.allowances)
     except Exception as error:  # Report a check that raises as a signal.
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
         signals = (error_signal("internal", message),)
-    seconds = result.seconds + time.monotonic() - start
-    return replace(result, signals=deduplicated((*result.signals, *signals)), seconds=seconds)
+    return replace(result, signals=deduplicated((*result.signals, *signals)))
 
 
 def run(
@@ -88,31 +90,74 @@ def run(
         ProgramError: the program needs Blender, which is not installed or cannot be confined.
     """
     options = options or ProgramOptions()
-    _load_shapes()
+    errors = _check_text(text, options)
+    if errors:
+        return BuildResult(None, tuple(errors))
     in_blender = options.language == "blender" and _BPY.search(text) is not None
     if in_blender:
         require_blender()
-    start = time.monotonic()
-    session = _session(options)
-    printed, errors = "", _check_text(text, options)
+    if in_blender or options.sandbox == "cpython":
+        language = run_blender if in_blender else run_in_process
+        return _result(language, text, options, without_joints=without_joints)
+    return _run_in_worker(text, options, without_joints=without_joints)
+
+
+def _run_in_worker(text: str, options: ProgramOptions, *, without_joints: bool) -> BuildResult:
+    """Run a program in a worker process whose time and memory the operating system limits."""
+    try:
+        return run_limited(
+            _work,
+            (text, options, without_joints),
+            needs=_NEEDS,
+            timeout_s=options.timeout_s,
+            memory_mib=options.memory_mib + _SHAPES_MIB,
+            wall_factor=WALL_FACTOR,
+        )
+    except WorkerEndedError as end:
+        if end.reason == "time":
+            message = f"building the shapes took over {options.timeout_s:g} s; use fewer"
+            error = error_signal("timeout", message, hint=ENDLESS_HINT)
+        else:
+            message = f"the program's worker ended ({end.reason}, status {end.status})"
+            code = "memory" if end.reason == "memory" else "crashed"
+            error = error_signal(code, message, hint="use fewer or simpler shapes")
+        return BuildResult(None, (error,))
+    except WorkerFailedError as failure:
+        return BuildResult(None, (error_signal("internal", str(failure), hint=_INTERNAL),))
+
+
+def _work(text: str, options: ProgramOptions, without_joints: bool) -> BuildResult:
+    """Run a program in the worker."""
+    return _result(run_sandboxed, text, options, without_joints=without_joints, limited=True)
+
+
+def _result(
+    language: Callable[[str, Session, ProgramOptions], tuple[str, list[Signal]]],
+    text: str,
+    options: ProgramOptions,
+    *,
+    without_joints: bool,
+    limited: bool = False,
+) -> BuildResult:
+    """Run a program with a function for its language, and assemble its object."""
+    session = Session(
+        max_parts=options.max_parts, max_geoms=options.max_geoms, max_pieces=options.max_pieces
+    )
     spec: ObjectSpec | None = None
-    if not errors:
-        try:
-            if in_blender:
-                printed, errors = run_blender(text, session, options)
-            elif options.sandbox == "cpython":
-                printed, errors = run_in_process(text, session, options)
-            else:
-                session, printed, errors = _run_in_worker(text, session, options)
+    printed, errors = "", []
+    try:
+        with limited_calls(session, options.timeout_s) if limited else nullcontext():
+            printed, errors = language(text, session, options)
             if not has_errors(errors):
                 spec, structure = assemble(session.objects, without_joints=without_joints)
                 errors = [*errors, *structure]
-        except Exception as error:
-            if open_files_exhausted(error):
-                raise OSError(errno.EMFILE, os.strerror(errno.EMFILE)) from None
-            message = f"{type(error).__name__}: {error}"[:500]
-            hint = "this is a fault of the SDK, not of the program"
-            errors = [error_signal("internal", message, hint=hint)]
+    except LimitExceeded as exceeded:
+        errors = [limit_signal(exceeded, session)]
+    except Exception as error:
+        if open_files_exhausted(error):
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE)) from None
+        message = f"{type(error).__name__}: {error}"[:500]
+        errors = [error_signal("internal", message, hint=_INTERNAL)]
     lines: dict[str, int] = {}
     for obj in session.objects[:1]:
         lines |= {f"part:{part.name}": part._line for part in obj._parts if part._line}
@@ -123,41 +168,7 @@ def run(
         printed,
         lines,
         tuple(session.objects[0]._allowances) if session.objects else (),
-        time.monotonic() - start,
     )
-
-
-def _run_in_worker(
-    text: str, session: Session, options: ProgramOptions
-) -> tuple[Session, str, list[Signal]]:
-    """Run a program in the Monty sandbox; if the first run exceeds the time limit, run it again."""
-    limit_cpu_time = False
-    try:
-        printed, errors = run_sandboxed(text, session, options)
-    except WorkerStarved:
-        printed, errors, limit_cpu_time = "", [], True
-    timed_out = session.exceeded is not None and session.exceeded.code == "timeout"
-    # Virtual machines count pauses as time of a thread, so a single timeout is not conclusive.
-    if limit_cpu_time or timed_out:
-        session = _session(options)
-        printed, errors = run_sandboxed(text, session, options, limit_cpu_time=limit_cpu_time)
-    return session, printed, errors
-
-
-def _session(options: ProgramOptions) -> Session:
-    return Session(
-        max_seconds=options.timeout_s,
-        max_parts=options.max_parts,
-        max_geoms=options.max_geoms,
-        max_pieces=options.max_pieces,
-    )
-
-
-@cache
-def _load_shapes() -> None:
-    """Import the packages that shapes need, so that no program's time includes the import."""
-    for name in ("scipy.spatial", "manifold3d"):
-        import_module(name)
 
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:

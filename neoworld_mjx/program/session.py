@@ -1,19 +1,16 @@
 """Session of one run of a program: the objects, limits, resource counts and current line.
 
-The SDK reads the current session from a context variable, so programs share no state. Outside a
-session, for example if plain Python runs a program's file, the SDK has no time limit.
+The SDK reads the current session from a context variable, so programs share no state.
 """
 
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..checks.signals import Signal
-from .call_clock import CallClock, CallInterrupted
 
 MAX_WARNINGS = 20
 
@@ -33,8 +30,6 @@ class LimitExceeded(Exception):
 class Session:
     """Objects, limits and resource counts of one run of a program."""
 
-    max_seconds: float = float("inf")
-    """Limit on the processor time of all SDK calls together [s]."""
     max_parts: int = 300
     max_geoms: int = 3000
     max_pieces: int = 4000
@@ -44,13 +39,10 @@ class Session:
     line: int | None = None
     """Current line of the program in the sandbox, counted from 1."""
     objects: list[Any] = field(default_factory=list)
-    seconds: float = 0.0
     warnings: list[Signal] = field(default_factory=list)
     """Warnings of SDK calls, at most `MAX_WARNINGS`."""
     exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
-    clock: CallClock | None = None
-    """Clock that interrupts calls that take too long; if None, no call is interrupted."""
 
     def use(self, resource: str, amount: int, limit: int) -> None:
         """Add an amount to the count of a resource.
@@ -69,30 +61,15 @@ class Session:
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """Make this session current during one SDK call, and count the call's processor time.
+        """Make this session current during one SDK call.
 
         Raises:
-            LimitExceeded: this call or an earlier call exceeded a limit.
+            LimitExceeded: an earlier call exceeded a limit.
         """
         if self.exceeded is not None:
             raise self.exceeded
-        start = time.thread_time()
-        token = _current.set(self)
-        try:
-            remaining_s = self.max_seconds - self.seconds
-            with self.clock.limited(remaining_s) if self.clock else nullcontext():
-                yield
-        except CallInterrupted:
-            self.seconds = max(self.seconds, self.max_seconds)
-            self._time_is_up()
-        finally:
-            _current.reset(token)
-            self.seconds += time.thread_time() - start
-        if self.seconds > self.max_seconds:
-            self._time_is_up()
-
-    def _time_is_up(self) -> None:
-        self.stop("timeout", f"building the shapes took over {self.max_seconds:g} s; use fewer")
+        with use_session(self):
+            yield
 
 
 _current: ContextVar[Session | None] = ContextVar("program_session", default=None)

@@ -11,7 +11,7 @@ import asyncio
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from PIL import Image
@@ -19,7 +19,7 @@ from pydantic import BaseModel
 
 from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
-from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
+from ..mllm import Model, Picture, Request, ask_or_record, package_text
 from ..spec import Camera, TreeNode
 from .ask import (
     ProgramResponse,
@@ -30,7 +30,13 @@ from .ask import (
     reprogram_request,
     revise_request,
 )
-from .attempt import ProgramAttempt, Size, SynthesisResult, join_texts
+from .attempt import (
+    ProgramAttempt,
+    Size,
+    SynthesisResult,
+    join_texts,
+    written_without_model,
+)
 from .conformance import compare_geometry, compare_to_node, lost_asserts, lost_parts
 from .critique import Critique, accepts, corrected_box, critic_request
 from .sandbox import BuildResult, run
@@ -65,6 +71,19 @@ class Cutout(Protocol):
         ...
 
 
+class ProgramSource(NamedTuple):
+    """An object's program, and the inputs from which it was written."""
+
+    node: TreeNode
+    """The parsed object, with the size that the program fills."""
+    crop: Cutout | bytes
+    """The object's picture, cut out of the photo."""
+    text: str
+    options: ProgramOptions
+    camera: Camera | None = None
+    """The photo's camera."""
+
+
 async def synthesise(
     node: TreeNode,
     crop: Cutout | bytes,
@@ -92,17 +111,18 @@ async def synthesise(
             response, or the cost cap is reached.
     """
     subject = _subject(node, crop, camera)
-    work = _Synthesis(subject, models, options)
     if node.slab:
         if colour is None and node.surface is None:
             colour = median_colour(subject.crop)
         program = support_program(node, colour)
-        built = await asyncio.to_thread(run, program, options)
-        return work.result(ProgramAttempt("support", program, built))
+        return written_without_model(
+            "support", program, await asyncio.to_thread(run, program, options)
+        )
+    work = _Synthesis(subject, models, options)
     best: ProgramAttempt | None = None
     for stage in STAGES[options.stages]:
         last = best
-        best = await work.run_stage(stage, last)
+        best = await work.write_stage(stage, last)
         if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
             reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
             work.fallbacks.append((f"{node.name}: no export program", reasons))
@@ -114,25 +134,14 @@ async def synthesise(
 
 
 async def reprogram(
-    node: TreeNode,
-    crop: Cutout | bytes,
-    text: str,
-    findings: Sequence[str],
-    models: Model,
-    options: ProgramOptions,
-    *,
-    camera: Camera | None = None,
+    source: ProgramSource, findings: Sequence[str], models: Model
 ) -> SynthesisResult:
     """Request a new program for an object that does not behave like the real object, and debug it.
 
     Args:
-        node: the parsed object, with the size that the program fills.
-        crop: the object's picture, cut out of the photo.
-        text: the program so far.
+        source: the program so far, and the inputs from which it was written.
         findings: faults of the object's motion, one line each.
         models: model for the programmer.
-        options: debug rounds and sandbox.
-        camera: the photo's camera.
 
     Returns:
         The result. It contains no object if the model failed or if the new program lost parts.
@@ -141,12 +150,12 @@ async def reprogram(
         MissingResponseError: the recorded responses (tape) lack a response.
         BudgetError: the cost cap is reached.
     """
-    work = _Synthesis(_subject(node, crop, camera), models, options)
+    text, options = source.text, source.options
+    work = _Synthesis(_subject(source.node, source.crop, source.camera), models, options)
     previous = ProgramAttempt("program", text, await asyncio.to_thread(run, text, options))
     stage = StageInput(language=options.language)
-    response = await work.ask(
-        "reprogram", reprogram_request(work.subject, stage, text.strip(), findings)
-    )
+    request = reprogram_request(work.subject, stage, text.strip(), findings)
+    response = await work.ask("reprogram", request)
     if response is None:
         return work.result(ProgramAttempt("reprogram", text, BuildResult(None)))
     best = await work.build_and_debug(
@@ -203,8 +212,12 @@ class _Synthesis:
     accepted: ProgramAttempt | None = None
     """Best attempt of the previous stage; None in the first stage."""
 
-    async def run_stage(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
-        """Request a stage's program, debug and criticize it, and return the best attempt."""
+    async def write_stage(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
+        """Request a stage's program, debug and criticize it, and return the best attempt.
+
+        In each critic round, the faults that critics found are sent to the programmer. If a request
+        fails, the rounds end.
+        """
         self.stage, self.accepted = stage, accepted
         if accepted is not None:
             assert accepted.built.spec is not None
@@ -215,13 +228,23 @@ class _Synthesis:
                 )
         request = program_request(self.subject, self._stage_input)
         response = (await self.models.ask(request)).value
-        await revise(
-            await self.build_and_debug("program", response, None),
-            rounds=self.options.critic_rounds,
-            accept=lambda attempt: all(map(accepts, self._stage_critiques(attempt))),
-            next_attempt=self.revise_last,
-            criticise=self.request_critiques,
-        )
+        attempt = await self.build_and_debug("program", response, None)
+        rounds = self.options.critic_rounds
+        for round_ in range(rounds + 1 if rounds else 0):
+            attempt = await self.request_critiques(attempt)
+            critiques = self._stage_critiques(attempt)
+            if round_ == rounds or all(map(accepts, critiques)):
+                break
+            for box in filter(None, map(corrected_box, critiques)):
+                self._resize(box, "the critic")
+            rejecting = [critique for critique in critiques if not accepts(critique)]
+            request = revise_request(
+                self.subject, self._stage_input, attempt.text, rejecting, self._render(attempt)
+            )
+            revision = await self.ask("revise", request)
+            if revision is None:
+                break
+            attempt = await self.build_and_debug("revise", revision, attempt)
         candidates = [attempt for attempt in self.attempts if attempt.file == stage.file]
         return max(candidates, key=lambda attempt: attempt.rank)
 
@@ -229,37 +252,21 @@ class _Synthesis:
         self, stage: str, response: ProgramResponse, previous: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program, repair it in up to `debug_rounds` rounds, and return the best one."""
-
-        async def repair_last(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
+        attempts = [await self._build_and_check(stage, response, previous)]
+        for _ in range(self.options.debug_rounds):
             signals = attempts[-1].built.signals
+            if not has_errors(signals):
+                break
             earlier = attempts[-2].built.signals if len(attempts) > 1 else None
             request = repair_request(
                 self.subject, self._stage_input, attempts[-1].text, signals, earlier
             )
             repair = await self.ask("debug", request)
+            if repair is None:
+                break
             best = max(attempts, key=lambda attempt: attempt.rank)
-            return None if repair is None else await self._build_and_check("debug", repair, best)
-
-        attempts = await revise(
-            await self._build_and_check(stage, response, previous),
-            rounds=self.options.debug_rounds,
-            accept=lambda attempt: not has_errors(attempt.built.signals),
-            next_attempt=repair_last,
-        )
+            attempts.append(await self._build_and_check("debug", repair, best))
         return max(attempts, key=lambda attempt: attempt.rank)
-
-    async def revise_last(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
-        """Request a revision that corrects the faults that critics found, and debug it."""
-        last = attempts[-1]
-        critiques = self._stage_critiques(last)
-        for box in filter(None, map(corrected_box, critiques)):
-            self._resize(box, "the critic")
-        rejecting = [critique for critique in critiques if not accepts(critique)]
-        request = revise_request(
-            self.subject, self._stage_input, last.text, rejecting, self._render(last)
-        )
-        response = await self.ask("revise", request)
-        return None if response is None else await self.build_and_debug("revise", response, last)
 
     async def request_critiques(self, attempt: ProgramAttempt) -> ProgramAttempt:
         """Request the critiques of the enabled critics, and return the attempt with them."""

@@ -12,15 +12,24 @@ import json
 import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
-from ..io.files import content_hash, write_atomic
+from ..io.files import content_hash, write_atomic, write_inside
 from ..progress import report
-from ..step_names import STEPS
+from ..step_names import STEPS, Step
+from .history import (
+    earlier_versions,
+    has_writer,
+    keep_versions,
+    later_writers,
+    path_before,
+    replaced_files,
+    step_of,
+)
 from .run_json import initial_record, read_run, strict_json
 from .run_log import RUN_LOG, RunLog
 from .staging import (
@@ -156,7 +165,7 @@ class RunFolder:
         Raises:
             RunError: an input is missing, or the disk is full or not writable.
         """
-        if _step_of(name) not in STEPS:
+        if step_of(name) not in STEPS:
             raise RunError(f"no such step: {choices(name, STEPS)}")
         hashes = self._hashes(name, inputs)
         self._visited.add(name)
@@ -171,8 +180,15 @@ class RunFolder:
             staged.mkdir(parents=True)
             report(f"{name}: started", **_status(name, name))
             yield staged
+            names = [path.relative_to(staged).as_posix() for path in staged.rglob("*")]
+            for other in sorted(later_writers(self.data["steps"], name, names)):
+                self._discard(other)
+            if keep_versions(self.path, self.data["steps"], name, names):
+                self.save()
             outputs = move_in(staged, self.path)
-            delete_files(self.path, set(old_outputs) - set(outputs))
+            obsolete = set(old_outputs) - set(outputs)
+            delete_files(self.path, obsolete)
+            self._restore(obsolete)
         # If the clock is set back, negative times would make run.json invalid.
         seconds, waiting = (
             max(end - start, 0.0) for end, start in zip(self.now(), started, strict=True)
@@ -186,7 +202,15 @@ class RunFolder:
         self.save()
         waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
         computed = f"{name}: done in {max(seconds - waiting, 0.0):.1f} s{waited}"
-        report(computed, **_status(name, _step_of(name)))
+        report(computed, **_status(name, step_of(name)))
+
+    def before(self, step: Step, name: str) -> Path:
+        """Return the path of the version of a file that the steps before `step` left.
+
+        This is the file itself, or, if `step` or a later step has replaced it, its earlier version
+        in a folder `history`.
+        """
+        return self.path / path_before(self.data["steps"], step, name)
 
     def fallback(self, step: str, outcome: str, reason: str) -> None:
         """Record that a step did less than requested: its actual outcome, and the reason."""
@@ -225,7 +249,7 @@ class RunFolder:
     def _by_step(self, key: str) -> dict[str, float]:
         total: dict[str, float] = {}
         for name, entry in self.data["steps"].items():
-            step = _step_of(name)
+            step = step_of(name)
             total[step] = round(total.get(step, 0.0) + entry.get(key, 0.0), 3)
         return total
 
@@ -237,8 +261,8 @@ class RunFolder:
         """
         if until is None:
             for name in sorted(set(self.data["steps"]) - self._visited):
-                if _step_of(name) not in self._accepted:
-                    delete_files(self.path, self._forget(name))
+                if step_of(name) not in self._accepted:
+                    self._discard(name)
         self.data["status"] = "finished" if until is None else f"stopped after {until}"
         self.save()
 
@@ -263,13 +287,14 @@ class RunFolder:
                 mode = "resume"
         if mode in ("redo", "overwrite"):
             for name in [*self.data["steps"]]:
-                if _step_of(name) not in self._accepted:
-                    delete_files(self.path, self._forget(name))
+                if step_of(name) not in self._accepted:
+                    self._discard(name)
         if mode in ("new", "overwrite"):
             for name in ("report.html", RUN_LOG):
                 (self.path / name).unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
         clear_unfinished(self.path)
+        self._restore(replaced_files(self.data["steps"]))
         self.data = initial_record(config, self.data)
         self.save()
 
@@ -278,14 +303,14 @@ class RunFolder:
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
             return False
-        if _step_of(name) in self._accepted:
+        if step_of(name) in self._accepted:
             if entry["inputs"] != hashes:
                 _log.warning("%s: kept although its inputs have changed", name)
             self.accept_edits(name)
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
-        report(f"{name}: kept", **_status(name, _step_of(name)))
+        report(f"{name}: kept", **_status(name, step_of(name)))
         return True
 
     def accept_edits(self, name: str) -> None:
@@ -308,19 +333,53 @@ class RunFolder:
             if (self.path / name).is_file() and content_hash(self.path / name) != written
         ]
 
+    def _discard(self, name: str) -> None:
+        """Delete the record and the files of a step, and restore the files that it had replaced."""
+        files = self._forget(name)
+        delete_files(self.path, files)
+        self._restore(files)
+
     def _forget(self, name: str) -> list[str]:
-        """Delete the record of a step and return its files; move edited files to `replaced/`."""
+        """Delete the record of a step, and return its files.
+
+        Files that were edited by hand are moved to `replaced/`. If steps are redone, an edited file
+        that has an earlier version replaces this version instead.
+        """
         for kind in ("fallbacks", "notes"):
             self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
         if entry is None:
             return []
+        files = [*entry["outputs"]]
+        versions = earlier_versions(self.data["steps"], files)
         with disk_errors(self.path):
             for path in self._edited(entry):
-                aside = set_aside(self.path, path)
-                _log.warning("%s was edited after step %s wrote it: moved to %s", path, name, aside)
+                if path in versions and step_of(versions[path][0]) in self._accepted:
+                    self._make_current(path, *versions[path])
+                    files.remove(path)
+                else:
+                    aside = set_aside(self.path, path)
+                    _log.warning(
+                        "%s was edited after step %s wrote it: moved to %s", path, name, aside
+                    )
         self.save()
-        return list(entry["outputs"])
+        return files
+
+    def _restore(self, names: Iterable[str]) -> None:
+        """Put back the last earlier version of each file that no step has written since."""
+        steps = self.data["steps"]
+        with disk_errors(self.path):
+            for name, (writer, version) in earlier_versions(steps, names).items():
+                if not has_writer(steps, name) and (self.path / version).is_file():
+                    write_inside(self.path, name, (self.path / version).read_bytes())
+                    self._make_current(name, writer, version)
+
+    def _make_current(self, name: str, writer: str, version: str) -> None:
+        """Make a file the output of the step that wrote its earlier version; delete the version."""
+        outputs = self.data["steps"][writer]["outputs"]
+        outputs[name] = outputs.pop(version)
+        self.save()
+        delete_files(self.path, [version])
 
     def _hashes(self, name: str, inputs: Mapping[str, object]) -> dict[str, str]:
         try:
@@ -342,10 +401,6 @@ def _accepted_steps(mode: Mode, step: str | None) -> tuple[str, ...]:
         raise RunError(f"no such step: {choices(str(step), STEPS)}")
     index = STEPS.index(step)
     return STEPS[: index + 1] if mode == "edited" else STEPS[:index]
-
-
-def _step_of(name: str) -> str:
-    return name.split("/", maxsplit=1)[0]
 
 
 def _status(name: str, step: str) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Scene tree of Step 1 (paper Section 3.2, "Scene parsing")."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import numpy as np
@@ -190,6 +191,16 @@ class SceneTree(Spec):
         if looped is not None:
             raise ValueError(f"nodes form a cycle through {looped}")
         return self
+
+    def with_sizes(self, sizes: Mapping[str, Vec3]) -> "SceneTree":
+        """Return the tree with other sizes of the 3D boxes of some nodes, by name [m]."""
+        nodes = []
+        for node in self.nodes:
+            if node.name in sizes:
+                box = Box3D(**dict(node.box3d) | {"size": sizes[node.name]})
+                node = node.model_copy(update={"box3d": box})
+            nodes.append(node)
+        return self.model_copy(update={"nodes": tuple(nodes)})
 
     def node(self, name: str) -> TreeNode:
         """Return a node by name."""

@@ -1,54 +1,26 @@
-"""Step 3 with models (3.2): the critic judges key frames, and its verdict decides what happens.
+"""Requests of Step 3 to models (3.2): the critic judges key frames, and the reasoner edits.
 
-Models are shown objects that have failed or borderline checks after direct repairs, or, on request,
-all objects. The critic returns one of three verdicts:
+The critic returns one of three verdicts:
 
 - "edit": the reasoner proposes a `Patch`, which is accepted only if it lowers the fault score.
 - "reprogram": the programmer writes the program again, which is accepted only if it lowers the
   fault score.
 - "sound": checks that fail only because the object is tested without its scene are waived.
-
-An object that passes with borderline checks is shown only to the critic, because its fault score is
-0 and no edit could lower it.
 """
 
-import asyncio
-from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Protocol, TypeVar, runtime_checkable
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..checks.object_tests import ObjectTests
 from ..checks.support_polygon import support_polygon
-from ..errors import MissingResponseError
-from ..mllm import Model, Request, ask_or_record, package_text, revise
-from ..program.attempt import SynthesisResult
+from ..mllm import Request, package_text
 from ..spec import PartSpec, bounds, inertial, pieces
 from ..spec.convex import box_around
 from .key_frames import questionable, strips
 from .patch import Patch
-from .repairs import Repair
-
-T = TypeVar("T", bound=BaseModel)
-R = TypeVar("R")
-
-Reprogram = Callable[[Sequence[str]], Awaitable[SynthesisResult]]
-"""Function that requests a new program of an object, given findings of one line each."""
-
-
-@runtime_checkable
-class Compute(Protocol):
-    """Function that runs another function without blocking the event loop.
-
-    An implementation may limit how many functions run at the same time.
-    """
-
-    def __call__(self, work: Callable[[], R], /) -> Awaitable[R]:
-        """Return an awaitable of the result of `work`."""
-        ...
-
 
 # Titles, docstrings and descriptions of response schemas are part of the requests. Recorded
 # responses (tapes) match only requests that are exactly equal.
@@ -211,118 +183,3 @@ def _geom_lines(part: PartSpec) -> list[str]:
 def _ranges(low: np.ndarray, high: np.ndarray) -> str:
     axes = zip("xyz", low, high, strict=True)
     return ", ".join(f"{axis} {a + 0.0:.3f} to {b + 0.0:.3f}" for axis, a, b in axes)
-
-
-@dataclass(frozen=True)
-class _Round:
-    tests: ObjectTests
-    critique: MotionCritique | None = None
-
-
-async def revise_with_models(
-    repaired: Repair,
-    models: Model,
-    *,
-    rounds: int = 6,
-    always: bool = False,
-    surroundings: str = "",
-    reprogram: Reprogram | None = None,
-    compute: Compute = asyncio.to_thread,
-) -> list[MotionCritique]:
-    """Request critiques from the critic, and the edits or new programs for which the critic asks.
-
-    If the object passes the tests or `rounds` is 0, only a critique is requested, and the object is
-    not changed.
-
-    Args:
-        repaired: the result of direct repairs, to which changes that help are added.
-        models: models for the critic and the reasoner.
-        rounds: largest number of edits and new programs.
-        always: if True, the critic is also shown valid objects, and a response that the recorded
-            responses (tape) lack is an error.
-        surroundings: a sentence that says what the object stands on or in.
-        reprogram: requests a new program of the object; if None, no program can be requested.
-        compute: runs simulations.
-
-    Returns:
-        The critiques, one for each round in which the critic responded.
-
-    Raises:
-        BudgetError: the cost cap is reached.
-        MissingResponseError: `always` is True, and the recorded responses lack a response.
-    """
-    tried: list[str] = []
-
-    async def ask(request: Request[T]) -> T | None:
-        try:
-            return await ask_or_record(models, request, request.name, repaired.lost_critics)
-        except MissingResponseError:
-            if always:
-                raise
-            # By default, a response that the tape lacks is skipped without recording a fallback.
-            repaired.tried.append(f"{request.name}: the tape does not hold the answer")
-            return None
-
-    async def criticise(attempt: _Round) -> _Round:
-        request = key_frames_request(
-            attempt.tests, surroundings=surroundings, tried=tried, always=always
-        )
-        return replace(attempt, critique=await ask(request))
-
-    def accept(attempt: _Round) -> bool:
-        critique = attempt.critique
-        changes = critique is not None and critique.verdict != "sound"
-        return not changes or not rounds or attempt.tests.verdict.passed
-
-    async def changed(attempts: Sequence[_Round]) -> _Round | None:
-        critique, tried_before = attempts[-1].critique, len(repaired.tried)
-        assert critique is not None
-        if critique.verdict == "reprogram":
-            if not await rewritten(critique):
-                return None
-        else:
-            request = edit_request(repaired.tests, critique, surroundings=surroundings, tried=tried)
-            proposed = await ask(request)
-            if proposed is None or proposed.patch.empty:
-                return None
-            await compute(lambda: repaired.try_patches([proposed.patch]))
-        tried.extend(repaired.tried[tried_before:])
-        return None if repaired.after.passed else _Round(repaired.tests)
-
-    async def rewritten(critique: MotionCritique) -> bool:
-        """Request a new program and test it; return False if no program can be requested."""
-        lines = findings(critique)
-        if reprogram is None:
-            repaired.unfulfilled.append("; ".join(lines) or "the critic states no finding")
-            return False
-        try:
-            result = await reprogram([*lines, *_failed(repaired.tests)])
-        except MissingResponseError:
-            if always:
-                raise
-            repaired.tried.append("new program: the tape does not hold the answer")
-            return False
-        repaired.lost_critics += result.fallbacks
-        await compute(lambda: repaired.try_program(result))
-        return True
-
-    attempts = await revise(
-        _Round(repaired.tests),
-        rounds=max(rounds, 1),
-        accept=accept,
-        next_attempt=changed,
-        criticise=criticise,
-        criticise_last=False,
-    )
-    last = attempts[-1].critique
-    if last is not None and last.verdict == "sound":
-        repaired.waive()
-    return [attempt.critique for attempt in attempts if attempt.critique is not None]
-
-
-def _failed(tests: ObjectTests) -> list[str]:
-    return [
-        f"simulated by itself: {check.scenario.replace('_', ' ')} {check.phrase()}"
-        for check in tests.verdict.checks
-        if check.outcome == "FAIL"
-    ]

@@ -200,7 +200,7 @@ HOSTILE = {
     "a folder as response": (planted(lambda f: (f / "response.json").mkdir()), "it is a folder"),
     "a huge response": (
         planted(lambda f: write_hole(f / "response.json")),
-        "the limit is 64 MiB",
+        "the limit is 16 MiB",
     ),
 }  # fmt: skip
 

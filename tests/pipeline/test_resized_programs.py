@@ -7,7 +7,7 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 
 from neoworld_mjx.config import load_config
 from neoworld_mjx.pipeline.compose_step import compose_scene
-from neoworld_mjx.pipeline.resized_programs import program_files
+from neoworld_mjx.pipeline.object_steps import write_object_files
 from neoworld_mjx.pipeline.scene_pictures import Pictures
 from neoworld_mjx.pipeline.step_context import StepContext
 from neoworld_mjx.program.sandbox import build
@@ -15,7 +15,6 @@ from neoworld_mjx.render import to_png
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import ObjectSpec, bounds, read_scene
 from neoworld_mjx.verify.patch import MaterialEdit, Patch, apply, read_patch, write_patch
-from neoworld_mjx.view.pages.view_target import open_target
 from neoworld_mjx.view.report.photograph_section import photograph_section
 from tests.align import desk
 from tests.program.test_freed_dimensions import BRICK, WRONG, composed_with, object_of
@@ -34,19 +33,20 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("resized") / "run"
     truth = desk.boxed(composed_with(desk.five(), object_of(BRICK)))
     with RunFolder(path, CONFIG) as run:
-        (path / "tree.json").write_text(exact_response(truth).to_json())
-        (path / "photo.png").write_bytes(to_png(desk.photograph(truth, 640)))
-        for item in truth.objects:
-            home = path / "objects" / item.name
-            home.mkdir(parents=True)
-            (home / "spec.json").write_text(item.spec.to_json())
-        home = path / "objects" / "brick"
-        (home / "program.py").write_text(WRONG)
-        (home / "spec.json").write_text(build(WRONG).spec.to_json())
-        (home / "verified.json").write_text(patched(WRONG).to_json())
-        write_patch(home / "program.py", PATCH)
-        # A program that builds something else than the composed object.
-        (path / "objects" / "tower" / "program.py").write_text(BRICK)
+        with run.step("parse", {}) as out:
+            (out / "tree.json").write_text(exact_response(truth).to_json())
+            (out / "photo.png").write_bytes(to_png(desk.photograph(truth, 640)))
+        with run.step("program", {}) as out:
+            for item in truth.objects:
+                write_object_files(out, item.name, {"spec.json": item.spec.to_json()})
+            spec = build(WRONG).spec.to_json()
+            (out / "objects" / "brick" / "spec.json").write_text(spec)
+            (out / "objects" / "brick" / "program.py").write_text(WRONG)
+            # A program that builds something else than the composed object.
+            (out / "objects" / "tower" / "program.py").write_text(BRICK)
+        with run.step("verify", {}) as out:
+            write_object_files(out, "brick", {"spec.json": patched(WRONG).to_json()})
+            write_patch(out / "objects" / "brick" / "program.py", PATCH)
         with Pictures(run, CONFIG.render) as pictures:
             compose_scene(StepContext(run, CONFIG, None, None, pictures))
     return path
@@ -54,11 +54,11 @@ def folder(tmp_path_factory):
 
 def test_the_changed_program_builds_the_composed_object(folder):
     home = folder / "objects" / "brick"
-    text = (home / "resized.py").read_text()
-    assert (home / "program.py").read_text() == WRONG
-    spec = ObjectSpec.model_validate_json((home / "resized.json").read_text())
+    text = (home / "program.py").read_text()
+    assert (home / "history" / "program" / "program.py").read_text() == WRONG
+    spec = ObjectSpec.model_validate_json((home / "spec.json").read_text())
     assert spec == patched(text) and spec.material("green").friction == 0.33
-    assert read_patch(home / "resized.py") == PATCH
+    assert read_patch(home / "program.py") == PATCH
     edges, composed = (
         high - low
         for low, high in (
@@ -68,13 +68,14 @@ def test_the_changed_program_builds_the_composed_object(folder):
     )
     assert composed / edges == pytest.approx([composed[0] / edges[0]] * 3)
     assert edges[1] / edges[0] == pytest.approx(0.07 / 0.12, rel=0.02)
-    assert {path.parent.name for path in folder.glob("objects/*/resized.py")} == {"brick"}
+    changed = folder.glob("objects/*/history/program/program.py")
+    assert {path.parents[2].name for path in changed} == {"brick"}
 
 
-def test_run_json_report_and_viewer_name_the_change(folder):
+def test_run_json_and_report_name_the_change(folder):
     run = json.loads((folder / "run.json").read_text())
     outputs = run["steps"]["compose"]["outputs"]
-    assert {"objects/brick/resized.py", "objects/brick/resized.json"} <= set(outputs)
+    assert {"objects/brick/program.py", "objects/brick/spec.json"} <= set(outputs)
     whats = {note["what"]: note["why"] for note in run["notes"]}
     assert whats["brick has other dimensions than its program"].startswith("WIDTH 0.077 -> 0.0")
     aligned = json.loads((folder / "compose" / "align.json").read_text())["dimensions"]
@@ -83,8 +84,6 @@ def test_run_json_report_and_viewer_name_the_change(folder):
     assert aligned["tower"]["reason"] == "its program does not build the composed object"
     report = str(photograph_section(folder))
     assert "WIDTH 0.077 -&gt; 0.0" in report and "unchanged: it has no program" in report
-    target = open_target(folder / "objects" / "brick", CONFIG)
-    assert target.program is not None and target.program.name == "resized.py"
 
 
 def test_the_step_is_kept_and_its_programs_go_with_it(folder):
@@ -96,14 +95,8 @@ def test_the_step_is_kept_and_its_programs_go_with_it(folder):
 
     before = json.loads((folder / "run.json").read_text())["steps"]["compose"]["seconds"]
     assert compose_again(CONFIG) == before
-    names = {path.split("/")[0] for path in program_files(folder, exact_tree(folder))}
-    assert names == {"brick", "tower"}
     compose_again(load_config(None, {"compose": {"looks": False}}))
-    assert not list(folder.glob("objects/*/resized*"))
-    assert (folder / "objects" / "brick" / "program.patch.json").is_file()
-
-
-def exact_tree(folder):
-    from neoworld_mjx.spec import SceneTree
-
-    return SceneTree.model_validate_json((folder / "tree.json").read_text())
+    home = folder / "objects" / "brick"
+    assert (home / "program.py").read_text() == WRONG
+    assert (home / "spec.json").read_text() == patched(WRONG).to_json()
+    assert (home / "program.patch.json").is_file()

@@ -53,26 +53,6 @@ def test_a_hinge_at_any_edge_of_any_face_opens_outwards(face: str, edge: str):
     assert np.allclose(moved.apply(hinge), hinge, atol=1e-9)
 
 
-def test_anchor_and_joint_name_the_same_point():
-    text = flap("front", "left") + "print(p.anchor('left.hinge'))\n"
-    built = run(text)
-    assert built.printed.strip() == "(0.2, 0.2, 0.2)"
-
-
-def test_words_for_axes_and_points():
-    text = HEAD + (
-        "p.add(box((0.02, 0.4, 0.4)), at=body.anchor('front'), by='back')\n"
-        "o.prismatic('j', body, p, axis='front', range=(0, 0.1))\n"
-        "k = o.part('k', material='steel')\n"
-        "k.add(cylinder(0.02, 0.02), at=p.anchor('front'), rpy=(0, 1.5708, 0), by='back')\n"
-        "o.continuous('turn', p, k, at='centre', axis='front')\n"
-    )
-    built = build(text)
-    assert built.ok and built.spec is not None, built.signals
-    assert [joint.axis for joint in built.spec.joints] == [(1, 0, 0), (1, 0, 0)]
-    assert built.spec.joints[1].pos[1:] == pytest.approx((0, 0.2))
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -10,7 +10,7 @@ from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.ask import instructions
-from neoworld_mjx.program.blender.blender_availability import unavailable
+from neoworld_mjx.program.blender.blender_process import unavailable
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.stages import STAGES
 from neoworld_mjx.spec import bounds

@@ -18,10 +18,6 @@ BY_FORMULA = {
 }
 
 
-def test_there_are_at_least_twenty_vessels():
-    assert len(VESSELS) >= 20
-
-
 @pytest.mark.parametrize("name", VESSELS)
 def test_a_ball_dropped_in_stays_in_and_colliders_fill_the_solid(name: str):
     result = held(name)

@@ -109,17 +109,6 @@ def test_an_allowance_has_bounds(call: str, code: str):
     assert not built.ok and code in {signal.code for signal in built.signals}
 
 
-def test_patterns():
-    text = HEAD + (
-        "for x, y, z in grid((2, 3), (0.1, 0.1), (0, 0, 0.6)):\n"
-        "    body.add(box((0.02, 0.02, 0.02)), at=(x, y, z), by='bottom')\n"
-        "for x, y, z in ring(4, 0.15, (0, 0, 0.6)):\n"
-        "    body.add(box((0.01, 0.01, 0.03)), at=(x, y, z), by='bottom')\n"
-    )
-    built = build(text)
-    assert built.ok and built.spec is not None and len(built.spec.parts[0].geoms) == 11
-
-
 @pytest.mark.parametrize(
     ("hinge", "y", "z"),
     [

@@ -1,7 +1,7 @@
 import hashlib
 import subprocess
 import sys
-import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -140,12 +140,13 @@ for i in range(2):
     assert "taken by another shape of the part" in twice.signals[0].message
 
 
-def test_a_busy_machine_does_not_use_up_a_programs_time(monkeypatch):
-    # As if every call had to wait for others: wall time passes, this thread's own does not.
-    clock = iter(range(0, 1_000_000, 10))
-    monkeypatch.setattr(time, "monotonic", lambda: float(next(clock)))
-    assert run(CUP, ProgramOptions(sandbox="cpython")).spec is not None
-    assert run(CUP).spec is not None
+def test_programs_run_at_once_without_mixing():
+    texts = [CUP, CABINET, COMBINED]
+    alone = [run(text) for text in texts]
+    with ThreadPoolExecutor(8) as threads:
+        together = list(threads.map(run, texts * 3))
+    for one, built in zip(alone * 3, together, strict=True):
+        assert built.spec == one.spec and built.lines == one.lines
 
 
 COMBINED = """

@@ -3,7 +3,7 @@
 import ast
 
 from neoworld_mjx.program import sdk, stubs
-from neoworld_mjx.program.monty_sandbox import _FIELDS, _METHODS, _PROPERTIES
+from neoworld_mjx.program.execution import _FIELDS, _METHODS, _PROPERTIES
 
 TREE = ast.parse(stubs.PATH.read_text(encoding="utf-8"))
 FUNCTIONS = {node.name for node in TREE.body if isinstance(node, ast.FunctionDef)}

@@ -1,18 +1,17 @@
 """The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
-import io
 import json
 
 import pytest
-from PIL import Image
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, make_check
-from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.coroutines import run_coroutine
 from neoworld_mjx.program.attempt import SynthesisResult
+from neoworld_mjx.program.synthesise import ProgramSource
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
@@ -21,12 +20,12 @@ from neoworld_mjx.verify.critic import (
     ProposedEdit,
     edit_request,
     key_frames_request,
-    revise_with_models,
 )
-from neoworld_mjx.verify.films import films
-from neoworld_mjx.verify.key_frames import questionable, strips
+from neoworld_mjx.verify.key_frames import strips
 from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
+from neoworld_mjx.verify.verification import revise_with_models
+from tests.support import answers
 from tests.support import furniture as objects
 from tests.support.scripted_model import ScriptedModel
 
@@ -56,7 +55,7 @@ def edited_by(*answers):
     """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
     repaired = repair(BAD, results_of, rounds=0)
     model = ScriptedModel(*answers)
-    critiques = run_coroutine(revise_with_models(repaired, model))
+    critiques = run_coroutine(revise_with_models(repaired, model, VerifyOptions()))
     return repaired, critiques, model
 
 
@@ -69,24 +68,6 @@ def test_strips_show_failed_checks_with_labels():
     # The same object gives the same key on every machine; another one gives another.
     assert result[0].pixels == strips(run_object_tests(BAD))[0].pixels
     assert result[0].pixels != strips(results_of(objects.cupboard(lower=-0.5)))[0].pixels
-
-
-def test_a_valid_object_has_no_strips():
-    tests = results_of(objects.cupboard())
-    assert questionable(tests.verdict) == []
-    assert "- none" in key_frames_request(tests).prompt
-    assert strips(tests) == []
-
-
-def test_requests_state_numbers_and_editable_fields():
-    tests = results_of(BAD)
-    request = key_frames_request(tests)
-    assert request.role == "critic"
-    assert "FAIL joint_range depth:hinge" in request.prompt
-    requests = edit_request(tests, FOUND)
-    assert requests.role == "reasoner"
-    assert "swings in" in requests.prompt
-    assert "joint hinge: revolute, door on carcass" in requests.prompt
 
 
 def only_just():
@@ -169,19 +150,6 @@ def test_a_cached_result_without_borderline_checks_is_used(tmp_path, monkeypatch
     assert verify_and_repair(objects.cupboard(), models=Panel(ScriptedModel())) == first
 
 
-def test_films_show_the_two_standard_scenarios():
-    films_of = films(results_of(objects.cupboard()))
-    assert list(films_of) == ["free_fall", "force_perturbation"]
-    for data in films_of.values():
-        with Image.open(io.BytesIO(data), formats=["GIF"]) as film:
-            assert film.n_frames >= 2 and film.size == (240, 200)
-            moved = film.convert("RGB").tobytes()
-            film.seek(film.n_frames - 1)
-            assert film.convert("RGB").tobytes() != moved
-    # What is fixed is filmed while it is driven; what has no joint then does nothing.
-    assert list(films(run_object_tests(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
-
-
 def test_a_critique_does_not_change_other_checks():
     flipped = objects.cupboard(axis=(0, 0, -1))
     sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
@@ -243,22 +211,31 @@ def test_direct_repairs_come_before_models():
     assert result.seen == ("door: swings in",)
 
 
-def rewritten(spec, text="# another program"):
-    """Return a function that gives an object's new program, and the findings that it receives."""
-    received = []
+@pytest.fixture
+def rewritten(monkeypatch):
+    """Set the object that a new program builds; return the findings that the request contains."""
 
-    async def reprogram(findings):
-        received.append(list(findings))
-        return SynthesisResult(spec, {"program": text}, (), 9.0, ())
+    def give(spec):
+        received = []
 
-    return reprogram, received
+        async def reprogram(source, findings, models):
+            received.append(list(findings))
+            return SynthesisResult(spec, {"program": "# another program"}, (), 9.0, ())
+
+        monkeypatch.setattr(verification, "reprogram", reprogram)
+        return received
+
+    return give
 
 
-def test_the_verdict_reprogram_leads_to_a_new_program():
+SOURCE = ProgramSource(answers.exact().nodes[0], b"", "# a program", ProgramOptions())
+
+
+def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
     flipped, verdict = objects.cupboard(axis=(0, 0, -1)), MotionCritique(verdict="reprogram")
     verdict.findings.append(Finding(where="hinge", what="opens inwards", suggestion="turn it over"))
-    reprogram, received = rewritten(objects.cupboard())
-    result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), reprogram=reprogram)
+    received = rewritten(objects.cupboard())
+    result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), source=SOURCE)
     assert result.verdict.passed and not result.before.passed
     assert result.program == "# another program"
     assert result.applied(flipped) == objects.cupboard()
@@ -266,11 +243,11 @@ def test_the_verdict_reprogram_leads_to_a_new_program():
     assert received[0][1].startswith("simulated by itself: ")
 
 
-def test_a_new_program_that_is_not_better_is_dropped_and_the_critic_learns_of_it():
+def test_a_new_program_that_is_not_better_is_dropped_and_the_critic_learns_of_it(rewritten):
     flipped = objects.cupboard(axis=(0, 0, -1))
-    reprogram, received = rewritten(flipped)
+    received = rewritten(flipped)
     script = ScriptedModel(MotionCritique(verdict="reprogram"), MotionCritique(verdict="sound"))
-    result = verify_and_repair(flipped, models=Panel(script), reprogram=reprogram)
+    result = verify_and_repair(flipped, models=Panel(script), source=SOURCE)
     assert len(received) == 1 and result.program is None and not result.verdict.passed
     assert "new program: fault score" in script.requests[1].prompt
 
@@ -323,14 +300,3 @@ def test_the_edit_schema_offers_surface_friction_and_contains_no_comment_of_the_
     assert "MaterialEdit" in schema and "for the checks to say" not in schema
     assert (changed.materials[0].friction, stale) == (0.9, ())
     assert "material wood: friction" in request.prompt
-
-
-def test_requests_state_extent_base_and_surroundings():
-    tests = results_of(BAD)
-    request = edit_request(tests, FOUND, surroundings="In the scene it rests on floor (floor).")
-    assert "base: its contact with a level floor is" in request.prompt
-    assert "extent: x -" in request.prompt and "the origin is (0, 0, 0)" in request.prompt
-    assert "geom " in request.prompt and " z 0.000 to " in request.prompt
-    assert "rests on floor" in request.prompt
-    request = key_frames_request(tests, surroundings="In the scene it rests on floor (floor).")
-    assert "rests on floor" in request.prompt

@@ -12,7 +12,7 @@ from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Panel, Usage
 from neoworld_mjx.mllm.requests import Reply
-from neoworld_mjx.pipeline.object_steps import verify_objects
+from neoworld_mjx.pipeline.object_steps import verify_objects, write_object_files
 from neoworld_mjx.pipeline.scene_pictures import Pictures
 from neoworld_mjx.pipeline.step_context import StepContext
 from neoworld_mjx.run_folder import RunFolder
@@ -162,8 +162,9 @@ class Programmer:
     async def close(self): ...
 
 
-def test_a_new_program_is_written_beside_the_first_and_its_object_is_used(tmp_path):
+def test_a_new_program_replaces_the_first_which_stays_in_the_history(tmp_path):
     model, config = Programmer(), Config()
+    first = FLAT.replace("0.02, 0.02", "0.002, 0.002")
     with RunFolder(tmp_path / "run", config) as run:
         nodes = (
             node("table", objects.chest(), environment=True),
@@ -171,24 +172,27 @@ def test_a_new_program_is_written_beside_the_first_and_its_object_is_used(tmp_pa
         )
         (run.path / "tree.json").write_text(SceneTree(camera=CAMERA, nodes=nodes).to_json())
         for entry, spec in zip(nodes, (objects.chest(), pin()), strict=True):
-            home = run.path / "objects" / entry.name
-            home.mkdir(parents=True)
-            (home / "spec.json").write_text(spec.to_json())
-            (home / "program.json").write_text('{"allowances": []}')
-            (home / "program.py").write_text(FLAT.replace("0.02, 0.02", "0.002, 0.002"))
+            with run.step(f"program/{entry.name}", {}) as out:
+                files = {"spec.json": spec.to_json(), "program.json": '{"allowances": []}'}
+                write_object_files(out, entry.name, {**files, "program.py": first})
         photo = answers.photo()
         with Pictures(run, config.render) as pictures, Panel(model) as models:
-            verify_objects(StepContext(run, config, photo, models, pictures))
-        assert [r.name for r in model.requests] == ["simulation:pin", "reprogram:pin"]
-        assert run.data["fallbacks"] == []
-        assert [note["what"] for note in run.data["notes"]] == ["pin has a new program"]
+            context = StepContext(run, config, photo, models, pictures)
+            verify_objects(context)
+            assert [r.name for r in model.requests] == ["simulation:pin", "reprogram:pin"]
+            assert run.data["fallbacks"] == []
+            assert [note["what"] for note in run.data["notes"]] == ["pin has a new program"]
+            verify_objects(context)
+            assert len(model.requests) == 2  # The step is finished.
     assert "pin: it has a point -> a foot of 5 cm" in model.requests[1].prompt
     assert [picture.label for picture in model.requests[1].pictures] == ["crop"]
     home = tmp_path / "run" / "objects" / "pin"
-    assert (home / "reprogrammed.py").read_text() == FLAT
-    assert json.loads((home / "reprogrammed.json").read_text())["rounds"][0]["stage"] == "reprogram"
+    assert (home / "program.py").read_text() == FLAT
+    assert (home / "history" / "program" / "program.py").read_text() == first
+    assert (home / "history" / "program" / "spec.json").read_text() == pin().to_json()
+    assert json.loads((home / "program.json").read_text())["rounds"][0]["stage"] == "reprogram"
     assert json.loads((home / "verify.json").read_text())["passed"]
-    changed = ObjectSpec.model_validate_json((home / "verified.json").read_text())
+    changed = ObjectSpec.model_validate_json((home / "spec.json").read_text())
     low, high = bounds(changed)
     assert (high - low).tolist() == pytest.approx([0.02, 0.02, 0.1])
 

@@ -17,7 +17,7 @@ from neoworld_mjx.commands.view_command import (  # noqa: E402
     ViewCommand,
 )
 from neoworld_mjx.view.pages.local_server import close_server, open_server  # noqa: E402
-from tests.support.hostile import FINE  # noqa: E402
+from tests.program.test_hostile import FINE  # noqa: E402
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

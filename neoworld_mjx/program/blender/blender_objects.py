@@ -14,13 +14,12 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
-from ..exception_signals import exception_signal, limit_signal
 from ..materials import MATERIALS
 from ..part import Joint, Part
 from ..placing import Shape
+from ..program_errors import exception_signal, limit_signal
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
-from .blender_availability import require_blender
 from .blender_process import failure, run_confined
 from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
 from .mesh_solids import MAX_FACES, shape_of, split_solids
@@ -37,12 +36,7 @@ _DEFAULT_MATERIAL = "plastic"
 
 
 def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
-    """Run a program in Blender, create its object, and return its printed text and its signals.
-
-    Raises:
-        ProgramError: Blender is not installed, or this machine cannot confine the process.
-    """
-    require_blender()
+    """Run a program in Blender, create its object, and return its printed text and its signals."""
     output = run_confined(
         text,
         timeout_s=options.blender_timeout_s,
@@ -69,7 +63,7 @@ def build_object(
         return [_raised(scene)]
     try:
         with use_session(session):
-            return _Conversion(scene, time.monotonic() + options.blender_timeout_s).run()
+            return _Conversion(scene, time.process_time() + options.blender_timeout_s).run()
     except LimitExceeded as exceeded:
         return [limit_signal(exceeded, session)]
     except (ValueError, TypeError, TimeoutError) as error:
@@ -134,7 +128,7 @@ class _Conversion:
         if len(faces) > MAX_FACES:
             raise ValueError(f"{context} has {len(faces)} triangles, at most {MAX_FACES} are read")
         for solid in split_solids(vertices, faces, slots):
-            if time.monotonic() > self.deadline:
+            if time.process_time() > self.deadline:
                 raise TimeoutError("splitting the shapes into convex pieces takes too long")
             try:
                 shape_and_pose = shape_of(solid, shape.convex or shape.role == "visual")

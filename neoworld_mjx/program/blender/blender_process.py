@@ -1,30 +1,129 @@
-"""Execution of a program in a confined Blender process, whose output is untrusted."""
+"""Blender: its installation, and the execution of programs in a confined process.
+
+Blender is distributed as the package bpy. The package requires NumPy 1 and one version of CPython,
+so it is installed into a separate virtual environment in the cache folder. The output of a process
+is untrusted.
+"""
 
 import os
+import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
+from ...cache import cache_folder
 from ...checks.signals import Signal, error_signal
 from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..exception_signals import ENDLESS_HINT
+from ..program_errors import ENDLESS_HINT
 from .blender_child import UNAVAILABLE
-from .blender_environment import blender_python
 from .blender_scene import BlenderScene
 
+BPY, PYTHON = "5.0.1", "3.11"
+"""Versions of bpy and of CPython; this bpy is the latest for this CPython."""
+INSTALL = "neoworld doctor --install blender"
+LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
+"""Debian packages with libraries that bpy is linked to but does not contain."""
+
+
+_INSTALL_S = 1800.0
+"""Time limit of an installation command [s]."""
 SCENE_MIB = 48
 """Largest size of the returned scene [MiB]; a triangle takes about 40 bytes."""
-_WALL_TIME_FACTOR = 4.0
+_WALL_TIME_FACTOR = 10.0
 """Limit on wall time, as a multiple of the limit on processor time; the machine may be busy."""
 _CPU_START_S = 5
 """Additional processor time for loading Blender [s]."""
 _CHILD = Path(__file__).with_name("blender_child.py")
 _KILL_CODES = (-9, -24)
 """Exit codes of a process that exceeded the limit on processor time: SIGKILL and SIGXCPU."""
+
+
+def blender_folder() -> Path:
+    """Return the folder of Blender's virtual environment; the folder may not exist."""
+    return cache_folder() / f"bpy-{BPY}"
+
+
+def blender_python() -> Path:
+    """Return the path of the Python interpreter that has bpy; the file may not exist."""
+    return blender_folder() / "bin" / "python"
+
+
+def commands() -> list[list[str]]:
+    """Return the commands that create the environment: a download of 360 MB, 970 MB on disk."""
+    python = str(blender_python())
+    return [
+        ["uv", "venv", "--allow-existing", "--python", PYTHON, str(blender_folder())],
+        ["uv", "pip", "install", "--python", python, f"bpy=={BPY}", "numpy<2"],
+    ]
+
+
+def install_blender() -> Path:
+    """Create or update Blender's virtual environment, and return the environment's folder.
+
+    Raises:
+        ProgramError: uv is missing, a command failed, or Blender cannot run programs.
+    """
+    lines = "\n".join(f"    {' '.join(command)}" for command in commands())
+    if shutil.which("uv") is None:
+        raise ProgramError(
+            f"Blender is installed by uv, which is missing (pip install uv):\n{lines}"
+        )
+    blender_folder().parent.mkdir(parents=True, exist_ok=True)
+    for command in commands():
+        try:
+            # In a clone of this package, uv would apply the package's pinned versions to bpy.
+            process = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                timeout=_INSTALL_S,
+                check=False,
+                cwd=blender_folder().parent,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ProgramError(f"{' '.join(command)}: {error}") from None
+        if process.returncode:
+            output = process.stderr.strip()[-400:]
+            raise ProgramError(f"{' '.join(command)} ended with {process.returncode}: {output}")
+    _test_run.cache_clear()
+    reason = unavailable()
+    if reason is not None:
+        raise ProgramError(reason)
+    return blender_folder()
+
+
+def require_blender() -> None:
+    """Raise ProgramError if Blender is not installed, cannot be loaded or cannot be confined."""
+    reason = unavailable()
+    if reason is not None:
+        raise ProgramError(f"program.language blender: {reason}; or use program.language sdk")
+
+
+def unavailable() -> str | None:
+    """Return why Blender cannot run programs on this machine, or None if it can.
+
+    The test run is made once in a process.
+    """
+    if not blender_python().exists():
+        return f"Blender is not installed ({blender_python()} is missing): run `{INSTALL}`"
+    return _test_run(str(blender_python()))
+
+
+@lru_cache(maxsize=1)
+def _test_run(python: str) -> str | None:
+    """Run an empty program; if it fails, return the reason."""
+    output = run_confined("", timeout_s=60.0, memory_mib=4096)
+    if output.missing:
+        return f"untrusted programs cannot be confined here without {output.missing}"
+    if output.exit_code:
+        last = output.errors.strip().rpartition("\n")[2][:300]
+        return f"{python} cannot load bpy: {last} (`{INSTALL}`; its libraries: {LIBRARIES})"
+    return None
 
 
 @dataclass(frozen=True)
@@ -57,7 +156,7 @@ def run_confined(
 
     Args:
         text: the program.
-        timeout_s: limit on the program's processor time [s]. The limit on wall time is four times
+        timeout_s: limit on the program's processor time [s]. The limit on wall time is ten times
             the processor time, including the time for loading Blender.
         memory_mib: limit on the address space of the process [MiB], of which Blender takes about
             1300 MiB.

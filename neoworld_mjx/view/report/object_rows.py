@@ -11,13 +11,11 @@ from ...checks.verdict import Check, format_quantity
 from .changes import all_moves
 from .formatting import read_json, size_cm, support_of, with_unit
 from .page import elements
-from .pictures import cropped_picture, film_strip, picture
+from .pictures import cropped_picture, picture
 
 TITLE = "Objects"
 MARGIN = 0.12
 """Margin around an object in its picture, relative to the longer edge of its box."""
-FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
-"""Stems of the film files that an object's folder may contain, and captions of the films."""
 _METRIC_LIMITS = (
     ("depths_m", "max_depth_m", "m", "penetrates {other} by {value} (limit {limit})"),
     ("settled_depths_m", "max_depth_m", "m", "settles {value} deep in {other} (limit {limit})"),
@@ -167,7 +165,7 @@ def _measured(check: Mapping[str, Any], key: str) -> str:
 
 
 def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Markup:
-    """Return the signals of an object's program, its checks in verify.json, and its films."""
+    """Return the signals of an object's program and its checks in verify.json."""
     signals = [
         [
             signal["code"].replace("_", " "),
@@ -195,5 +193,4 @@ def _checks(object_folder: Path, verification: Mapping[str, Any] | None) -> Mark
     if findings := verification.get("seen"):
         heads = ["findings of the critic in key frames"]
         parts.append(elements.table(heads, [[finding] for finding in findings]))
-    parts += [film_strip(object_folder / f"{kind}.gif", name) for kind, name in FILMS.items()]
     return Markup("").join(parts)

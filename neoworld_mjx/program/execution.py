@@ -1,19 +1,21 @@
-"""Execution of a program in a worker process of the Monty sandbox.
+"""Execution of a program: in the Monty sandbox, or by CPython without isolation.
 
-The program is first type-checked against the stubs of the SDK. A worker has no access to files or
-the network, and can import only the SDK, `math` and similar modules. Time, memory, recursion,
-output and calls are limited. The SDK's objects remain in this process, and a worker has only
-handles of them. The SDK validates every value that a program passes.
+In the sandbox, the program is first type-checked against the stubs of the SDK, and then interpreted
+by a separate process. This process has no access to files or the network, and can import only the
+SDK, `math` and similar modules. Memory, recursion, output and calls are limited. The SDK's objects
+remain in the calling process, which is itself a worker with limited time and memory; the program
+has only handles of them. The SDK validates every value that a program passes.
 """
 
-import atexit
+import contextlib
 import inspect
+import io
 import json
-import os
 import re
+import signal
+import traceback
 from bisect import bisect_right
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
 from importlib import import_module, resources
 from typing import Any
 
@@ -21,18 +23,11 @@ import pydantic_monty as monty
 
 from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
-from .call_clock import CallClock
-from .exception_signals import (
-    ENDLESS_HINT,
-    MODULE,
-    exception_signal,
-    limit_signal,
-)
 from .part import Geom, Joint, Part
 from .placing import Shape
+from .program_errors import ENDLESS_HINT, MODULE, exception_signal, limit_signal, type_signals
 from .sdk_object import Object
-from .session import LimitExceeded, Session
-from .type_signals import type_signals
+from .session import LimitExceeded, Session, use_session
 
 
 def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
@@ -41,17 +36,10 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
     return tuple(name for name, _ in members if not name.startswith("_"))
 
 
-_START_S, _GRACE_S = 10.0, 0.5
-_MIN_CPU_FRACTION = 0.25
-"""A worker that timed out is run again if it used less processor time than this.
-
-The value is a fraction of the time limit.
-"""
-_WALL_TIME_FACTOR = 30.0
-"""Limit of the second run's wall time, as a multiple of the time limit.
-
-In the second run, the time limit applies to the processor time.
-"""
+WALL_FACTOR = 30.0
+"""Ratio of the wall time limit, which ends programs that wait, to the processor time limit."""
+_START_S = 30.0
+"""Time limit for starting the interpreter [s]."""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
 _PROPERTIES = {
@@ -119,30 +107,19 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     return {packages[0]: module}
 
 
-class WorkerStarved(Exception):
-    """Raised if a program timed out because the machine was too busy to run it."""
+def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
+    """Run a program in the sandbox, and return its printed text and its errors.
 
-
-def run_sandboxed(
-    text: str, session: Session, options: ProgramOptions, *, limit_cpu_time: bool = False
-) -> tuple[str, list[Signal]]:
-    """Run a program in a worker, and return its printed text and its errors.
+    The interpreter inherits the limit on processor time of this process.
 
     Args:
         text: the program.
         session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
-        limit_cpu_time: if True, the time limit applies to the worker's processor time instead of
-            the wall time.
-
-    Raises:
-        WorkerStarved: the worker used little processor time before it reached the limit of wall
-            time. Not raised if `limit_cpu_time` is True.
     """
     printed = monty.CollectString(max_bytes=options.max_output_bytes)
     limits: monty.ResourceLimits = {
-        "max_feed_duration_secs": options.timeout_s
-        * (_WALL_TIME_FACTOR if limit_cpu_time else 1.0),
+        "max_feed_duration_secs": WALL_FACTOR * options.timeout_s,
         "max_memory": options.memory_mib << 20,
         "max_recursion_depth": options.max_recursion,
         "max_suspensions": options.max_calls,
@@ -150,11 +127,10 @@ def run_sandboxed(
     policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
     errors: list[Signal] = []
     starts = [0, *(match.end() for match in re.finditer(rb"\n", text.encode()))]
-    clock = session.clock = CallClock()
     try:
         with (
-            clock.watching(),
-            _pool(options.workers, os.getpid()).checkout(
+            monty.Monty(max_processes=1, checkout_timeout=_START_S) as interpreter,
+            interpreter.checkout(
                 script_name="program.py",
                 limits=limits,
                 type_check=options.type_check,
@@ -163,9 +139,6 @@ def run_sandboxed(
                 external_modules=_module(session),
             ) as worker,
         ):
-            clock.watch_worker(
-                worker.worker_pid, options.timeout_s if limit_cpu_time else float("inf")
-            )
             progress = worker.feed_start(text, print_callback=printed)
             while not isinstance(progress, monty.MontyComplete):
                 if progress.position.filename.startswith("<python-input"):
@@ -177,39 +150,25 @@ def run_sandboxed(
         errors = type_signals(json.loads(error.display()))
         if not errors:
             unchecked = options.model_copy(update={"type_check": False})
-            return run_sandboxed(text, session, unchecked, limit_cpu_time=limit_cpu_time)
+            return run_sandboxed(text, session, unchecked)
     except LimitExceeded:
         pass  # Reported below, even if the program caught the exception.
     except monty.MontyError as error:
-        signal = _monty_signal(error, options)
-        if clock.worker_killed:
-            signal = signal.model_copy(update={"code": "timeout"})
-        used = clock.worker_s
-        starved = used is not None and used < _MIN_CPU_FRACTION * options.timeout_s
-        if signal.code == "timeout" and starved and not limit_cpu_time:
-            raise WorkerStarved from None
-        errors = [signal]
-    except TimeoutError:
-        hint = "raise program.workers, or run fewer programs at once"
-        errors = [error_signal("busy", "all sandbox workers are busy", hint=hint)]
+        errors = [_monty_signal(error, options)]
     if session.exceeded is not None:
         errors = [limit_signal(session.exceeded, session)]
     return printed.output, errors
 
 
-@lru_cache(maxsize=4)
-def _pool(workers: int, pid: int) -> monty.Monty:
-    """Return a pool of running workers; each process, identified by `pid`, has a separate pool."""
-    pool = monty.Monty(
-        min_processes=1,
-        max_processes=workers,
-        checkout_timeout=_START_S,
-        request_timeout=_START_S,
-        feed_duration_limit_grace=_GRACE_S,
-    )
-    pool.__enter__()
-    atexit.register(pool.__exit__, None, None, None)
-    return pool
+@contextlib.contextmanager
+def limited_calls(session: Session, timeout_s: float) -> Iterator[None]:
+    """Raise LimitExceeded in SDK calls of the block when this worker's processor time runs out."""
+    message = f"building the shapes took over {timeout_s:g} s; use fewer"
+    previous = signal.signal(signal.SIGXCPU, lambda *_: session.stop("timeout", message))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGXCPU, previous)
 
 
 def stubs() -> str:
@@ -219,21 +178,56 @@ def stubs() -> str:
 
 def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     if isinstance(error, monty.MontyCrashedError):
-        code = "timeout" if error.timed_out else "crashed"
+        if error.timed_out or "SIGXCPU" in str(error):
+            message = f"the program took over {options.timeout_s:g} s"
+            return error_signal("timeout", message, hint=ENDLESS_HINT)
         message = f"the sandbox had to be stopped: {error}"[:400]
-        return error_signal(code, message, hint=ENDLESS_HINT)
+        return error_signal("crashed", message, hint=ENDLESS_HINT)
     located = isinstance(error, monty.MontySyntaxError | monty.MontyRuntimeError)
     frames = error.traceback() if located else []
     frames = [frame for frame in frames if frame.filename.startswith("<python-input")]
     inner = error.exception()
     position = (frames[-1].line, frames[-1].column) if frames else (None, None)
-    signal = exception_signal(inner, *position)
+    found = exception_signal(inner, *position)
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}
-    elif signal.code == "memory" and "print" in signal.message:
+    elif found.code == "memory" and f"> {options.max_output_bytes} bytes" in found.message:
         update = {"code": "output", "hint": f"print at most {options.max_output_bytes} bytes"}
-    elif isinstance(inner, RuntimeError) and "suspension" in signal.message:
+    elif isinstance(inner, RuntimeError) and "suspension" in found.message:
         hint = f"make at most {options.max_calls} calls of the SDK"
         update = {"code": "too_many_calls", "hint": hint}
-    return signal.model_copy(update=update)
+    return found.model_copy(update=update)
+
+
+def run_in_process(
+    text: str, session: Session, options: ProgramOptions
+) -> tuple[str, list[Signal]]:
+    """Run a program in this process, and return its printed text and its errors.
+
+    The limits of `session` on parts and shapes apply. The limits on time, memory, recursion and SDK
+    calls do not apply.
+    """
+    session.filename = "<program.py>"
+    output = io.StringIO()
+    try:
+        code = compile(text, session.filename, "exec", dont_inherit=True)
+        with contextlib.redirect_stdout(output), use_session(session):
+            exec(code, {"__name__": "__main__", "__file__": "program.py"})
+    except SyntaxError as error:
+        place = {"line": error.lineno, "column": error.offset}
+        return output.getvalue(), [error_signal("syntax", str(error.msg), **place)]
+    except (Exception, SystemExit) as error:
+        return output.getvalue(), [_raised(error, session)]
+    if session.exceeded is not None:
+        return output.getvalue(), [limit_signal(session.exceeded, session)]
+    return output.getvalue()[: options.max_output_bytes], []
+
+
+def _raised(error: BaseException, session: Session) -> Signal:
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == session.filename]
+    line = lines[-1] if lines else None
+    if isinstance(error, LimitExceeded):
+        return limit_signal(error, session).model_copy(update={"line": line})
+    return exception_signal(error, line)
