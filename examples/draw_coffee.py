@@ -13,6 +13,10 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from neoworld_mjx.view.pages.annotate_page import Annotator
+from neoworld_mjx.view.pages.local_server import address, close_server, open_server
+from neoworld_mjx.view.pages.scene_viewer import SceneViewer
+from neoworld_mjx.view.pages.view_target import open_target
 from PIL import Image
 
 from neoworld_mjx.config import Config
@@ -22,10 +26,6 @@ from neoworld_mjx.pipeline import rebuild, search_again
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.render.viewpoints import around, subject_points
 from neoworld_mjx.spec import read_scene
-from neoworld_mjx.view.pages.annotate_page import Annotator
-from neoworld_mjx.view.pages.local_server import address, close_server, open_server
-from neoworld_mjx.view.pages.scene_viewer import SceneViewer
-from neoworld_mjx.view.pages.view_target import open_target
 from tests.support.annotations import coffee
 from tests.support.browser import Page, opened
 

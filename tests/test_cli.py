@@ -11,12 +11,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands import COMMANDS, interrupts
 from neoworld_mjx.commands.doctor_command import COMPONENTS, DoctorCommand
-from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.config import Config, list_options
 from neoworld_mjx.errors import ConfigError

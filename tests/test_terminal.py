@@ -6,10 +6,10 @@ import re
 import time
 
 import pytest
+from neoworld_mjx.commands.status_line import StatusLine
 
 from neoworld_mjx import progress
 from neoworld_mjx.commands.result_lines import run_lines
-from neoworld_mjx.commands.status_line import StatusLine
 from neoworld_mjx.config import Config, ProgramOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build

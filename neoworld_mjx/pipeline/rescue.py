@@ -24,7 +24,7 @@ from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
 from ..export.file_camera import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
 from ..export.importing_scene import ImportedScene, import_file
-from ..io import bounded_by
+from ..io import bounded_by, read_object
 from ..io.files import write_output
 from ..measure import SceneMeasure, measured, object_moves, passes
 from ..parse.photo import load_photo
@@ -39,7 +39,7 @@ from .compose_step import write_alignment
 from .reconstruction import finish
 from .scene_pictures import Pictures
 from .scene_steps import export_files, refine_layout
-from .step_context import COMPOSED, SCENE, StepContext
+from .step_context import COMPOSED, RESULT, SCENE, StepContext
 
 REPORT = "rescue.json"
 GIVEN_SCENE = "compose/given.json"
@@ -230,7 +230,7 @@ def rescue_file(
             scene = read_scene(run.path / SCENE)
             fallbacks = (f"{e['what']}: {e['why']}" for e in run.data["fallbacks"])
             notes, seconds = (*prepared.notes, *fallbacks), time.perf_counter() - start_time
-            passed = passes(measured(scene, c.refine), c.refine)
+            passed = bool(read_object(run.path / RESULT, RunError)["passed"])
             rescued = _result(prepared, scene, passed, picture, notes, seconds)
             if picture is not None:
                 outlines = outline_picture(picture.rgb, prepared.given, scene)

@@ -3,8 +3,6 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
-
 from neoworld_mjx.annotation.annotated_program import program_of
 from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree, placed_box
 from neoworld_mjx.annotation.annotation import (
@@ -15,6 +13,8 @@ from neoworld_mjx.annotation.annotation import (
     AnnotatedObject,
     Annotation,
 )
+from pydantic import ValidationError
+
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import reconstruct

@@ -8,7 +8,7 @@ from neoworld_mjx.measure import passes
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import finishing
-from neoworld_mjx.refinement.finishing import finish, free_to_move, moved_away, with_resting_fixed
+from neoworld_mjx.refinement.finishing import displacement, finish, free_to_move, with_resting_fixed
 from neoworld_mjx.spec import Box, Ellipsoid, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
@@ -167,7 +167,7 @@ def test_each_kind_of_fault_names_its_objects(initial):
     assert faulty(diverged=True) == set(names[1:])
 
 
-def test_moved_away_compares_with_the_placed_poses():
+def test_displacement_compares_with_the_placed_poses():
     model = compile_scene(towers(), samples=16)
     spec = model.spec
     shifted = [
@@ -177,5 +177,7 @@ def test_moved_away_compares_with_the_placed_poses():
         for item in spec.objects
     ]
     end = spec.model_copy(update={"objects": tuple(shifted)})
-    assert moved_away(model, spec, spec, np.zeros(len(model.names))) == ()
-    assert moved_away(model, spec, end, np.zeros(len(model.names))) == ("base", "top")
+    zero = np.zeros(len(model.names))
+    assert set(displacement(model, spec, spec, zero).values()) == {0.0}
+    moved = displacement(model, spec, end, zero)
+    assert {name for name, value in moved.items() if value > 1.0} == {"base", "top"}

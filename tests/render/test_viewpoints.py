@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from PIL import Image
 
 from neoworld_mjx.render import render, render_plain
 from neoworld_mjx.render.view import View
 from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
 
 
@@ -52,8 +52,9 @@ def test_turntable_views_show_all_points_from_one_distance():
 
 
 def test_joints_open_by_a_fraction_of_their_range(tmp_path):
-    from neoworld_mjx.config import Config
     from neoworld_mjx.view.pages.view_target import open_target
+
+    from neoworld_mjx.config import Config
 
     (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
     (cabinet,) = with_open_joints(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects

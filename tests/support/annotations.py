@@ -3,6 +3,7 @@
 import math
 
 from neoworld_mjx.annotation.annotation import AnnotatedObject, Annotation
+
 from neoworld_mjx.spec import Box2D, Camera
 
 SAUCER, CUP = (77, 67, 480, 389), (172, 17, 409, 308)

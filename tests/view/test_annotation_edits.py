@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree
 from neoworld_mjx.annotation.annotation import EXISTING_PROGRAM, GROUND
 from neoworld_mjx.annotation.edits import find_object, with_box, with_change, without
+from neoworld_mjx.view.pages.annotation_drawing import pixel_of
+
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box2D
-from neoworld_mjx.view.pages.annotation_drawing import pixel_of
 from tests.support.annotations import coffee
 
 

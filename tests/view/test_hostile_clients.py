@@ -7,15 +7,15 @@ from contextlib import closing, suppress
 import pytest
 
 viser = pytest.importorskip("viser", reason="the extra viewer is not installed")
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
-from websockets.sync.client import connect  # noqa: E402
-
 from neoworld_mjx.commands.view_command import (  # noqa: E402
     AnnotateCommand,
     PageCommand,
     ViewCommand,
 )
 from neoworld_mjx.view.pages.local_server import close_server, open_server  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.sync.client import connect  # noqa: E402
+
 from tests.faults.strikes import EXAMPLES  # noqa: E402
 from tests.support.hostile import FINE  # noqa: E402
 

@@ -5,16 +5,16 @@ import struct
 
 import numpy as np
 import pytest
+from neoworld_mjx.view.pages import part_glb as module
+from neoworld_mjx.view.pages.part_glb import Detail, detail_of, part_glb
+from neoworld_mjx.view.pages.scene_nodes import SceneNodes
+from neoworld_mjx.view.pages.view_target import single_object_scene
 
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.part_meshes import simplified, visible_meshes, visible_triangles
 from neoworld_mjx.spec.shapes import Cylinder
 from neoworld_mjx.spec.triangles import enclosed_volume
-from neoworld_mjx.view.pages import part_glb as module
-from neoworld_mjx.view.pages.part_glb import Detail, detail_of, part_glb
-from neoworld_mjx.view.pages.scene_nodes import SceneNodes
-from neoworld_mjx.view.pages.view_target import single_object_scene
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
 

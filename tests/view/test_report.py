@@ -6,6 +6,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from neoworld_mjx.view.report.changes import changes
+from neoworld_mjx.view.report.charts import Series, bars, line_chart, nice_ticks
 from PIL import Image
 
 from neoworld_mjx.checks.verdict import Verdict
@@ -14,8 +16,6 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.refinement import rounds
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.view.report import convergence
-from neoworld_mjx.view.report.changes import changes
-from neoworld_mjx.view.report.charts import Series, bars, line_chart, nice_ticks
 from neoworld_mjx.view.report.run_report import write_report
 from tests.support import scenes
 

@@ -2,6 +2,10 @@ import math
 
 import numpy as np
 import pytest
+from neoworld_mjx.view.pages.free_fall import FreeFall
+from neoworld_mjx.view.pages.scene_editor import SceneEditor, settable_joints
+from neoworld_mjx.view.pages.scene_nodes import part_poses
+from neoworld_mjx.view.pages.view_target import open_target, single_object_scene
 
 from neoworld_mjx.compose.layout_patch import LayoutPatch
 from neoworld_mjx.compose.on_supports import snap
@@ -12,10 +16,6 @@ from neoworld_mjx.render.part_meshes import creased, piece_meshes, visible_meshe
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, yaw_of
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.pages.free_fall import FreeFall
-from neoworld_mjx.view.pages.scene_editor import SceneEditor, settable_joints
-from neoworld_mjx.view.pages.scene_nodes import part_poses
-from neoworld_mjx.view.pages.view_target import open_target, single_object_scene
 from tests.support import scenes
 
 
