@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from neoworld_bench.machine import machine
+from neoworld_mjx.view.pages.local_server import address, close_server, open_server
+from neoworld_mjx.view.pages.scene_viewer import SceneViewer
+from neoworld_mjx.view.pages.view_target import open_target
 
 from benchmarks.suites import Frames
 from neoworld_mjx.config import Config
 from neoworld_mjx.pipeline import rebuild, search_again
-from neoworld_mjx.view.pages.local_server import address, close_server, open_server
-from neoworld_mjx.view.pages.scene_viewer import SceneViewer
-from neoworld_mjx.view.pages.view_target import open_target
 from tests.support.browser import Page, opened
 
 COUNT = """() => { window.frames_at = []; const next = t => { window.frames_at.push(t);

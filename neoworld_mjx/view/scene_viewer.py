@@ -111,7 +111,7 @@ class SceneViewer:
 
     def _build_controls(self) -> None:
         gui, target = self._server.gui, self._target
-        gui.add_html(message(*_verdict(target)))
+        gui.add_html(message(*verdict_of(target)))
         self._on(gui.add_button("Home view"), lambda event: self._show_home_view(event.client))
         if target.picture is not None and target.after.camera is not None:
             self._blend = gui.add_slider("Photo", 0.0, 1.0, 0.05, 0.0)
@@ -305,7 +305,7 @@ def settable_joints(obj: SceneObject) -> list[tuple[JointSpec, str]]:
     ]
 
 
-def _verdict(target: ViewTarget) -> list[str]:
+def verdict_of(target: ViewTarget) -> list[str]:
     """Return the title, and the verdict on the scene of a run."""
     if target.run is None:
         return [target.title]

@@ -96,7 +96,8 @@ def test_an_object_on_an_unstable_side_is_taken_from_where_it_falls(monkeypatch)
     on_edge = {"base_tilt": tuple(from_axis_angle((1, 0, 0), np.radians(89.0)).tolist())}
     model = compile_scene(scenes.on_table((potato, (0, 0), 0.0, on_edge)), samples=16)
     o, zero = RefineOptions(), Layout.zero(1, 2)
-    assert passes(finish(model, zero, 0, o).measure, o)
+    measure = finish(model, zero, 0, o).measure
+    assert passes(measure.model_copy(update={"displacement": None}), o)
     monkeypatch.setattr(finishing, "RELEASES", 0)
     assert finish(model, zero, 0, o).measure.max_tilt_deg > 45.0
 

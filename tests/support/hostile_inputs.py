@@ -311,9 +311,8 @@ def _mesh(draw: random.Random, home: Path) -> None:
 
 
 def _picture(draw: random.Random, home: Path) -> None:
-    from neoworld_mjx.view.report.pictures import picture
-
     from neoworld_mjx.parse.photo import load_photo
+    from neoworld_mjx.view.report.page import picture
 
     suffix = draw.choice(["png", "jpg", "webp", "tif", "bmp", "gif", "ppm", "tga", "ico", "jp2"])
     path = home / f"a.{suffix}"

@@ -155,7 +155,7 @@ def _checks(run: dict[str, Any]) -> Markup:
 def _pictures(folder: Path, tree: dict[str, Any]) -> Markup:
     camera = tree.get("camera")
     boxes = "Parsed boxes"
-    if camera is not None:
+    if isinstance(camera, dict):
         pitch, fovy = math.degrees(camera["pitch"]), math.degrees(camera["fovy"])
         boxes += (
             f"; camera {camera['height']:.2f} m high, pitched down {pitch:.1f}°, vertical field of "
