@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from ..cache import computes_on_cpu
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
 from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
@@ -17,7 +18,6 @@ from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
 from ..physics.sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
-from ..traces import computes_on_cpu
 
 TILE = 8192
 """Number of candidates that are sampled and scored at once on an accelerator."""

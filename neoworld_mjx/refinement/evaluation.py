@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from ..cache import computes_on_cpu
 from ..config import RefineOptions
 from ..physics.engine import Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Layout, Poses
@@ -20,7 +21,6 @@ from ..physics.placed import (
 )
 from ..physics.scene_arrays import SceneArrays, pad_objects
 from ..spec import SceneSpec
-from ..traces import computes_on_cpu
 from .batching import concatenate_candidates, map_runs, pad_rollout, roll_out, settle_candidates
 from .finishing import resting_poses
 from .objective import Scores, evaluate

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from ..cache import computes_on_cpu
 from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..parse.photo import load_photo
@@ -23,7 +24,6 @@ from ..refinement.delivery import final_scene_scores
 from ..refinement.loop import search
 from ..refinement.scene_refinement import refine
 from ..refinement.search_run import SearchRun
-from ..traces import computes_on_cpu
 from .cases import Case
 from .grouping import TRACED, fixing_key
 from .model_scores import ModelScores, scored_by_model

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from ...checks.verdict import Check
 from ...measure import object_moves
 from ...spec import read_scene
-from .page import cropped_picture, elements, film_strip, picture, read_json, size_cm, support_of
+from .page import cropped_picture, elements, film_strip, read_json, size_cm, support_of
 
 TITLE = "Objects"
 BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
@@ -46,7 +46,7 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         node = nodes.get(name, {})
         row = elements.object_row(
             name,
-            _pictures(folder, object_folder, node, tree.get("camera")),
+            _pictures(folder, node, tree.get("camera")),
             _facts(node, moves.get(name, {}), agreement.get(name, {}), failures.get(name, [])),
             passed,
             _checks(object_folder, verified),
@@ -149,20 +149,11 @@ def _facts(
     return facts
 
 
-def _pictures(
-    folder: Path, object_folder: Path, node: Mapping[str, Any], camera: Any
-) -> list[Markup]:
-    """Return crops of the photograph and of the rendered scene around the object.
-
-    If the parse gives no box, return the pictures in the object's folder.
-    """
+def _pictures(folder: Path, node: Mapping[str, Any], camera: Any) -> list[Markup]:
+    """Return crops of the photograph and of the rendered scene around the object."""
     box = node.get("box2d")
     if box is None or not isinstance(camera, dict):
-        files = [
-            (object_folder / "crop.png", "photograph"),
-            (object_folder / "render.png", "program"),
-        ]
-        return [picture(path, caption) for path, caption in files if path.is_file()]
+        return []
     width, height = camera["width"], camera["height_px"]
     margin = MARGIN * max(box["x1"] - box["x0"], box["y1"] - box["y0"])
     window = (

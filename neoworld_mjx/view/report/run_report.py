@@ -54,7 +54,6 @@ def write_report(folder: Path) -> Path:
         (objects.TITLE, lambda: objects.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
         (search.TITLE, lambda: search.convergence(folder / "refine" / "history.npz")),
-        ("Joints", lambda: _joints(folder)),
         ("Time", lambda: _time(run)),
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
@@ -176,41 +175,6 @@ def _scene_3d(folder: Path) -> Markup:
         if (folder / name).is_file():
             return scene_3d.scene_3d(read_scene(folder / name))
     return elements.section(scene_3d.TITLE, elements.missing("No scene.json yet."))
-
-
-def _joints(folder: Path) -> Markup:
-    """Return the section with the joints of all objects in scene.json."""
-    scene = read_json(folder / "scene.json") or {}
-    rows = [
-        [obj["name"], *_joint_cells(joint, obj.get("joint_state", {}))]
-        for obj in scene.get("objects", ())
-        for joint in obj["spec"].get("joints", ())
-        if joint["type"] != "fixed"
-    ]
-    if not rows:
-        note = "No object has a joint." if scene else "No scene.json yet."
-        return elements.section("Joints", elements.missing(note))
-    heads = ["object", "joint", "type", "links", "axis", "#range", "#now", "#damping, SI"]
-    return elements.section("Joints", elements.table(heads, rows))
-
-
-def _joint_cells(joint: dict[str, Any], state: dict[str, float]) -> list[str]:
-    """Return the cells of a joint that follow the object's name."""
-    unit, factor = ("mm", 1000.0) if joint["type"] == "prismatic" else ("°", 180 / math.pi)
-    ball = joint["type"] == "ball"
-    unlimited = joint["type"] == "continuous" or (ball and joint["upper"] == 0)
-    limits = f"{factor * joint['lower']:.0f} to {factor * joint['upper']:.0f} {unit}"
-    keys = [f"{joint['name']}.{k}" for k in "xyz"] if ball else [joint["name"]]
-    values = [state.get(key, 0.0) for key in keys]
-    return [
-        joint["name"],
-        joint["type"],
-        f"{joint['parent']} → {joint['child']}",
-        "any" if ball else "(" + ", ".join(f"{v:.2f}" for v in joint["axis"]) + ")",
-        "unlimited" if unlimited else limits,
-        f"{factor * (math.hypot(*values) if ball else values[0]):.0f} {unit}",
-        f"{joint['damping']:.2g}",
-    ]
 
 
 def _time(run: dict[str, Any]) -> Markup:
