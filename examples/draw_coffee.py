@@ -15,11 +15,10 @@ from typing import NoReturn
 from PIL import Image
 
 from neoworld_mjx.config import Config
-from neoworld_mjx.pipeline import rebuild, search_again
-from neoworld_mjx.view.pages.annotate_page import Annotator
-from neoworld_mjx.view.pages.local_server import address, close_server, open_server
-from neoworld_mjx.view.pages.scene_viewer import SceneViewer
-from neoworld_mjx.view.pages.view_target import open_target
+from neoworld_mjx.view.annotate_page import Annotator
+from neoworld_mjx.view.scene_viewer import SceneViewer
+from neoworld_mjx.view.server import address, close_server, open_server
+from neoworld_mjx.view.target import open_target
 from tests.support.annotations import coffee
 from tests.support.browser import Page, opened
 
@@ -35,18 +34,15 @@ def draw_view(run: Path, out: Path) -> None:
     """Draw the pages of `neoworld view`."""
     server = open_server("coffee", port=0)
     try:
-        config = Config()
-        target = open_target(run, config)
-        SceneViewer(server, run, target, config, rebuild=rebuild, search_again=search_again)
+        SceneViewer(server, open_target(run, Config()))
         with opened(address(server)) as page:
-            page.click("Photo's camera")
+            page.click("Home view")
             page.fill("Photo", 0.5)
             save(page, out / "view-blend.jpg")
             page.fill("Photo", 0)
             page.check("Colliders")
             save(page, out / "view-colliders.jpg")
             page.check("Colliders")
-            page.tab("Objects")
             page.choose("Object", "cup")
             page.check("Drag")
             save(page, out / "view-object.jpg")

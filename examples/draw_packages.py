@@ -17,7 +17,7 @@ FOLDERS = {
     "neoworld_bench": ROOT / "benchmarks",
 }
 SMALL = {"cache", "cli", "compilations", "engines", "errors", "format_names", "options"}
-SMALL |= {"progress", "step_names", "traces"}
+SMALL |= {"progress", "step_names", "quantities"}
 WIDTH, HEIGHT, GAP, ROW = 108, 30, 10, 62
 
 

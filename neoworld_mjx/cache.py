@@ -60,3 +60,13 @@ def free_memory_maps(share: float = 0.5) -> bool:
         return False
     jax.clear_caches()
     return True
+
+
+def computes_on_cpu() -> bool:
+    """Return True if JAX computes on the CPU, by default or because of `jax.default_device`."""
+    import jax
+
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen is None:
+        return jax.default_backend() == "cpu"
+    return (chosen if isinstance(chosen, str) else chosen.platform).startswith("cpu")

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .commands.interrupts import INTERRUPTED, MESSAGE, prompt_interrupts
 from .errors import NeoWorldError, system_refusal
 from .progress import LOGGER
 
 if TYPE_CHECKING:
-    from .commands.base_command import CommandResult, Runnable
+    from .commands.base_command import Command
 
 REPORT = (
     "This is a bug in neoworld. A run can continue with --resume. To report the bug, repeat the "
     "command with --debug and send its output and the output of neoworld doctor"
 )
-BAD_INPUT, FAILED, BUG = 2, 1, 70
+BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
+MESSAGE = "interrupted; continue with --resume"
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -113,8 +113,9 @@ def parse(name: str, args: Sequence[str]) -> Any:
     )
 
 
-def run(command: "Runnable") -> int:
+def run(command: "Command") -> int:
     """Run a parsed command, print its result and return the exit code."""
+    from .commands.terminal import details, prompt_interrupts
     from .io.names import printable
 
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
@@ -122,13 +123,14 @@ def run(command: "Runnable") -> int:
         return BAD_INPUT
     with _reserved_stdout() as out, _log_on_stderr(command):
 
-        def report() -> None:
+        def end() -> None:
             os.write(2, f"error: {MESSAGE}\n".encode())
             if command.json:
                 os.write(out.fileno(), f"{json.dumps({'error': MESSAGE})}\n".encode())
+            os._exit(INTERRUPTED)
 
         try:
-            with prompt_interrupts(None if command.ends_by_interrupt else report):
+            with prompt_interrupts(None if command.ends_by_interrupt else end):
                 result = command.run()
             code = FAILED if result.get("passed") is False else 0
         except KeyboardInterrupt:
@@ -146,9 +148,8 @@ def run(command: "Runnable") -> int:
                 strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
                 print(json.dumps(strict), file=out)
             elif "error" not in result:
-                lines = None if command.verbose else command.lines(result)
-                lines = [*command.listings(result), *_details(result)] if lines is None else lines
-                print(printable("\n".join(lines)), file=out)
+                rest = details(result) if command.verbose else ()
+                print(printable("\n".join([*command.lines(result), *rest])), file=out)
             out.flush()
         except OSError as error:
             if not isinstance(error, BrokenPipeError):  # The reader has stopped reading.
@@ -174,9 +175,9 @@ def _describe(error: Exception) -> tuple[str, int]:
 
 
 @contextlib.contextmanager
-def _log_on_stderr(command: "Runnable") -> Iterator[None]:
+def _log_on_stderr(command: "Command") -> Iterator[None]:
     """Print the package's log on stderr, and show the progress in a status line."""
-    from .commands.status_line import StatusLine
+    from .commands.terminal import StatusLine
 
     log = logging.getLogger("neoworld_mjx")
     with StatusLine(sys.stderr, verbose=command.verbose, quiet=command.quiet) as handler:
@@ -201,73 +202,6 @@ def _reserved_stdout() -> Iterator[Any]:
     finally:
         os.dup2(stdout, 1)
         os.close(stdout)
-
-
-_POINT_COLUMNS = ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"]
-_TABLES = {
-    "checks": [
-        "outcome",
-        "doubtful",
-        "scenario",
-        "name",
-        "value",
-        "threshold",
-        "unit",
-        "fault",
-        "hint",
-    ],
-    "points": _POINT_COLUMNS,
-    "differences": _POINT_COLUMNS,
-    "missing": ["what", "costs", "mend"],
-    "examples": ["name", "objects", "joints", "shows", "licence", "photo"],
-    "matrix": ["kind", "n", "detected", "named", "repaired"],
-}
-"""Columns of the lists that are printed as tables. A column that no row has is omitted."""
-
-
-def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
-    """Yield lines that show all entries of a result."""
-    for key, value in result.items():
-        if isinstance(value, dict):
-            yield f"{indent}{key}:"
-            yield from _details(value, indent + "  ")
-        elif key in _TABLES and isinstance(value, list) and value:
-            yield f"{indent}{key}:"
-            yield from (f"{indent}  {line}" for line in _table(value, _TABLES[key]))
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            yield f"{indent}{key}:"
-            for item in value:
-                yield f"{indent}  - " + ", ".join(f"{k} {_plain(v)}" for k, v in item.items())
-        else:
-            yield f"{indent}{key}: {_plain(value)}"
-
-
-def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
-    """Return the lines of a table with aligned columns."""
-    from rich.console import Console
-    from rich.table import Column, Table
-    from rich.text import Text
-
-    used = [name for name in columns if any(name in row for row in rows)] or list(rows[0])
-    header = (Column(Text(name)) for name in used)
-    table = Table(*header, box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    for row in rows:
-        table.add_row(*(Text(_plain(row[name]) if name in row else "") for name in used))
-    console = Console(width=10_000, color_system=None)
-    with console.capture() as capture:
-        console.print(table)
-    return [line.rstrip() for line in capture.get().splitlines()]
-
-
-def _plain(value: Any) -> str:
-    """Format a value as text. Hidden characters are escaped later, when the text is printed."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value)) or "none"
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    if value is None or isinstance(value, bool):
-        return {None: "unknown", True: "yes", False: "no"}[value]
-    return str(value)
 
 
 if __name__ == "__main__":

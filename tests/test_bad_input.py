@@ -87,7 +87,7 @@ def test_unreadable_photos_are_rejected(refused, tmp_path):
     cut.write_bytes(PHOTO.read_bytes()[:20_000])
     for photo, said in (
         (tmp_path / "nowhere.png", "no such file; check the path"),
-        (empty, "has no photographs"),
+        (empty, "is a folder"),
         (text, "save it as PNG or JPEG"),
         (cut, "get the file again"),
         (picture(tmp_path / "one.png", (1, 1)), "1 x 1 pixels is too small; at least 16"),

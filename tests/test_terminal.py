@@ -3,13 +3,11 @@
 import io
 import logging
 import re
-import time
 
 import pytest
 
 from neoworld_mjx import progress
-from neoworld_mjx.commands.result_lines import run_lines
-from neoworld_mjx.commands.status_line import StatusLine
+from neoworld_mjx.commands.terminal import StatusLine
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build
@@ -68,14 +66,6 @@ def test_a_tuple_of_computed_numbers_is_accepted_and_counted_when_it_runs():
     assert signal.code == "value" and signal.line == 4 and "3" in signal.message
     # Other errors of the same program are reported as before.
     assert build(computed.format(add.format("y", rgb))).signals[0].code == "type"
-
-
-def test_angles_that_may_be_radians_give_no_warning():
-    turned = "p.add(box((0.01, 0.01, 0.01)), at=(0, 0, 0.05), rpy=({}))\n"
-    few = "".join(
-        turned.format(angles) for angles in ("0, 0, 1", "3, 2, 0", "0, 0, 4.71", "-1, 0, 6.3")
-    )
-    assert [s for s in build(GOOD + few).signals if s.code == "degrees"] == []
 
 
 def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworld, tmp_path):
@@ -139,24 +129,6 @@ def test_progress_is_printed_only_if_verbose(options, lines):
     assert stream.getvalue().splitlines() == lines
 
 
-def test_the_status_line_is_below_the_log_and_is_erased_at_the_end(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    stream = io.StringIO()
-    with StatusLine(stream, live=True) as line:
-        record = logging.LogRecord("neoworld_mjx.progress", 10, "", 0, "", None, None)
-        record.facts = {"step": "refine"}
-        line.handle(record)
-        deadline = time.monotonic() + 10
-        while "s · computing" not in stream.getvalue():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        line.handle(logging.LogRecord("neoworld_mjx.x", 30, "", 0, "[b]careful", None, None))
-        log, _, below = stream.getvalue().rpartition("[b]careful\n")
-        assert "computing" in below and log.endswith("\x1b[2K")
-    erased = stream.getvalue().rpartition("computing")[2]
-    assert erased.endswith("\x1b[2K") and "careful" not in erased
-
-
 def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(SpecError), RunFolder(out, Config()) as run:
@@ -173,42 +145,3 @@ def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
     assert "run: failed: no such thing" in (out / "run.log").read_text()
     with RunFolder(out, Config(), "overwrite"):
         pass
-
-
-def test_without_a_terminal_the_status_line_is_printed_when_nothing_else_is():
-    stream = io.StringIO()
-    with StatusLine(stream, live=False, silent_s=0.05) as line:
-        record = logging.LogRecord("neoworld_mjx.progress", 20, "", 0, "started", None, None)
-        record.facts = {"step": "refine", "done": 2, "of": 8, "unit": "iteration"}
-        line.handle(record)
-        deadline = time.monotonic() + 10
-        while stream.getvalue().count("refine 0 s · iteration 2 of 8 · computing\n") < 2:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-    printed = stream.getvalue()
-    time.sleep(0.2)
-    assert stream.getvalue() == printed
-    quiet = io.StringIO()
-    with StatusLine(quiet, live=False, quiet=True, silent_s=0.01) as line:
-        line.handle(record)
-        time.sleep(0.1)
-    assert quiet.getvalue() == ""
-
-
-RESULT = {
-    "passed": False, "folder": "out", "report": "out/report.html", "objects": ["cup"],
-    "seconds": {"parse": 12.0, "refine": 30.0}, "waiting": {"parse": 10.0}, "mllm": {},
-    "fallbacks": [
-        {"step": "refine", "what": "no candidate passed", "why": f"reason {k}"} for k in range(19)
-    ],
-}  # fmt: skip
-
-
-def test_a_run_lists_five_fallbacks_one_on_a_line_and_time_of_waiting_apart():
-    lines = run_lines(RESULT)
-    at = lines.index("19 fallbacks:")
-    assert lines[at + 1] == "  refine: no candidate passed: reason 0"
-    assert lines[at + 6] == "  (+14: report)"
-    assert lines[-1].startswith(
-        "32.0 s of computing (refine 30.0, parse 2.0); 10.0 s of waiting for models"
-    )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 from tyro.conf import Positional, subcommand
 
 from neoworld_mjx.commands.base_command import Command, CommandResult, ConfiguredCommand
-from neoworld_mjx.commands.listing_lines import bench_lines
+from neoworld_mjx.commands.result_lines import bench_lines
 from neoworld_mjx.errors import ConfigError
 
 from .machine import machine

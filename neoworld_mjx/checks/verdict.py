@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import AliasChoices, ConfigDict, Field
 
+from ..quantities import format_quantity
 from ..spec import Spec
 
 Outcome = Literal["PASS", "FAIL", "SKIP", "TOOL_FAILURE"]
@@ -215,24 +216,6 @@ def with_waived_falls(verdict: Verdict) -> Verdict:
 
 WAIVER_HINT = "the critic finds that the real object would do the same"
 """Hint of a waived check. The check's value and threshold remain unchanged."""
-
-
-def format_quantity(value: float, unit: str) -> str:
-    """Format the value of a check: lengths in mm, angles in degrees, fractions in percent."""
-    if unit.startswith("of "):
-        percent = 100 * value
-        return f"{percent:.0f} % {unit}" if abs(percent) >= 100 else f"{percent:.3g} % {unit}"
-    factor, unit_name = {
-        "m": (1000.0, "mm"),
-        "rad": (180 / np.pi, "degrees"),
-        "deg": (1.0, "degrees"),
-    }.get(unit, (1.0, unit))
-    value *= factor
-    size = abs(value)
-    digits = f"{value:.1f}" if 0.1 <= size < 1000 else f"{value:.1g}" if size >= 1e-3 else "0"
-    if size >= 1000:
-        digits = f"{value:.0f}"
-    return f"{digits} {unit_name}".strip()
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "Reconstruct a simulation-ready scene from a photograph.",
     ),
     "examples": CommandEntry(
-        ".examples_command:ExamplesCommand",
+        ".run_commands:ExamplesCommand",
         "List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes.",
     ),
     "refine": CommandEntry(
@@ -47,7 +47,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "Convert an object's program, URDF or MJCF file into every format and images.",
     ),
     "template": CommandEntry(
-        ".template_command:TemplateCommand",
+        ".object_commands:TemplateCommand",
         "List the object templates, or write the program of one.",
     ),
     "export": CommandEntry(
@@ -55,18 +55,18 @@ COMMANDS: dict[str, CommandEntry] = {
         "Export a scene or an object to a format or for a simulator, and list what is lost.",
     ),
     "render": CommandEntry(
-        ".render_command:RenderCommand",
+        ".picture_commands:RenderCommand",
         "Render a scene or an object from the scene's or another camera, or as a turntable.",
     ),
     "report": CommandEntry(
         ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
     ),
     "view": CommandEntry(
-        ".view_command:ViewCommand",
-        "Show a scene or an object in the browser, and change it there.",
+        ".picture_commands:ViewCommand",
+        "Show a scene or an object in the browser, with its joints and in free fall.",
     ),
     "annotate": CommandEntry(
-        ".view_command:AnnotateCommand",
+        ".picture_commands:AnnotateCommand",
         "Annotate a photograph by hand, without a model: boxes, labels, camera and templates.",
     ),
     "sweep": CommandEntry(

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import UseAppendAction, arg
 
@@ -15,51 +15,12 @@ CommandResult = dict[str, Any]
 """JSON object that a command returns; its entry "passed" decides the exit code."""
 
 
-@runtime_checkable
-class Runnable(Protocol):
-    """Protocol of a command, or of a group of nested commands."""
-
-    ends_by_interrupt: ClassVar[bool]
-    """If True, the command runs until Ctrl-C and then returns a result."""
-
-    @property
-    def json(self) -> bool:
-        """True if the result is printed as JSON."""
-        ...
-
-    @property
-    def quiet(self) -> bool:
-        """True if no progress is printed."""
-        ...
-
-    @property
-    def verbose(self) -> bool:
-        """True if all details are printed."""
-        ...
-
-    @property
-    def debug(self) -> bool:
-        """True if errors are printed with tracebacks."""
-        ...
-
-    def run(self) -> CommandResult:
-        """Run the command and return its result."""
-        ...
-
-    def lines(self, result: CommandResult) -> list[str] | None:
-        """Return the lines of a short summary of a result. If None, all details are printed."""
-        ...
-
-    def listings(self, result: CommandResult) -> list[str]:
-        """Return the lines that are printed before all details."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Options of all commands."""
 
     ends_by_interrupt: ClassVar[bool] = False
+    """If True, the command runs until Ctrl-C and then returns a result."""
 
     json: bool = False
     """Print the result as one JSON object on stdout, and everything else on stderr."""
@@ -78,13 +39,12 @@ class Command:
         """
         raise NotImplementedError
 
-    def lines(self, result: CommandResult) -> list[str] | None:
-        """Return the lines of a short summary of a result. If None, all details are printed."""
-        return None
-
-    def listings(self, result: CommandResult) -> list[str]:
-        """Return the lines that are printed before all details; by default none."""
-        return []
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return the lines of a short summary of a result; by default, its entries."""
+        return [
+            f"{key}: {' x '.join(map(str, value)) if isinstance(value, list) else value}"
+            for key, value in result.items()
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)

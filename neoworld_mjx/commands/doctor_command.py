@@ -7,8 +7,9 @@ from importlib.util import find_spec
 from typing import Literal, NamedTuple
 
 from ..errors import NeoWorldError
+from ..quantities import count
 from .base_command import Command, CommandResult
-from .listing_lines import doctor_lines
+from .result_lines import DETAILS
 
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 
@@ -135,7 +136,7 @@ class DoctorCommand(Command):
             "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
             "tapes": tapes,
             "missing": [
-                {"what": part.name, "costs": part.consequence, "mend": part.remedy}
+                {"name": part.name, "consequence": part.consequence, "remedy": part.remedy}
                 for part in COMPONENTS
                 if not part.present()
             ],
@@ -144,7 +145,23 @@ class DoctorCommand(Command):
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return doctor_lines(result)
+        if "installed" in result:
+            return [f"installed: {result['installed']} in {result['folder']}"]
+        versions, engines = result["versions"], result["engines"]
+        unavailable = [name for name, state in engines.items() if state != "ready"]
+        packages = ", ".join(
+            f"{name} {versions[name]}" for name in ("neoworld-mjx", "jax", "mujoco")
+        )
+        others = f"; unavailable: {', '.join(unavailable)}" if unavailable else ""
+        rows = [
+            f"machine: {count(result['cores'], 'core')}, {', '.join(result['devices'])}; "
+            f"Python {versions['python']}, {packages}",
+            f"engines: {', '.join(name for name in engines if name not in unavailable)}{others}",
+        ]
+        for part in result["missing"]:
+            rows.append(f"missing: {part['name']}: {part['consequence']}")
+            rows.append(f"  fix: {part['remedy']}")
+        return [*rows, *([] if result["missing"] else ["nothing is missing"]), DETAILS]
 
 
 def _engine(name: str) -> str:

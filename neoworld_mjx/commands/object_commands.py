@@ -1,23 +1,29 @@
-"""Commands `check` and `build`, for single objects and scenes."""
+"""Commands `check`, `build` and `template`, for objects and scenes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
-from .base_command import CommandResult, ConfiguredCommand
-from .result_lines import build_lines, object_check_lines, scene_check_lines
+from ..quantities import count
+from .base_command import Command, CommandResult, ConfiguredCommand
+from .result_lines import MAX_REASONS, object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
+    from ..config import Config
     from ..program import BuildResult
     from ..spec import SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCommand(ConfiguredCommand):
-    """Check a scene or an object, and print each check with its value and threshold."""
+    """Check a scene or an object, and print each check with its value and threshold.
+
+    A run folder is checked with the options of the run, unless --config or --set is given.
+    """
 
     target: Positional[Path]
     """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
@@ -53,16 +59,31 @@ class CheckCommand(ConfiguredCommand):
             )
         if self.repair or self.fixed_base or self.out is not None:
             raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
-        from ..measure import measured, scene_checks
+        return self._check_scene(scene, notes, config)
+
+    def _check_scene(
+        self, scene: "SceneSpec | None", notes: list[str], config: "Config"
+    ) -> CommandResult:
+        """Check an imported scene or, if it is None, the scene of the target."""
+        from ..config import load_config
+        from ..measure import measured, scene_checks, with_displacement
+        from ..run_folder import read_run
         from ..spec import read_scene
 
-        measure = measured(scene or read_scene(self.target), config.refine)
-        checks = scene_checks(measure, config.refine)
+        spec, options, run = scene or read_scene(self.target), config.refine, None
+        if (self.target / "run.json").is_file():
+            run = read_run(self.target)
+            if self.config is None and not self.set:
+                options = load_config(None, {"refine": run["config"].get("refine", {})}).refine
+        measure = measured(spec, options)
+        if run is not None:
+            measure = with_displacement(measure, run["metrics"].get("displacement"))
+        checks = scene_checks(measure, options)
         return {
             "target": str(self.target),
             **({"notes": notes} if notes else {}),
             "passed": all(check.passed for check in checks),
-            "checks": [check.model_dump() for check in checks],
+            "checks": [check.to_json() for check in checks],
             **measure.model_dump(),
         }
 
@@ -70,11 +91,7 @@ class CheckCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, self.listings(result))
-
-    def listings(self, result: CommandResult) -> list[str]:
-        """Return the output and the signals of the object's program."""
-        return _listings(self.target, result)
+        return object_check_lines(result, _listings(self.target, result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +134,17 @@ class BuildCommand(ConfiguredCommand):
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return build_lines(result, self.listings(result))
-
-    def listings(self, result: CommandResult) -> list[str]:
-        """Return the output and the signals of the program."""
-        return _listings(self.program, result)
+        if "builds" in result:
+            return [f"builds: {result['builds']}", f"folder: {result['folder']}"]
+        rows = _listings(self.program, result)
+        if result["passed"]:
+            rows.append(f"built: {result['object']} in {result['folder']}")
+            rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
+        else:
+            rows.append("not built: see the errors above")
+        if "picture" in result:
+            rows.append(f"picture: {result['picture']}")
+        return rows
 
     def _convert(self) -> CommandResult:
         """Convert a URDF or MJCF file."""
@@ -151,3 +174,90 @@ def _listings(program: Path, result: CommandResult) -> list[str]:
         return []
     signals = [Signal.model_validate(entry) for entry in result["signals"]]
     return listings(result.get("printed", ""), signals, program, read_program(program))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemplateCommand(Command):
+    """List the object templates, or write the program of one."""
+
+    name: Positional[str | None] = None
+    """Name of the template. Without a name, all templates are listed."""
+    out: Path | None = None
+    """Output file (.py) for the program; `neoworld build` builds the object."""
+    seed: int | None = None
+    """Seed for sampling all parameters from their ranges. Without it, parameters keep their
+    defaults."""
+    size: tuple[float, float, float] | None = None
+    """Depth, width and height of the object [m], for example of a measured box. Each is clipped to
+    the range of its parameter."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """Parameter as NAME=VALUE, such as --set drawers=4; repeatable."""
+
+    def run(self) -> CommandResult:
+        """List templates, or write a program."""
+        from ..io.files import write_output
+        from ..templates import template, templates
+
+        if self.name is None:
+            if self.out or self.size or self.set or self.seed is not None:
+                raise SpecError("template: name a template; `neoworld template` lists them")
+            return {"templates": {name: template.label for name, template in templates().items()}}
+        chosen = template(self.name)
+        if self.seed is not None and self.seed < 0:
+            raise SpecError(f"--seed: got {self.seed}, valid is 0 or more")
+        values = {} if self.seed is None else chosen.draw(self.seed)
+        values |= {} if self.size is None else chosen.of_box(self.size)
+        for setting in self.set:
+            key, equals, value = setting.partition("=")
+            if not equals:
+                raise SpecError(f"--set takes NAME=VALUE, such as width=0.4, got {setting!r}")
+            values[key] = _number(value)
+        text = chosen.program(values)
+        if self.out is not None:
+            write_output(self.out, text, RunError)
+        written = {} if self.out is None else {"program": str(self.out)}
+        parameters = {
+            name: {"value": values.get(name, p.default)}
+            | ({"choices": list(p.choices)} if p.choices else {"range": [p.low, p.high]})
+            | ({"unit": p.unit} if p.unit else {})
+            for name, p in chosen.parameters.items()
+        }
+        return {
+            "template": chosen.name,
+            "label": chosen.label,
+            **written,
+            "parameters": parameters,
+        }
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        if "templates" in result:
+            names = result["templates"]
+            return [
+                f"{count(names, 'template')}:",
+                *wrapped(names),
+                "use one: neoworld template NAME [--out x.py]; descriptions: -v, or --json",
+            ]
+        rows = [f"{result['template']}: {result['label']}"]
+        rows += wrapped(_parameter(name, p) for name, p in result["parameters"].items())
+        if "program" in result:
+            rows += [f"program: {result['program']}", f"next: neoworld view {result['program']}"]
+        else:
+            rows.append(f"its program: neoworld template {result['template']} --out x.py")
+        return rows
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _parameter(name: str, described: Mapping[str, Any]) -> str:
+    value = described["value"]
+    unit = f" {described['unit']}" if described.get("unit") else ""
+    if "choices" in described:
+        return f"{name} {value} ({', '.join(map(str, described['choices']))})"
+    low, high = described["range"]
+    return f"{name} {value:g} ({low:g} to {high:g}{unit})"

@@ -1,32 +1,26 @@
-"""Short summaries of command results: validity with reasons, files, time and cost."""
+"""Short summaries of command results: verdict with reasons, files, time and cost."""
 
+import shutil
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from typing import Any
 
+from ..quantities import count
 from .base_command import CommandResult
 
 DETAILS = "details: -v, or --json"
 MAX_REASONS = 5
-_UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
+_MIN_COLUMNS, _MAX_COLUMNS = 60, 110
 
 
 def run_lines(result: CommandResult) -> list[str]:
     """Summarize a reconstruction or a refinement."""
-    passed, folder = result.get("passed"), result["folder"]
-    if passed is None:
-        head = f"not refined yet: {_listed(result['objects'])} in {folder}"
-    elif passed:
-        head = (
-            f"valid: {count(result['movable'], 'movable object')} within "
-            f"{_at_most(1000 * result['max_drift_m'], 'mm')} and "
-            f"{_at_most(result['max_tilt_deg'], 'degrees')} in {result['duration_s']:g} s of free "
-            f"fall, deepest overlap {1000 * result['max_depth_m']:.2g} mm"
-        )
-    else:
-        why = [entry["why"] for entry in result["fallbacks"] if entry["step"] == "refine"]
-        head = f"not valid: {_reasons(why) or _worst(result)}"
-    rows = [head]
+    from ..run_folder import verdict_line
+
+    rows = [verdict_line(result)]
+    if result["passed"] is None:
+        rows = [f"{rows[0]}: {reasons(result['objects'], ', ')} in {result['folder']}"]
     if result.get("scene"):
         rows.append(f"scene:  {result['scene']}  ({count(result['objects'], 'object')})")
     rows.append(f"report: {result['report']}")
@@ -37,29 +31,15 @@ def run_lines(result: CommandResult) -> list[str]:
         rows.append(f"photo:  mean box IoU {agreement['refined']:.2f}{low}")
     fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
     if fallbacks:
-        rows.append(f"{count(fallbacks, 'fallback')}:")
-        rows += [f"  {line}" for line in fallbacks[:MAX_REASONS]]
-        if len(fallbacks) > MAX_REASONS:
-            rows.append(f"  (+{len(fallbacks) - MAX_REASONS}: report)")
+        rows += [f"{count(fallbacks, 'fallback')}:", *_indented(fallbacks)]
     rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
 
 
-def photo_lines(result: CommandResult) -> list[str]:
-    """Summarize the reconstruction of a folder of photographs."""
-    words = {True: "valid", False: "not valid", None: "not refined yet"}
-    rows = [
-        f"{entry['photo']}: {entry['error'] or words[entry['passed']]}, {entry['seconds']:.1f} s, "
-        f"in {entry['folder']}"
-        for entry in result["photos"]
-    ]
-    valid = sum(entry["passed"] is True for entry in result["photos"])
-    return [f"{valid} of {count(rows, 'photograph')} valid", *rows,
-            f"{_cost(result['mllm'])}; {DETAILS}"]  # fmt: skip
-
-
 def rescue_lines(result: CommandResult) -> list[str]:
     """Summarize the rescue of another method's scene."""
+    from ..run_folder import verdict_line
+
     moves = result["moves_m"]
     furthest = max(moves, key=moves.__getitem__)
     outlines = [o for o in result["outlines_px"].values() if None not in o.values()]
@@ -68,9 +48,9 @@ def rescue_lines(result: CommandResult) -> list[str]:
         before, after = (median(o[key] for o in outlines) for key in ("given", "rescued"))
         photo = [f"photo:  outlines {before:.1f} px off before, {after:.1f} px after (median)"]
     return [
-        f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
-        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); the deepest overlap before "
-        f"was {1000 * result['depth_before_m']:.2g} mm",
+        verdict_line(result),
+        f"moved {count(len(moves), 'object')} by up to {1000 * moves[furthest]:.1f} mm "
+        f"({furthest}); the deepest overlap before was {1000 * result['depth_before_m']:.2g} mm",
         f"scene:  {result['rescued']}",
         f"report: {result['report']}",
         *photo,
@@ -81,70 +61,46 @@ def rescue_lines(result: CommandResult) -> list[str]:
 
 def scene_check_lines(result: CommandResult) -> list[str]:
     """Summarize the check of a scene."""
-    passed, checks = result["passed"], result["checks"]
-    failed = [check for check in checks if not check["passed"]]
-    failures = [
-        f"{measure(check['value'], check['name'])} {_subject(check)}"
-        f"over {measure(check['threshold'], check['name'])} ({check['name']})"
-        for check in failed
-    ]
-    movable = count(result["movable"], "movable object")
-    head = f"valid: {movable}, all {len(checks)} checks pass"
-    worst = max((c for c in checks if c["passed"]), key=_threshold_ratio, default=None)
-    rows = [head if passed else f"not valid: {_reasons(failures)}", f"scene: {result['target']}"]
-    if worst is not None and worst["value"]:
-        rows.append(
-            f"closest to its threshold: {worst['name']} {measure(worst['value'], worst['name'])} "
-            f"{_subject(worst)}of {measure(worst['threshold'], worst['name'])}"
-        )
-    rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
-    return [*rows, DETAILS]
+    from ..run_folder import verdict_line
+
+    notes = [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
+    return [verdict_line(result), f"scene: {result['target']}", *notes, DETAILS]
 
 
-def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
+def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[str]:
     """Summarize the check of an object.
 
     Args:
         result: result of `check`.
         listings: formatted signals of the object's program.
     """
+    from ..checks.verdict import Check
+
     rows = list(listings)
     if "object" not in result:
         return [*rows, f"not valid: {result['target']} does not build"]
     counts = result["counts"]
     ran = counts["PASS"] + counts["FAIL"] + counts["TOOL_FAILURE"]
-    bad = [check for check in result["checks"] if check["outcome"] in ("FAIL", "TOOL_FAILURE")]
+    failed = [check for entry in result["checks"] if (check := Check.model_validate(entry)).failed]
     if result["passed"]:
         borderline = f", {counts['doubtful']} of them borderline" if counts["doubtful"] else ""
         rows.append(f"valid: {result['object']} passes all {ran} checks{borderline}")
     else:
-        why = "its program has errors" if not bad else f"{len(bad)} of {ran} checks fail"
+        why = f"{len(failed)} of {ran} checks fail" if failed else "its program has errors"
         likely = f", the likely cause is {result['cause']}" if result.get("cause") else ""
         rows.append(f"not valid: {result['object']}: {why}{likely}")
-    for check in bad[:MAX_REASONS]:
-        place = " ".join(str(check[k]) for k in ("part", "joint") if check.get(k))
-        hint = f"; hint: {check['hint']}" if check.get("hint") else ""
-        rows.append(
-            f"  {check['scenario']} {check['name']} {place}: {_value_and_threshold(check)}{hint}"
-        )
-    if len(bad) > MAX_REASONS:
-        rows.append(f"  and {len(bad) - MAX_REASONS} more")
-    repair = result.get("repair")
-    if repair is not None:
-        rows.append(f"repair: {_reasons(repair['changes']) or 'no repair succeeded'}")
+    rows += _indented(
+        [
+            " ".join(filter(None, (check.scenario, check.part, check.joint)))
+            + f": {check.phrase()}"
+            + (f"; hint: {check.hint}" if check.hint else "")
+            for check in failed
+        ]
+    )
+    if (repair := result.get("repair")) is not None:
+        rows.append(f"repair: {reasons(repair['changes']) or 'no repair succeeded'}")
     rows += [f"{key}: {result[key]}" for key in ("patch", "folder") if key in result]
     rows.append(f"{result['mass_kg']:.3g} kg; {result['seconds']:.2f} s; {DETAILS}")
-    return rows
-
-
-def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
-    """Summarize a build."""
-    rows = list(listings)
-    if result["passed"]:
-        rows.append(f"built: {result['object']} in {result['folder']}")
-        rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
-    else:
-        rows.append("not built: see the errors above")
     return rows
 
 
@@ -153,7 +109,7 @@ def export_lines(result: CommandResult) -> list[str]:
     rows = [f"written: {count(result['files'], 'file')} in {result['folder']}"]
     for kind, unsupported in result["lost"].items():
         if unsupported:
-            rows.append(f"lost in {kind}: {_reasons(unsupported)}")
+            rows.append(f"lost in {kind}: {reasons(unsupported)}")
     rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     if "collider_error_mm" in result:
         rows.append(f"colliders differ by up to {result['collider_error_mm']} mm")
@@ -176,56 +132,39 @@ def sweep_lines(result: CommandResult) -> list[str]:
     return rows
 
 
-def measure(value: float | None, name: str) -> str:
-    """Format a value with the unit at the end of its name, such as m in max_drift_m."""
-    if value is None:
-        return "not finite"
-    factor, unit = _UNITS.get(name.rpartition("_")[2], (1.0, ""))
-    return f"{factor * value:.3g} {unit}".strip()
-
-
-def count(items: int | Sequence[object], noun: str) -> str:
-    """Format a number with its noun, such as "3 objects"."""
-    number = items if isinstance(items, int) else len(items)
-    return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
-def file_lines(result: CommandResult) -> list[str]:
-    """Summarize a command that writes one file."""
-    return [
-        f"{key}: {' x '.join(map(str, value)) if isinstance(value, list) else value}"
-        for key, value in result.items()
+def bench_lines(result: CommandResult) -> list[str]:
+    """Summarize the numbers of a benchmark, without its rows."""
+    tables = [
+        f"{len(value)} {key}" for key, value in result.items() if isinstance(value, list) and value
     ]
+    numbers = [
+        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in result.items()
+        if isinstance(value, int | float)
+    ]
+    rows = [f"{result['suite']}: {', '.join(tables) or 'done'}"] if "suite" in result else []
+    return [*rows, *wrapped(numbers), DETAILS]
 
 
-def _at_most(value: float, unit: str) -> str:
-    """Format an upper bound of a measured value, at least 0.1 and with one decimal place."""
-    return f"{max(value, 0.1):.1f} {unit}"
+def reasons(entries: Iterable[str], separator: str = "; ") -> str:
+    """Join at most `MAX_REASONS` entries, and state the number of the others."""
+    listed = list(entries)
+    omitted = f"{separator}and {len(listed) - MAX_REASONS} more" * (len(listed) > MAX_REASONS)
+    return separator.join(listed[:MAX_REASONS]) + omitted
 
 
-def _value_and_threshold(check: Mapping[str, Any]) -> str:
-    if check.get("value") is None:
-        return str(check.get("evidence") or check["outcome"])
-    unit = check.get("unit", "")
-    factor, unit_text = _UNITS.get(unit, (1.0, unit))
-    threshold = check.get("threshold")
-    suffix = "" if threshold is None else f" against {factor * threshold:.3g}"
-    return f"{factor * check['value']:.3g}{suffix} {unit_text}".strip()
+def wrapped(entries: Iterable[str]) -> list[str]:
+    """Join entries by commas and wrap them to the terminal's width, without breaking entries."""
+    columns = shutil.get_terminal_size((_MAX_COLUMNS, 24)).columns
+    width = min(max(columns, _MIN_COLUMNS), _MAX_COLUMNS) - 2
+    joined = ", ".join(entry.replace(" ", "\0") for entry in entries)
+    lines = textwrap.wrap(joined, width, break_long_words=False, break_on_hyphens=False)
+    return [f"  {line}".replace("\0", " ") for line in lines]
 
 
-def _threshold_ratio(check: Mapping[str, Any]) -> float:
-    return check["value"] / check["threshold"] if check["threshold"] else 0.0
-
-
-def _subject(check: Mapping[str, Any]) -> str:
-    return f"of {check['where']} " if check.get("where") else ""
-
-
-def _worst(result: CommandResult) -> str:
-    """Describe the largest drift and overlap of a scene that fails without a recorded reason."""
-    drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
-    depth = 1000 * result.get("max_depth_m", 0.0)
-    return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"
+def _indented(lines: Sequence[str]) -> list[str]:
+    more = [f"  and {len(lines) - MAX_REASONS} more"] * (len(lines) > MAX_REASONS)
+    return [f"  {line}" for line in lines[:MAX_REASONS]] + more
 
 
 def _time(result: CommandResult) -> str:
@@ -248,13 +187,3 @@ def _cost(ledger: Mapping[str, Any]) -> str:
         unknown = ", ".join(ledger["models_without_price"])
         return f"{calls}, {ledger['known_cost_usd']:.4g} USD plus the cost of {unknown}"
     return f"{calls} by {ledger['provider']}, {ledger['cost_usd']:.4g} USD"
-
-
-def _reasons(reasons: Iterable[str]) -> str:
-    listed = list(reasons)
-    omitted = f"; and {len(listed) - MAX_REASONS} more" if len(listed) > MAX_REASONS else ""
-    return "; ".join(listed[:MAX_REASONS]) + omitted
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

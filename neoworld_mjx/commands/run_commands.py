@@ -1,32 +1,25 @@
-"""Commands `reconstruct`, `refine` and `report`, which work on run folders."""
+"""Commands `reconstruct`, `refine` and `report`, which work on run folders, and `examples`."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..engines import EngineChoice
 from ..errors import ConfigError
-from ..places import HERE, Place
+from ..quantities import count
 from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import file_lines, photo_lines, rescue_lines, run_lines
-
-if TYPE_CHECKING:
-    from ..config import Config
+from .result_lines import DETAILS, rescue_lines, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReconstructCommand(ConfiguredCommand, Place):
-    """Reconstruct a simulation-ready scene from a photograph.
-
-    If a folder of photographs is given, --out contains one run folder for each photograph. All runs
-    share one ledger and one cost cap.
-    """
+class ReconstructCommand(ConfiguredCommand):
+    """Reconstruct a simulation-ready scene from a photograph."""
 
     photo: Positional[Path]
-    """The photograph, a name that `neoworld examples` lists, or a folder of photographs."""
+    """The photograph, or a name that `neoworld examples` lists."""
     out: Path
     """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
@@ -63,10 +56,6 @@ class ReconstructCommand(ConfiguredCommand, Place):
             {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
         )
         keep_compilations()
-        if self.photo.is_dir():
-            return self._reconstruct_folder(config)
-        if self.place != HERE:
-            raise ConfigError("--workers and --ray are for several photographs: name their folder")
         result = reconstruct(
             photo_of(self.photo),
             self.out,
@@ -81,27 +70,9 @@ class ReconstructCommand(ConfiguredCommand, Place):
         )
         return result.summary()
 
-    def _reconstruct_folder(self, config: "Config") -> CommandResult:
-        from ..pipeline.photo_folder import reconstruct_folder
-
-        single = {"--from": self.start, "--record": self.record, "--mailbox": self.mailbox}
-        for flag, value in single.items():
-            if value is not None:
-                raise ConfigError(f"{flag} is for a single photograph, {self.photo} is a folder")
-        return reconstruct_folder(
-            self.photo,
-            self.out,
-            config,
-            until=self.until,
-            resume=self.resume,
-            overwrite=self.overwrite,
-            tapes=self.tape,
-            place=self.place,
-        )
-
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return photo_lines(result) if "photos" in result else run_lines(result)
+        return run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +121,7 @@ class RefineCommand(ConfiguredCommand):
 
     def _rescue(self, source: Path) -> CommandResult:
         from ..pipeline.rescue import rescue_file
+        from ..run_folder import read_run
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         rescued = rescue_file(source, self.folder, config, photo=self.photo, camera=self.camera)
@@ -158,6 +130,7 @@ class RefineCommand(ConfiguredCommand):
             "report": str(self.folder / "report.html"),
             "scene": rescued.scene.name,
             **rescued.to_json(),
+            "checks": read_run(self.folder)["metrics"]["checks"],
         }
 
     def lines(self, result: CommandResult) -> list[str]:
@@ -178,6 +151,29 @@ class ReportCommand(Command):
 
         return {"report": str(write_report(self.folder))}
 
+
+@dataclass(frozen=True, kw_only=True)
+class ExamplesCommand(Command):
+    """List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes."""
+
+    def run(self) -> CommandResult:
+        """Return the name and description of each photograph."""
+        from ..pipeline.bundled_examples import bundled_examples
+
+        examples = [
+            {"name": name, **example.model_dump(mode="json")}
+            for name, example in bundled_examples().items()
+        ]
+        return {"examples": examples}
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return file_lines(result)
+        rows = [
+            f"{example['name']}: {count(example['objects'], 'object')}, "
+            f"{count(example['joints'], 'joint')}; {example['shows']} ({example['licence']})"
+            for example in result["examples"]
+        ]
+        return [
+            *rows,
+            f"next: neoworld reconstruct NAME --out DIR; credits and files: {DETAILS[9:]}",
+        ]

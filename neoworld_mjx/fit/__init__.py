@@ -7,5 +7,4 @@
 - `refit` repeats the fit with built shapes.
 - `support_selection` replaces infeasible supports.
 - `tree_checks` checks a parse without a model.
-- `vanishing_points` estimates the camera from lines.
 """

@@ -41,6 +41,10 @@ class SceneMeasure(Spec):
     """Largest rotation of each turning joint "object-joint"."""
     duration_s: float
     diverged: bool = False
+    displacement: dict[str, float] | None = None
+    """Displacement of each movable object by settling from the pose at which it was placed,
+    relative to its limit (`physics.placed.settling_displacement`); None for a scene that was
+    measured as it is."""
 
 
 def scene_measure(

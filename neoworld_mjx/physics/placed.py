@@ -15,11 +15,10 @@ from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth, pair_gap
 
 from ..spec.pose import length
-from ..traces import stored_trace
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
-from .visibility import Visible, as_parsed, visibility
+from .visibility import Visible, visibility
 
 CPU_CHUNK = 16
 """Number of candidates measured at once. On CPUs, a single candidate costs as much as such a chunk,
@@ -90,12 +89,7 @@ def measure_poses(
     scene: SceneArrays, poses: Poses
 ) -> tuple[Float[AnyArray, "pop object object"], Visible]:
     """Measure the penetration and visibility of candidates. May be vmapped."""
-    return _stored_measure(scene.arrays, poses)
-
-
-_stored_measure = stored_trace(
-    _measure, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1))
-)
+    return _measure(scene.arrays, poses)
 
 
 def measure_settled(scene: SceneArrays, start: Poses, end: Poses) -> Placed:

@@ -9,21 +9,13 @@ from typing import TYPE_CHECKING
 from ..run_folder import Result
 
 if TYPE_CHECKING:
-    from .edited import rebuild, search_again
     from .reconstruction import reconstruct, refine_again
-
-_MODULES = {
-    "rebuild": "edited",
-    "reconstruct": "reconstruction",
-    "refine_again": "reconstruction",
-    "search_again": "edited",
-}
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
+    if name not in ("reconstruct", "refine_again"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return getattr(import_module(f"{__name__}.reconstruction"), name)
 
 
-__all__ = ["Result", "rebuild", "reconstruct", "refine_again", "search_again"]
+__all__ = ["Result", "reconstruct", "refine_again"]

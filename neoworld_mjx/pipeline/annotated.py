@@ -3,9 +3,6 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..annotation.annotated_program import program_of
-from ..annotation.annotated_tree import annotated_tree, annotation_from_tree
-from ..annotation.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model
@@ -19,6 +16,8 @@ from ..program.supports import support_program
 from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
+from ..view.annotated_tree import annotated_tree, annotation_from_tree, program_of
+from ..view.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
 from .object_steps import program_inputs, write_object_files
 from .reconstruction import finish, run_steps
 from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE

@@ -165,22 +165,28 @@ def refine_again(
         config = earlier_options(folder, earlier["config"], over or {})
     config = _checked_config(config)
     with bounded_by(config.files):
-        models = models_of_run(folder, config, earlier, critic=False)
+        models = None
+        if config.refine.semantic.scorer == "mllm":
+            models = open_panel(
+                config.mllm,
+                config.provider,
+                photo=earlier["photo"].get("sha256"),
+                mailbox=folder / "mailbox",
+                record=folder / TAPE,
+                made=f"recorded from provider {config.provider}",
+            )
         with RunFolder(folder, config, "redo", step="refine") as run:
             run_steps(run, config, models, first="refine")
             return finish(run, None)
 
 
-def earlier_options(
-    folder: Path, data: dict[str, Any], over: dict[str, Any], *, verifies: bool = False
-) -> Config:
+def earlier_options(folder: Path, data: dict[str, Any], over: dict[str, Any]) -> Config:
     """Return the options of an earlier run, which may come from an untrusted source.
 
     Args:
         folder: the run folder.
         data: options in the folder's run.json.
         over: options that override `data`.
-        verifies: True if objects will be verified, which may call the critic.
 
     Raises:
         ConfigError: the options are invalid, or name code to run or a server to send a key to.
@@ -199,40 +205,13 @@ def earlier_options(
             f"{folder / 'run.json'} names code to run ({', '.join(code_names)}): if you "
             "trust it, give the option by --config or --set"
         )
-    calls_models = config.refine.semantic.scorer == "mllm" or (
-        verifies and config.verify.critic == "always"
-    )
+    calls_models = config.refine.semantic.scorer == "mllm"
     if calls_models and (config.mllm.base_url is not None or config.mllm.prices is not None):
         raise ConfigError(
             f"{folder / 'run.json'} names a server for models ({config.mllm.base_url}), which "
             "would receive your key: if you trust it, give mllm.base_url by --config or --set"
         )
     return config
-
-
-def models_of_run(
-    folder: Path, config: Config, earlier: dict[str, Any], *, critic: bool
-) -> Panel | None:
-    """Open the models that the steps after `program` call; return None if they call none.
-
-    Args:
-        folder: the run folder.
-        config: options of the run.
-        earlier: contents of run.json.
-        critic: True if `verify` is one of these steps. It calls the critic only if the option
-            `verify.critic` is "always". Otherwise, the judgment of the person who edited the
-            program replaces that of the critic.
-    """
-    if config.refine.semantic.scorer == "mllm" or (critic and config.verify.critic == "always"):
-        return open_panel(
-            config.mllm,
-            config.provider,
-            photo=earlier["photo"].get("sha256"),
-            mailbox=folder / "mailbox",
-            record=folder / TAPE,
-            made=f"recorded from provider {config.provider}",
-        )
-    return None
 
 
 def _object_names(run: RunFolder) -> list[str]:
@@ -301,6 +280,5 @@ def finish(run: RunFolder, until: str | None) -> Result:
         fallbacks=run.data["fallbacks"],
         notes=run.data["notes"],
         objects=_object_names(run),
-        passed=run.data["metrics"].get("passed"),
         cost=run.data["mllm"],
     )

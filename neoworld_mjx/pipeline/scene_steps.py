@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..fit.fit_report import NOTED_M, NOTED_SIZE
-    from ..measure import box_iou, object_moves
+    from ..measure import box_iou, object_moves, scene_checks
     from ..refinement import refine
 
     run, config = context.run, context.config
@@ -69,8 +69,10 @@ def refine_layout(context: StepContext) -> None:
                 run.note("refine", f"{count} aligned again", why)
         (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
         moves = object_moves(composed, scene)
+        checks = scene_checks(measure, config.refine)
         summary = {
-            "passed": refined.passed,
+            "passed": all(check.passed for check in checks),
+            "checks": [check.to_json() for check in checks],
             "engine": refined.engine,
             "iterations": refined.iterations,
             "winner": list(refined.winner),
@@ -148,7 +150,7 @@ def write_metrics(run: RunFolder) -> None:
     summary = read_object(path, RunError)
     names = ("mean_log_scale", "mean_shift_m", "mean_turn_deg", "iterations", "engine", "before")
     try:
-        values = {name: summary[name] for name in (*names, "passed")}
+        values = {name: summary[name] for name in (*names, "passed", "checks")}
         values["box_iou"] = summary.get("box_iou")
         run.record("metrics", **summary["after"], **values)
     except (KeyError, TypeError) as error:

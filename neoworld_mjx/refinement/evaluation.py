@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from ..cache import computes_on_cpu
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
 from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
@@ -17,7 +18,6 @@ from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
 from ..physics.sharding import REPLICATED, SHARDED, device_mesh, put
 from ..spec import SceneSpec
-from ..traces import computes_on_cpu
 from .choosing import Round
 from .finishing import resting_poses
 from .objective import Objective, Scores, evaluate

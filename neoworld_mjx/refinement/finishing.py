@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure, measured, passes, scene_checks
+from ..measure import SETTLED_AWAY, SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
@@ -31,7 +31,7 @@ class Finished(NamedTuple):
     moved_away: tuple[str, ...]
     """Objects that settled farther from their placed poses than `settling_displacement` allows."""
     passed: bool
-    """True if the scene passes the final check and no object moved away."""
+    """True if the scene passes the final check, which includes that no object moved away."""
 
     def rests(self, o: RefineOptions) -> Bool[np.ndarray, " object"]:
         """Return a mask of the objects that rest.
@@ -59,7 +59,9 @@ class Finished(NamedTuple):
         bound, relative to the bound, but at most 10. Every object that moved away adds 1.
         """
         excesses = [
-            c.value / c.threshold - 1 for c in scene_checks(self.measure, o) if not c.passed
+            c.value / c.threshold - 1
+            for c in scene_checks(self.measure, o)
+            if not c.passed and c.name != SETTLED_AWAY
         ]
         return sum(min(max(excess, 0.0) + 0.1, 10.0) for excess in excesses) + len(self.moved_away)
 
@@ -104,7 +106,8 @@ def finish(
     size = np.asarray(layouts.log_scale)[k, : len(model.names)]
     finished = check_settled(model, placed, settle_scene(start, o.settle), size, o)
     for _ in range(RELEASES):
-        if passes(finished.measure, o) or finished.measure.diverged:
+        at_rest = finished.measure.model_copy(update={"displacement": None})
+        if passes(at_rest, o) or finished.measure.diverged:
             break
         released = _release_failing(finished, o)
         finished = check_settled(model, placed, settle_scene(released, o.settle), size, o)
@@ -127,9 +130,10 @@ def check_settled(
         log_scale: log scales of the objects in `placed`, relative to `model`; shape [object].
         o: options of the check.
     """
-    measure = measured(scene, o)
-    away = moved_away(model, placed, scene, log_scale)
-    return Finished(scene, measure, away, passes(measure, o) and not away)
+    moved = displacement(model, placed, scene, log_scale)
+    away = tuple(name for name, value in moved.items() if value > 1.0)
+    measure = measured(scene, o).model_copy(update={"displacement": moved})
+    return Finished(scene, measure, away, passes(measure, o))
 
 
 def _release_failing(finished: Finished, o: RefineOptions) -> SceneSpec:
@@ -155,13 +159,13 @@ def _at_poses(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> Scen
     return with_world_poses(placed, ends)
 
 
-def moved_away(
+def displacement(
     model: SceneModel,
     start: SceneSpec,
     end: SceneSpec,
     log_scale: Float[np.ndarray, " object"],
-) -> tuple[str, ...]:
-    """Return the names of the objects that settled farther than `settling_displacement` allows.
+) -> dict[str, float]:
+    """Return the displacement of each movable object by settling, relative to its limit.
 
     Args:
         model: the compiled scene.
@@ -170,11 +174,11 @@ def moved_away(
         log_scale: log scales of the objects in the layout; shape [object].
     """
     size = np.exp(log_scale)[None]
-    far = (
-        settling_displacement(model, resting_poses(start, size), resting_poses(end, size), np)[0]
-        > 1.0
-    )
-    return tuple(model.names[n] for n in np.flatnonzero(far))
+    poses = resting_poses(start, size), resting_poses(end, size)
+    values = np.asarray(settling_displacement(model, *poses, np)[0], float)
+    return {
+        name: float(values[k]) for k, name in enumerate(model.names) if not end.object(name).static
+    }
 
 
 def free_to_move(

@@ -120,8 +120,6 @@ def outcome(
         )
     if not winner.passed:
         failed = [c.phrase() for c in scene_checks(winner.measure, o) if not c.passed]
-        away = winner.finished.moved_away
-        failed += [f"{name} settled away from its place" for name in away]
         fallbacks += (
             f"no candidate passed the final check in {winner.tried} tries; the closest one is "
             f"used: {'; '.join(failed)}",

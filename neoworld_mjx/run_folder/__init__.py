@@ -1,8 +1,7 @@
 """Run folder: locked, written atomically step by step, and resumable by content hashes."""
 
 from .open_folder import STEPS, Mode, RunFolder
-from .run_json import FORMAT, read_run, versions
-from .run_result import Result
+from .run_json import FORMAT, Result, read_run, verdict_line, versions
 from .staging import LOCK, lock_folder, refuse_links
 
 __all__ = [
@@ -15,5 +14,6 @@ __all__ = [
     "lock_folder",
     "read_run",
     "refuse_links",
+    "verdict_line",
     "versions",
 ]

@@ -8,9 +8,12 @@ of the photograph, the options and the models' responses.
 """
 
 import contextlib
+import errno
 import json
 import logging
+import os
 import shutil
+import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -19,6 +22,7 @@ from typing import Any, Literal, NamedTuple
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
 from ..io.files import content_hash, write_atomic, write_inside
+from ..io.names import printable
 from ..progress import report
 from ..step_names import STEPS, Step
 from .history import (
@@ -31,7 +35,6 @@ from .history import (
     step_of,
 )
 from .run_json import initial_record, read_run, strict_json
-from .run_log import RUN_LOG, RunLog
 from .staging import (
     STAGING,
     check_claimable,
@@ -45,10 +48,11 @@ from .staging import (
 
 _log = logging.getLogger(__name__)
 
-Mode = Literal["new", "resume", "edited", "redo", "overwrite"]
+Mode = Literal["new", "resume", "redo", "overwrite"]
 """Treatment of an earlier run in the folder, see `RunFolder`."""
-
-
+RUN_LOG = "run.log"
+PACKAGE = "neoworld_mjx"
+_LOG_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 WAITED_S = 0.5
 """Least time of waiting for models that a progress message mentions [s]."""
 
@@ -60,6 +64,54 @@ class Moment(NamedTuple):
     """`time.perf_counter()` [s]."""
     waited: float
     """Time that the run has spent waiting for models so far [s]."""
+
+
+class RunLog(logging.Handler):
+    """Log handler that appends the package's log to run.log until it is closed.
+
+    The level of the package's logger applies. On the command line, the log contains progress and
+    warnings. In a program that sets no level, it contains only warnings. A log that cannot be
+    written does not stop the run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open the log of a run folder.
+
+        Raises:
+            OSError: the log cannot be opened, or is a link.
+        """
+        super().__init__(logging.INFO)
+        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        self._descriptor: int | None = os.open(folder / RUN_LOG, _LOG_FLAGS, 0o666)
+        status = os.fstat(self._descriptor)
+        if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+            self.close()
+            raise OSError(
+                errno.EMLINK, "run.log is not a regular file of this folder", str(folder / RUN_LOG)
+            )
+        logging.getLogger(PACKAGE).addHandler(self)
+
+    def note(self, level: int, text: str) -> None:
+        """Append a line to run.log only, not to other handlers of the log."""
+        self.handle(logging.LogRecord(PACKAGE, level, "", 0, text, None, None))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a record as one line."""
+        if self._descriptor is None or record.levelno < self.level:
+            return
+        line = printable(self.format(record).replace("\n", " | ")) + "\n"
+        try:
+            os.write(self._descriptor, line.encode("utf-8", "replace"))
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """Close the log."""
+        logging.getLogger(PACKAGE).removeHandler(self)
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+        super().close()
 
 
 class RunFolder:
@@ -86,12 +138,10 @@ class RunFolder:
 
                 - "new": refuse the run, unless it has finished no step;
                 - "resume": keep finished steps whose inputs and files have not changed;
-                - "edited": as "resume", but keep `step` and all earlier steps even if their files
-                  were edited by hand;
                 - "redo": delete the files of `step` and of all later steps, and keep the earlier
                   steps even if their files were edited by hand;
                 - "overwrite": delete the files of all steps.
-            step: name of a step; required by "edited" and "redo".
+            step: name of a step; required by "redo".
 
         Raises:
             RunError: the path is a file, is not writable, contains other files or a run that must
@@ -100,7 +150,12 @@ class RunFolder:
         self.path = Path(path)
         self.waited = lambda: 0.0
         self._visited: set[str] = set()
-        self._accepted = _accepted_steps(mode, step)
+        self._kept: tuple[str, ...] = ()
+        """Steps that are kept even if their files were edited by hand."""
+        if mode == "redo":
+            if step not in STEPS:
+                raise RunError(f"no such step: {choices(str(step), STEPS)}")
+            self._kept = STEPS[: STEPS.index(step)]
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a run folder or a folder that does not exist")
         with disk_errors(self.path, include_outside=True):
@@ -261,7 +316,7 @@ class RunFolder:
         """
         if until is None:
             for name in sorted(set(self.data["steps"]) - self._visited):
-                if step_of(name) not in self._accepted:
+                if step_of(name) not in self._kept:
                     self._discard(name)
         self.data["status"] = "finished" if until is None else f"stopped after {until}"
         self.save()
@@ -287,7 +342,7 @@ class RunFolder:
                 mode = "resume"
         if mode in ("redo", "overwrite"):
             for name in [*self.data["steps"]]:
-                if step_of(name) not in self._accepted:
+                if step_of(name) not in self._kept:
                     self._discard(name)
         if mode in ("new", "overwrite"):
             for name in ("report.html", RUN_LOG):
@@ -303,23 +358,18 @@ class RunFolder:
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
             return False
-        if step_of(name) in self._accepted:
+        if step_of(name) in self._kept:
             if entry["inputs"] != hashes:
                 _log.warning("%s: kept although its inputs have changed", name)
-            self.accept_edits(name)
+            edited = self._edited(entry)
+            if edited:  # Record the edits as outputs, so that a later --resume keeps them.
+                entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
+                entry["edited"] = sorted({*entry.get("edited", []), *edited})
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
         report(f"{name}: kept", **_status(name, step_of(name)))
         return True
-
-    def accept_edits(self, name: str) -> None:
-        """Record a step's edited files as its outputs, so that a later --resume keeps them."""
-        entry = self.data["steps"][name]
-        edited = self._edited(entry)
-        if edited:
-            entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
-            entry["edited"] = sorted({*entry.get("edited", []), *edited})
 
     def edited_by_hand(self, name: str) -> tuple[str, ...]:
         """Return the files of a finished step whose edits by hand were accepted."""
@@ -354,7 +404,7 @@ class RunFolder:
         versions = earlier_versions(self.data["steps"], files)
         with disk_errors(self.path):
             for path in self._edited(entry):
-                if path in versions and step_of(versions[path][0]) in self._accepted:
+                if path in versions and step_of(versions[path][0]) in self._kept:
                     self._make_current(path, *versions[path])
                     files.remove(path)
                 else:
@@ -391,16 +441,6 @@ class RunFolder:
             ) from None
         except OSError as error:
             raise RunError(f"step {name} cannot read {error.filename}: {error.strerror}") from None
-
-
-def _accepted_steps(mode: Mode, step: str | None) -> tuple[str, ...]:
-    """Return the steps whose files are kept even if they were edited or their inputs changed."""
-    if mode not in ("edited", "redo"):
-        return ()
-    if step not in STEPS:
-        raise RunError(f"no such step: {choices(str(step), STEPS)}")
-    index = STEPS.index(step)
-    return STEPS[: index + 1] if mode == "edited" else STEPS[:index]
 
 
 def _status(name: str, step: str) -> dict[str, str]:

@@ -1,9 +1,12 @@
-"""run.json: options, versions, steps, metrics and fallbacks of a run."""
+"""run.json: options, versions, steps, metrics and fallbacks of a run; and the result of a run."""
 
 import contextlib
 import json
+import math
 import os
 import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -60,6 +63,19 @@ class _Photo(BaseModel):
     sha256: str = ""
 
 
+class _Check(BaseModel):
+    phrase: str
+    passed: bool
+    value: float | None = None
+    threshold: float = 0.0
+    failing: list[str] = []
+
+
+class _Metrics(BaseModel):
+    passed: bool | None = None
+    checks: list[_Check] = []
+
+
 class _Record(BaseModel):
     """Required structure of run.json, which is untrusted."""
 
@@ -74,7 +90,7 @@ class _Record(BaseModel):
     seeds: dict[str, Any] = {}
     versions: dict[str, str] = {}
     device: dict[str, Any] = {}
-    metrics: dict[str, Any] = {}
+    metrics: _Metrics = _Metrics()
     mllm: dict[str, Any] = {}
     photo: _Photo = _Photo()
 
@@ -137,3 +153,78 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(metadata.PackageNotFoundError):
             installed[name] = metadata.version(name)
     return installed
+
+
+@dataclass(frozen=True)
+class Result:
+    """Result of a run."""
+
+    folder: Path
+    until: str | None
+    """Last requested step; None for a complete run."""
+    metrics: dict[str, Any]
+    seconds: dict[str, float]
+    """Duration of each step [s]."""
+    waiting: dict[str, float]
+    """Time that each step waited for models [s]."""
+    fallbacks: list[dict[str, str]]
+    notes: list[dict[str, str]]
+    """Noteworthy outcomes, such as large moves by the fit or the search."""
+    objects: list[str]
+    cost: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool | None:
+        """True if the refined scene passes all checks; None before refinement."""
+        return self.metrics.get("passed")
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on the scene in one line; see `verdict_line`."""
+        return verdict_line(self.metrics)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON object that `neoworld reconstruct --json` prints."""
+        exported = self.passed is not None and self.until is None
+        return {
+            "scene": str(self.folder / "scene.xml") if exported else None,
+            "folder": str(self.folder),
+            "report": str(self.folder / "report.html"),
+            "objects": self.objects,
+            **{key: value for key, value in self.metrics.items() if key != "objects"},
+            "passed": self.passed,
+            "seconds": self.seconds,
+            "waiting": self.waiting,
+            "fallbacks": self.fallbacks,
+            "notes": self.notes,
+            "mllm": self.cost,
+        }
+
+    def __repr__(self) -> str:
+        """Return folder, time and objects, and the verdict, on one line each."""
+        computing = sum(self.seconds.values()) - sum(self.waiting.values())
+        return (
+            f"Result({str(self.folder)!r}: {computing:.1f} s of computing\n"
+            f"  objects: {', '.join(self.objects)}\n"
+            f"  {self.verdict}, {len(self.fallbacks)} fallbacks)"
+        )
+
+
+def verdict_line(metrics: Mapping[str, Any]) -> str:
+    """Return the verdict on a scene in one line, with the reasons if it is not valid.
+
+    Args:
+        metrics: "passed", and "checks", a list of the JSON data of `measure.SceneCheck`.
+    """
+    passed, checks = metrics.get("passed"), metrics.get("checks", ())
+    if passed is None:
+        return "not refined yet"
+    if not passed:
+        failed = [str(check["phrase"]) for check in checks if not check["passed"]]
+        return f"not valid: {'; '.join(failed)}"
+    ratio = lambda check: check["value"] / (check["threshold"] or math.inf)
+    closest = max(checks, key=ratio, default=None)
+    line = f"valid: all {len(checks)} checks pass"
+    if closest is None or not closest["value"]:
+        return line
+    return f"{line}; closest to its limit: {closest['phrase']}"

@@ -1,9 +1,18 @@
 """The bounds of a scene, each by itself, and who breaks them."""
 
 import numpy as np
+import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.measure import measured, passes, scene_check, scene_checks
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.measure import (
+    SETTLED_AWAY,
+    measured,
+    passes,
+    scene_check,
+    scene_checks,
+    with_displacement,
+)
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, SceneObject
 from tests.support import furniture, scenes
@@ -75,11 +84,29 @@ def test_a_value_that_is_not_finite_fails_every_bound():
     assert not passes(measure, OPTIONS)
 
 
-def test_a_phrase_names_value_place_and_bound():
+def test_a_phrase_names_place_value_and_bound_and_is_stored():
     measure = measured(snap_exactly(scenes.blocks()), OPTIONS)
-    moved = measure.model_copy(update={"max_tilt_deg": 12.34, "tilt_deg": {"mug": 12.34}})
+    tilts = {"pot": 6.0, "mug": 12.34, "cup": 0.1}
+    moved = measure.model_copy(update={"max_tilt_deg": 12.34, "tilt_deg": tilts})
     (check,) = [check for check in scene_checks(moved, OPTIONS) if not check.passed]
-    assert check.phrase() == "max_tilt_deg 12.3 of mug, over 5"
+    phrase = "mug (and 1 more): tilt 12.3 degrees, at most 5.0 degrees"
+    assert check.phrase() == check.to_json()["phrase"] == phrase
+    assert check.failing == ("mug", "pot")
+    diverged = measure.model_copy(update={"diverged": True})
+    worst = next(c for c in scene_checks(diverged, OPTIONS) if c.name == "max_drift_m")
+    assert worst.to_json()["value"] is None and "drift not finite" in worst.phrase()
+
+
+def test_an_object_that_settled_away_from_its_place_fails():
+    measure = measured(snap_exactly(scenes.blocks()), OPTIONS)
+    assert SETTLED_AWAY not in {check.name for check in scene_checks(measure, OPTIONS)}
+    for value, passed in ((1.0, True), (1.01, False)):
+        moved = with_displacement(measure, {"low": 0.3, "ball": value})
+        check = scene_checks(moved, OPTIONS)[-1]
+        assert (check.name, check.where, check.passed) == (SETTLED_AWAY, "ball", passed)
+        assert passes(moved, OPTIONS) == passed
+    with pytest.raises(RunError, match="damaged"):
+        with_displacement(measure, {"low": "far"})
 
 
 def test_depths_may_equal_their_bound_and_motions_may_not():

@@ -5,9 +5,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.annotation.annotated_program import program_of
-from neoworld_mjx.annotation.annotated_tree import annotated_tree, annotation_from_tree, placed_box
-from neoworld_mjx.annotation.annotation import (
+from neoworld_mjx.errors import RunError, SpecError
+from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.pipeline import reconstruct
+from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.spec import Box2D, Box3D, Camera, bounds
+from neoworld_mjx.view.annotated_tree import (
+    annotated_tree,
+    annotation_from_tree,
+    placed_box,
+    program_of,
+)
+from neoworld_mjx.view.annotation import (
     EXISTING_PROGRAM,
     GROUND,
     SHAPES,
@@ -15,12 +25,6 @@ from neoworld_mjx.annotation.annotation import (
     AnnotatedObject,
     Annotation,
 )
-from neoworld_mjx.errors import RunError, SpecError
-from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.pipeline import reconstruct
-from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
-from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.spec import Box2D, Box3D, Camera, bounds
 from tests.support.annotations import coffee
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.9, height=0.5, pitch=0.7)

@@ -34,7 +34,12 @@ def searched():
 def refined(searched, *, passed=True, layout=None, result=None, **given):
     model, known = searched
     initial = known.initial
-    finished = initial._replace(passed=passed, moved_away=() if passed else ("ball",))
+    measure = initial.measure
+    if not passed:
+        measure = measure.model_copy(update={"displacement": {"low": 0.5, "ball": 1.5}})
+    finished = initial._replace(
+        passed=passed, measure=measure, moved_away=() if passed else ("ball",)
+    )
     layout = Layout.zero(1, len(model.names) + 3) if layout is None else layout
     winner = Winner((0, 2), layout, finished, initial.measure, 3)
     call = {"engine": "native", "clock": {"search": 2.0}, "delivered": {"absolute": 1.0}}
@@ -107,4 +112,6 @@ def test_failures_are_listed(searched):
         "photograph shows it"
     )
     assert failed.startswith("no candidate passed the final check in 3 tries; the closest one is")
-    assert failed.endswith("ball settled away from its place")
+    assert failed.endswith(
+        "ball: settled away from its place by 150 % of the limit, at most 100 % of the limit"
+    )

@@ -8,7 +8,6 @@ from neoworld_mjx.render import render, render_plain
 from neoworld_mjx.render.view import View
 from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.report.film_strips import TIME_FRACTIONS, fall_frames, film_strips
 from tests.support import scenes
 
 
@@ -53,7 +52,7 @@ def test_turntable_views_show_all_points_from_one_distance():
 
 def test_joints_open_by_a_fraction_of_their_range(tmp_path):
     from neoworld_mjx.config import Config
-    from neoworld_mjx.view.pages.view_target import open_target
+    from neoworld_mjx.view.target import open_target
 
     (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
     (cabinet,) = with_open_joints(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
@@ -99,17 +98,3 @@ def test_render_accepts_cameras_and_turntables(neoworld, scene_file, tmp_path):
 def test_conflicting_flags_are_refused_with_one_message(neoworld, scene_file, flags, said):
     code, _, error = neoworld("render", scene_file, "--width", 48, *flags)
     assert code == 2 and said in error and len(error.strip().splitlines()) == 1
-
-
-def test_a_film_strip_shows_what_falls(tmp_path):
-    scene = scenes.blocks()
-    lifted = scene.objects[1].model_copy(update={"z": scene.objects[1].z + 0.15})
-    fallen = scene.model_copy(update={"objects": (scene.objects[0], lifted, *scene.objects[2:])})
-    frames = fall_frames(fallen, 0.5)
-    assert [seconds for seconds, _ in frames] == [fraction * 0.5 for fraction in TIME_FRACTIONS]
-    first, last = frames[0][1].astype(int), frames[-1][1].astype(int)
-    assert (np.abs(first - last).max(axis=2) > 30).mean() > 0.005
-    (tmp_path / "scene.json").write_text(fallen.to_json())
-    page = film_strips(tmp_path, 0.5)
-    assert page.count("data:image/jpeg") == 1 and "at 0, 0.05, 0.15, 0.5 s" in page
-    assert "No scene yet" in film_strips(tmp_path / "none", 0.5)

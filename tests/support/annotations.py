@@ -2,8 +2,8 @@
 
 import math
 
-from neoworld_mjx.annotation.annotation import AnnotatedObject, Annotation
 from neoworld_mjx.spec import Box2D, Camera
+from neoworld_mjx.view.annotation import AnnotatedObject, Annotation
 
 SAUCER, CUP = (77, 67, 480, 389), (172, 17, 409, 308)
 """Boxes in pixels of examples/coffee.png."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import Config
-from neoworld_mjx.pipeline import rebuild, reconstruct, search_again
+from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.spec import read_scene
 from neoworld_mjx.templates import template
 from tests.support.browser import changed, opened
@@ -29,20 +29,16 @@ def quick_run(tmp_path_factory, photo, quick_config):
 @pytest.fixture
 def served():
     """Serve targets, and stop the servers after the test."""
-    from neoworld_mjx.view.pages.local_server import address, close_server, open_server
-    from neoworld_mjx.view.pages.scene_viewer import SceneViewer
-    from neoworld_mjx.view.pages.view_target import open_target
+    from neoworld_mjx.view.scene_viewer import SceneViewer
+    from neoworld_mjx.view.server import address, close_server, open_server
+    from neoworld_mjx.view.target import open_target
 
     servers = []
 
     def serve(path):
         server = open_server("test", port=0)
         servers.append(server)
-        viewer = SceneViewer(
-            *(server, path, open_target(path, Config()), Config()),
-            rebuild=rebuild,
-            search_again=search_again,
-        )
+        viewer = SceneViewer(server, open_target(path, Config()))
         return viewer, server, address(server)
 
     yield serve
@@ -70,85 +66,41 @@ def test_a_joint_slider_moves_geometry_and_the_page_needs_no_network(tmp_path, s
         assert page.errors == [] and page.outside == []
 
 
-def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp_path, served):
+def test_a_dragged_object_is_saved_and_composed_where_it_is(
+    quick_run, tmp_path, served, photo, quick_config
+):
     run = tmp_path / "run"
     shutil.copytree(quick_run, run)
-    before = read_scene(run)
     viewer, server, url = served(run)
     with opened(url) as page:
-        page.tab("Objects")
+        page.waits_for("valid: all")
+        plain = page.settled(right=CANVAS)
+        page.check("Colliders")
+        assert changed(plain, page.settled(right=CANVAS)) > 0.005
+        page.check("Colliders")
+        assert changed(plain, page.settled(right=CANVAS)) < 0.002
         page.choose("Object", "cup")
         page.check("Drag")
         page.settled()
         (client,) = server.get_clients().values()
-        start = viewer._editor.handle_pose("cup")
+        start = viewer.placed.handle_pose("cup")
         # The square between the handle's two arrows moves it over the ground.
-        square = 0.243 * viewer._handle.scale * (start.then(_unit()).pos - start.pos)
+        square = 0.243 * viewer.handle.scale * (start.then(_unit()).pos - start.pos)
         x, y = _on_screen(client.camera, start.pos + square)
         page.page.mouse.move(x, y)
         page.page.mouse.down()
         page.page.mouse.move(x + 12, y + 6, steps=4)
         page.page.mouse.up()
         deadline = time.monotonic() + 60
-        while "cup" not in viewer._editor.patch.objects and time.monotonic() < deadline:
+        while "cup" not in viewer.placed.patch.objects and time.monotonic() < deadline:
             time.sleep(0.2)
-        dragged = viewer._editor.patch.objects["cup"].xy
-        assert dragged is not None and dragged != before.object("cup").xy
-        page.tab("Search")
-        page.click("Search again from here")
-        page.waits_for("objects: table", 240)
-        assert page.errors == []
-    after = read_scene(run)
-    assert after.object("cup").xy != before.object("cup").xy
-    composed = read_scene(run / "compose" / "scene.json")
-    assert np.allclose(composed.object("cup").xy, dragged)
-    # The patch still applies after a program is rebuilt.
-    text = (run / "objects" / "saucer" / "program.py").read_text()
-    _, result = rebuild(run, "saucer", text + "\n# the same saucer\n")
-    assert result is not None
-    again = read_scene(run / "compose" / "scene.json")
-    assert np.allclose(again.object("cup").xy, dragged)
-
-
-def test_fast_clicks_match_the_controls_and_the_search_uses_a_drawn_box(
-    quick_run, tmp_path, served
-):
-    run = tmp_path / "run"
-    shutil.copytree(quick_run, run)
-    viewer, server, url = served(run)
-    with opened(url) as page:
-        plain = page.settled(right=CANVAS)
-        for _ in range(2):
-            page.check("Colliders")
-        assert changed(plain, page.settled(right=CANVAS)) < 0.002
-        page.tab("Search")
-        page.check("Population as ghosts")
-        page.check("Population as ghosts")
-        time.sleep(2)
-        assert changed(plain, page.settled(right=CANVAS)) < 0.002
-        page.tab("Objects")
-        page.choose("Object", "cup")
-        page.click("Draw its box in the photograph")
-        page.waits_for("Drag a rectangle")
-        page.settled()
-        (client,) = server.get_clients().values()
-        camera, old = viewer._target.after.camera, viewer._target.after.object("cup").box2d
-        drawn = np.array(old.as_tuple()) + [12, 6, 12, 6]
-        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2) / camera.focal
-        window = np.array([client.camera.image_width, client.camera.image_height])
-        middle = np.array([camera.width, camera.height_px]) / 2
-        low, high = (drawn.reshape(2, 2) - middle) * focal + window / 2
-        page.page.mouse.move(*low)
-        page.page.mouse.down()
-        page.page.mouse.move(*high, steps=6)
-        page.page.mouse.up()
-        page.waits_for("The search uses this box")
-        page.tab("Search")
-        page.click("Search again from here")
-        page.waits_for("objects: table", 240)
+        page.click("Save the placement")
+        page.waits_for("Saved in layout.patch.json")
         assert page.errors == [] and page.outside == []
-    for place in ("compose/scene.json", "scene.json"):
-        assert np.allclose(read_scene(run / place).object("cup").box2d.as_tuple(), drawn, atol=3)
+    dragged = viewer.placed.patch.objects["cup"].xy
+    assert dragged is not None and dragged != read_scene(run).object("cup").xy
+    reconstruct(photo, run, quick_config, resume=True, until="compose")
+    assert np.allclose(read_scene(run / "compose" / "scene.json").object("cup").xy, dragged)
 
 
 def _unit():

@@ -1,10 +1,20 @@
-"""HTML of the report, from Jinja templates that escape all text."""
+"""Parts of the report: HTML from Jinja templates that escape all text, pictures, and formats."""
 
-from collections.abc import Iterable
+import base64
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from PIL import Image
+
+from ...errors import RunError
+from ...io import file_bounds, open_image, read_object
+from ...io.files import MIB, read_bytes
 
 _ENVIRONMENT = Environment(
     loader=PackageLoader("neoworld_mjx.view.report", "html"),
@@ -15,6 +25,9 @@ _ENVIRONMENT = Environment(
 )
 elements: Any = _ENVIRONMENT.get_template("elements.html").module
 """The macros of html/elements.html; each returns markup."""
+_MAX_PX = 1280
+_SMALL_BYTES = 300_000
+"""Largest PNG file that is embedded unchanged [bytes]."""
 
 
 def document(title: str, body: Iterable[Markup], scripts: Iterable[str] = ()) -> str:
@@ -32,3 +45,93 @@ def document(title: str, body: Iterable[Markup], scripts: Iterable[str] = ()) ->
     policy += f"; script-src {allowed}" if allowed else ""
     page = _ENVIRONMENT.get_template("page.html")
     return page.render(title=title, body=body, policy=Markup(policy))
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Read a JSON object; return None if it is missing or damaged."""
+    try:
+        return read_object(path, RunError) if path.is_file() else None
+    except RunError:
+        return None
+
+
+def size_cm(size: Sequence[float]) -> str:
+    """Format the edge lengths of a box in cm, without the unit."""
+    return " × ".join(f"{100 * edge:.1f}" for edge in size)
+
+
+def support_of(entry: dict[str, Any]) -> str:
+    """Format the relation to the support of a tree node or scene object, such as "on table"."""
+    return f"{entry.get('relation', 'on')} {entry['parent']}" if entry.get("parent") else "world"
+
+
+def picture(path: Path, caption: str) -> Markup:
+    """Embed a picture file, reduced if it is large; embed a note if it is missing or damaged."""
+    if not path.is_file():
+        return elements.missing_figure("not there yet", caption)
+    try:
+        with _open(path) as (raw, image):
+            if image.format == "PNG" and len(raw) <= _SMALL_BYTES:
+                return elements.figure(_data_uri(raw, "png"), caption)
+            image.thumbnail((_MAX_PX, _MAX_PX), Image.Resampling.LANCZOS)
+            return _figure(image.convert("RGB"), caption, quality=88)
+    except (OSError, RunError):
+        return elements.missing_figure(f"{path.name} cannot be read", caption)
+
+
+def cropped_picture(
+    path: Path, window: tuple[float, float, float, float], caption: str, height: int = 150
+) -> Markup:
+    """Embed a crop of a picture file; return empty markup if the file is missing or damaged.
+
+    Args:
+        path: the picture file.
+        window: left, top, right and bottom, as fractions of the picture.
+        caption: caption of the crop.
+        height: maximum height [pixels].
+    """
+    try:
+        with _open(path) as (_, image):
+            x0, y0, x1, y1 = (
+                round(min(max(fraction, 0.0), 1.0) * size)
+                for fraction, size in zip(window, (*image.size, *image.size), strict=True)
+            )
+            crop = image.convert("RGB").crop((x0, y0, max(x1, x0 + 1), max(y1, y0 + 1)))
+    except (OSError, RunError):
+        return Markup()
+    crop.thumbnail((2 * height, height), Image.Resampling.LANCZOS)
+    return _figure(crop, caption)
+
+
+def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
+    """Embed frames of an animation side by side, or nothing if the file is missing or damaged."""
+    try:
+        raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+        with open_image(raw, path.name, RunError) as image:
+            count = getattr(image, "n_frames", 1)
+            pixels = []
+            for index in np.linspace(0, count - 1, min(frames, count)).astype(int):
+                image.seek(int(index))
+                pixels.append(np.asarray(image.convert("RGB")))
+    except (EOFError, OSError, RunError):
+        return Markup()
+    strip = Image.fromarray(np.concatenate(pixels, axis=1))
+    return _figure(strip, f"{name}, {len(pixels)} frames of {path.name}")
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[tuple[bytes, Image.Image]]:
+    raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+    with open_image(raw, path.name, RunError) as image:
+        image.load()
+        yield raw, image
+
+
+def _figure(image: Image.Image, caption: str, quality: int = 85) -> Markup:
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=quality)
+    return elements.figure(_data_uri(buffer.getvalue(), "jpeg"), caption)
+
+
+def _data_uri(raw: bytes, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(raw).decode('ascii')}"

@@ -17,32 +17,18 @@ from markupsafe import Markup
 from ...config import Config
 from ...errors import NeoWorldError, RunError
 from ...io.files import write_atomic
-from ...run_folder import STEPS, read_run, refuse_links
+from ...quantities import count
+from ...run_folder import STEPS, read_run, refuse_links, verdict_line
 from ...spec import read_scene
-from . import (
-    changes,
-    charts,
-    convergence,
-    film_strips,
-    object_rows,
-    photograph_section,
-    rescue_section,
-    scene_3d,
-)
-from .formatting import progress_of, read_json
-from .page import document, elements
-from .pictures import picture
-from .tables import agreement, joints, parse_section, penetrations, scene_section
+from . import objects, photograph, scene_3d, search
+from .page import document, elements, picture, read_json
 
 _ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, MemoryError, NeoWorldError),
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a section may raise if a file has an unexpected structure."""
-SECTIONS_NOT_IN_RESCUE = (
-    *("Before and after", object_rows.TITLE, "Parse", changes.TITLE, "Models"),
-    "Agreement with the photograph",
-)
+SECTIONS_NOT_IN_RESCUE = ("Pictures", objects.TITLE, "Models")
 """Sections about steps that do not belong to a rescue."""
 
 
@@ -55,35 +41,24 @@ def write_report(folder: Path) -> Path:
     folder = Path(folder)
     run = read_run(folder)
     refuse_links(folder)
-    scene = read_json(folder / "scene.json") or {}
     tree = read_json(folder / "tree.json") or {}
     title = run["photo"].get("name") or folder.resolve().name
     sections: list[tuple[str, Callable[[], Markup]]] = [
         (title, lambda: _header(run, title, folder)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
-        (rescue_section.TITLE, lambda: rescue_section.rescue_section(folder)),
-        ("Numbers", lambda: _numbers(run)),
-        ("Before and after", lambda: _pictures(folder)),
-        (photograph_section.TITLE, lambda: photograph_section.photograph_section(folder)),
-        (object_rows.TITLE, lambda: object_rows.object_rows(folder, run, tree)),
+        (photograph.RESCUE_TITLE, lambda: photograph.rescue_section(folder)),
+        ("Checks", lambda: _checks(run)),
+        ("Pictures", lambda: _pictures(folder, tree)),
+        (photograph.TITLE, lambda: photograph.photograph_section(folder)),
+        (objects.TITLE, lambda: objects.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
-        (film_strips.TITLE, lambda: _film_strips(folder, run)),
-        ("Parse", lambda: parse_section(folder, tree)),
-        (changes.TITLE, lambda: changes.changes(folder)),
-        ("Scene", lambda: scene_section(scene)),
-        ("Agreement with the photograph", lambda: agreement(run)),
-        (
-            convergence.TITLE,
-            lambda: convergence.convergence(folder / "refine" / "history.npz"),
-        ),
-        ("Joints", lambda: joints(folder, scene)),
-        ("Penetrations and drift", lambda: penetrations(run)),
+        (search.TITLE, lambda: search.convergence(folder / "refine" / "history.npz")),
         ("Time", lambda: _time(run)),
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
-    if (folder / rescue_section.FILE).is_file():
+    if (folder / photograph.RESCUE).is_file():
         sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
@@ -109,22 +84,20 @@ def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
 
 
 def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
-    """Return the header with the status of the run, and reasons if the scene is not valid."""
-    status = str(run["status"])
+    """Return the header with the status of the run and the verdict on its scene."""
+    status, metrics = str(run["status"]), run["metrics"]
+    passed = metrics.get("passed")
     color = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
     errors = [run["error"]] if run.get("error") else []
-    causes, passed = object_rows.violated_limits(run), run["metrics"].get("passed")
-    if causes or passed is False:
-        status, color = f"{status}, but the scene is not valid", "bad"
-        details = "; ".join(f"{name} {', '.join(reasons)}" for name, reasons in causes.items())
-        errors.append(f"Not valid: {details or 'see the numbers below'}")
-    elif passed:
-        status = f"{status}, valid"
-    check = read_json(folder / "compose" / "check.json") or {}
-    moving = [str(entry["phrase"]) for entry in check.get("unstable", [])]
-    if moving and not (passed and not causes):
-        count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
-        errors.append(f"Before the search {count} not stay in place: {'; '.join(moving)}")
+    if passed is False:
+        color = "bad"
+        errors.append(verdict_line(metrics))
+        moving = (read_json(folder / "compose" / "check.json") or {}).get("unstable", [])
+        if moving:
+            phrases = "; ".join(str(entry["phrase"]) for entry in moving)
+            errors.append(f"Moved in free fall before the search: {phrases}")
+    else:
+        status = f"{status}, {verdict_line(metrics)}"
     facts = [
         f"seed {run.get('seeds', {}).get('run')}",
         f"options {run.get('fingerprint')}",
@@ -148,73 +121,52 @@ def _notes(run: dict[str, Any]) -> Markup:
     return elements.section("Notes", elements.entries(entries)) if entries else Markup()
 
 
-def _numbers(run: dict[str, Any]) -> Markup:
+def _checks(run: dict[str, Any]) -> Markup:
+    """Return the checks of the refined scene, and the changes by the search."""
     metrics = run["metrics"]
     if not metrics:
-        note = f"Measured after refine; {progress_of(run)}."
-        return elements.section("Numbers", elements.missing(note))
-    limits = run["config"]["refine"]
-
-    def number(key: str) -> float:
-        value = metrics.get(key)
-        return math.nan if value is None else float(value)
-
-    pairs, depth, drift = number("s_pen"), number("max_depth_m"), number("max_drift_m")
-    turn, scale, stable = number("max_tilt_deg"), number("mean_log_scale"), metrics.get("s_stab")
-    shift = f"{number('mean_shift_m') * 1000:.1f} mm, {number('mean_turn_deg'):.1f}°"
-    drift_limit = f"{limits['max_drift_m'] * 1000:g} mm in {limits['check_duration_s']:g} s"
-    cards: list[tuple[str, str, str, str, bool | None]] = [
-        ("s_pen", "S-Pen (exported scene)", f"{pairs:.0f}", "target 0", pairs == 0),
-        (
-            *("max_depth_m", "deepest penetration", f"{depth * 1000:.2f} mm"),
-            *(f"limit {limits['max_depth_m'] * 1000:g} mm", depth <= limits["max_depth_m"]),
-        ),
-        ("s_stab", "S-Stab", "stable" if stable else "not stable", "free fall", stable),
-        (
-            *("max_drift_m", "largest drift", f"{drift * 1000:.2f} mm"),
-            *(f"limit {drift_limit}", drift < limits["max_drift_m"]),
-        ),
-        (
-            *("max_tilt_deg", "largest turn", f"{turn:.2f}°"),
-            *(f"limit {limits['max_tilt_deg']:g}°", turn < limits["max_tilt_deg"]),
-        ),
-        (
-            *("movable", "movable objects", f"{number('movable'):.0f}"),
-            *(f"of {metrics.get('objects', '?')}", None),
-        ),
-        (
-            *("mean_log_scale", "mean log scale", f"{scale:+.4f}"),
-            *(f"mean size {100 * math.expm1(scale):+.1f} %", None),
-        ),
-        (
-            "mean_shift_m",
-            "moved after composition",
-            shift,
-            "mean, settling and tilt included",
-            None,
-        ),
+        finished = {name.partition("/")[0] for name in run["steps"]}
+        steps = ", ".join(step for step in STEPS if step in finished) or "none"
+        note = f"Checked after refine; this run is {run['status']}; finished steps: {steps}."
+        return elements.section("Checks", elements.missing(note))
+    rows = [
+        [elements.verdict(bool(check["passed"])), check["phrase"]]
+        for check in metrics.get("checks", ())
     ]
-    drawn = [
-        elements.card(name, value, limit, passed)
-        if metrics[key] is not None
-        else elements.card(name, "unknown", limit if passed is not None else "", passed)
-        for key, name, value, limit, passed in cards
-        if key in metrics
-    ]
-    waited = sum(entry.get("waiting_s", 0.0) for entry in run["steps"].values())
-    total = sum(entry["seconds"] for entry in run["steps"].values()) - waited
-    waits = f"and {waited:.1f} s of waiting for models" if waited >= 0.05 else ""
-    drawn.append(elements.card("computing, all steps", f"{total:.1f} s", waits))
-    return elements.section("Numbers", elements.div("cards", *drawn))
+    facts = [f"{count(metrics.get('movable', 0), 'movable object')} of {metrics.get('objects')}"]
+    if metrics.get("mean_shift_m") is not None:
+        facts.append(
+            f"moved after composition, on average, by {1000 * metrics['mean_shift_m']:.1f} mm and "
+            f"{metrics['mean_turn_deg']:.1f}°, settling included, and scaled by "
+            f"{math.expm1(metrics['mean_log_scale']):+.1%}"
+        )
+    iou = (metrics.get("box_iou") or {}).get("refined")
+    if iou is not None:
+        facts.append(f"mean IoU of the visible and the parsed 2D boxes {iou:.2f}")
+    duration = run["config"]["refine"]["check_duration_s"]
+    return elements.section(
+        "Checks",
+        elements.table(["verdict", f"check, motions in {duration:g} s of free fall"], rows),
+        elements.paragraph("; ".join(facts) + "."),
+    )
 
 
-def _pictures(folder: Path) -> Markup:
+def _pictures(folder: Path, tree: dict[str, Any]) -> Markup:
+    camera = tree.get("camera")
+    boxes = "Parsed boxes"
+    if isinstance(camera, dict):
+        pitch, fovy = math.degrees(camera["pitch"]), math.degrees(camera["fovy"])
+        boxes += (
+            f"; camera {camera['height']:.2f} m high, pitched down {pitch:.1f}°, vertical field of "
+            f"view {fovy:.1f}°"
+        )
     pictures = [
         picture(folder / "photo.png", "Photograph"),
+        picture(folder / "pictures" / "parse.png", boxes),
         picture(folder / "pictures" / "before.png", "Composed, before refinement"),
         picture(folder / "pictures" / "after.png", "Refined"),
     ]
-    return elements.section("Before and after", elements.div("pictures", *pictures))
+    return elements.section("Pictures", elements.div("pictures", *pictures))
 
 
 def _scene_3d(folder: Path) -> Markup:
@@ -223,10 +175,6 @@ def _scene_3d(folder: Path) -> Markup:
         if (folder / name).is_file():
             return scene_3d.scene_3d(read_scene(folder / name))
     return elements.section(scene_3d.TITLE, elements.missing("No scene.json yet."))
-
-
-def _film_strips(folder: Path, run: dict[str, Any]) -> Markup:
-    return film_strips.film_strips(folder, float(run["config"]["refine"]["check_duration_s"]))
 
 
 def _time(run: dict[str, Any]) -> Markup:
@@ -238,13 +186,13 @@ def _time(run: dict[str, Any]) -> Markup:
         waiting[step] = waiting.get(step, 0.0) + entry.get("waiting_s", 0.0)
     if not seconds:
         return elements.section("Time", elements.missing("No step has finished yet."))
-    steps = [step for step in STEPS if step in seconds]
-    waits = [f"{step} {waiting[step]:.1f} s" for step in steps if waiting[step] >= 0.05]
-    computing = [(step, max(seconds[step] - waiting[step], 0.0)) for step in steps]
+    rows = [
+        [step, f"{max(seconds[step] - waiting[step], 0.0):.1f}", f"{waiting[step]:.1f}"]
+        for step in STEPS
+        if step in seconds
+    ]
     return elements.section(
-        "Time",
-        elements.div("bars", charts.bars(computing, "s")),
-        elements.paragraph(f"In addition, waiting for models: {', '.join(waits) or 'none'}."),
+        "Time", elements.table(["step", "#computing, s", "#waiting for models, s"], rows)
     )
 
 
@@ -265,12 +213,11 @@ def _models(run: dict[str, Any]) -> Markup:
         for row in used.get("by_role_and_model", [])
     ]
     heads = ["role", "model", "#calls", "#failed", "#tokens in", "#tokens out", "#cost, USD"]
-    provider = f"Provider: {used['provider']}." if used.get("provider") else ""
     cost = "unknown" if used.get("cost_usd") is None else f"{used['cost_usd']:.4f} USD"
+    provider, calls = used.get("provider", "unknown"), used.get("calls", 0)
     return elements.section(
         "Models",
-        elements.paragraph(provider),
-        elements.paragraph(f"{used.get('calls', 0)} calls, cost {cost}."),
+        elements.paragraph(f"Provider {provider}: {calls} calls, cost {cost}."),
         elements.table(heads, rows) if rows else "",
     )
 

@@ -1,20 +1,22 @@
-"""Command `render`: images of scenes and objects, and turntable animations."""
+"""Commands `render`, `view` and `annotate`: images, and pages in the browser."""
 
+import logging
 import math
+import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from .base_command import CommandResult, ConfiguredCommand
-from .result_lines import file_lines
 
 if TYPE_CHECKING:
     from ..render import View
     from ..spec import Camera, SceneSpec
 
+_log = logging.getLogger(__name__)
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 """Default direction of the camera, slightly to the side of the photograph's camera."""
@@ -54,7 +56,7 @@ class RenderCommand(ConfiguredCommand):
         from ..io.files import check_output, write_output
         from ..render import render_scene, to_png
         from ..render.viewpoints import with_open_joints
-        from ..view.pages.view_target import open_target
+        from ..view.target import open_target
 
         config = self.load_config()
         options = config.render
@@ -76,10 +78,6 @@ class RenderCommand(ConfiguredCommand):
         write_output(out, data, RunError)
         frames = {"frames": self.frames} if self.turntable else {}
         return {"picture": str(out), "size": size, **frames}
-
-    def lines(self, result: CommandResult) -> list[str]:
-        """Return a short summary of the result."""
-        return file_lines(result)
 
     def _turntable(
         self, scene: "SceneSpec", width: int, supersample: int, suffix: str
@@ -156,3 +154,96 @@ class RenderCommand(ConfiguredCommand):
 
     def _default_path(self, name: str) -> Path:
         return (self.target if self.target.is_dir() else self.target.parent) / name
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageCommand(ConfiguredCommand):
+    """Options of the commands that serve a page."""
+
+    ends_by_interrupt: ClassVar[bool] = True
+
+    host: str = "127.0.0.1"
+    """Address to listen on. By default, only this machine can open the page."""
+    port: int | None = None
+    """Port to listen on. Default: 8080, or any free port if 8080 is in use."""
+
+    def serve_until_interrupted(self, address: str) -> CommandResult:
+        """Log the page's address, and wait for Ctrl-C."""
+        _log.info("open %s in a browser; Ctrl-C ends it", address)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            _log.info("closed")
+        return {"page": address}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewCommand(PageCommand):
+    """Show a scene or an object in the browser, with its joints and in free fall."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+
+    def run(self) -> CommandResult:
+        """Serve the page."""
+        from ..view.scene_viewer import SceneViewer
+        from ..view.server import address, close_server, open_server
+        from ..view.target import open_target
+
+        # Report a wrong path before a port is opened.
+        target = open_target(self.target, self.load_config())
+        server = open_server(f"neoworld: {target.title}", host=self.host, port=self.port)
+        try:
+            SceneViewer(server, target)
+            return self.serve_until_interrupted(address(server))
+        finally:
+            close_server(server)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnotateCommand(PageCommand):
+    """Annotate a photograph by hand, without a model: boxes, labels, camera and templates."""
+
+    photo: Positional[Path]
+    """The photograph."""
+    out: Path
+    """Run folder: new, empty, or a run of this photograph to correct."""
+    start: Annotated[Literal["parse"] | None, arg(name="from")] = None
+    """Start from the parsed or annotated run in --out, instead of an empty page."""
+
+    def run(self) -> CommandResult:
+        """Serve the page."""
+        from ..pipeline.annotated import read_annotation, write_annotated
+        from ..run_folder import Result
+        from ..view.annotate_page import Annotator, empty_annotation
+        from ..view.annotation import Annotation
+        from ..view.server import address, close_server, open_server
+
+        config = self.load_config()
+        annotation = empty_annotation(self.photo, config)
+        if self.start is not None:
+            empty, annotation = annotation.camera, read_annotation(self.out)
+            run_size, photo_size = (
+                f"{camera.width} x {camera.height_px} pixels"
+                for camera in (annotation.camera, empty)
+            )
+            if run_size != photo_size:
+                raise RunError(
+                    f"{self.out} is a run of another photograph: that one has {run_size}, "
+                    f"{self.photo} has {photo_size}"
+                )
+        elif self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
+            raise RunError(
+                f"{self.out} is not empty: correct its run with --from parse, or name "
+                "another folder"
+            )
+
+        def write(annotation: Annotation, simulate: bool) -> Result:
+            return write_annotated(self.photo, self.out, annotation, config, simulate=simulate)
+
+        server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)
+        try:
+            Annotator(server, self.photo, self.out, annotation, config, write)
+            return self.serve_until_interrupted(address(server))
+        finally:
+            close_server(server)

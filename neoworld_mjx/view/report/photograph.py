@@ -1,4 +1,4 @@
-"""Section on the alignment with the photograph: camera, moves and uncertainties."""
+"""Sections on agreement with the photograph: the alignment of Step 4, and a rescue."""
 
 import math
 from pathlib import Path
@@ -7,11 +7,24 @@ from typing import Any
 from markupsafe import Markup
 
 from ...fit.priors import YAW
-from .formatting import OUTLINE_OFF, outline_off, read_json
-from .page import elements
-from .pictures import picture
+from .page import elements, picture, read_json
 
 TITLE = "The photograph"
+OUTLINE_OFF = (
+    "Outline off: median distance between the object's outline and the nearest edge of its colors "
+    "in the photograph, in pixels of an image 640 px wide. Distances are at most 24 px; above 6 px "
+    "they are rather too small. The distance is unknown if the colors of the object do not differ "
+    "from those behind it."
+)
+"""Explanation of the distances that `_outline_off` formats."""
+RESCUE_TITLE = "Rescue"
+RESCUE = "rescue.json"
+CHECKED = (
+    "The shapes and poses of the objects were given. The scene as a whole was checked for "
+    "penetration and for motion in free fall (below). The individual objects were not checked: no "
+    "object test ran, and shapes, masses and friction are as given or assumed (see the notes)."
+)
+_RESCUE_CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
 UNSEEN = 0.9
 """Ratio of a heading's standard deviation to that of its prior at and above which the photograph
 counts as not showing the heading."""
@@ -53,7 +66,7 @@ def photograph_section(folder: Path) -> Markup:
             picture(folder / "pictures" / "outlines.png", _CAPTION),
             picture(folder / "pictures" / "evidence.png", _EVIDENCE) if outlines else "",
         ),
-        elements.paragraph(_camera(aligned) + _looks(folder)),
+        elements.paragraph(_camera(aligned)),
         elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
         elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
         *_openings(objects),
@@ -92,28 +105,6 @@ def _camera(aligned: dict[str, Any]) -> str:
     )
 
 
-def _looks(folder: Path) -> str:
-    """Return sentences on the exposure and the prints that the scene takes from the photograph."""
-    scene = read_json(folder / "compose" / "scene.json") or {}
-    text, gain = "", (scene.get("camera") or {}).get("gain")
-    if gain is not None:
-        red, green, blue = gain
-        text += (
-            f" All pictures of the scene have the same exposure and white balance, estimated from "
-            f"all objects: {green:.2f} times the light; relative to green, red differs by "
-            f"{_signed(100 * (red / green - 1), 0)} % and blue by "
-            f"{_signed(100 * (blue / green - 1), 0)} %."
-        )
-    prints = [
-        item["name"]
-        for item in scene.get("objects", ())
-        if any(material.get("photo") is not None for material in item["spec"]["materials"])
-    ]
-    if prints:
-        text += f" The photograph itself is printed on flat faces of {', '.join(prints)}."
-    return text
-
-
 def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[str]:
     """Return the cells of an object; the standard deviation of a change determines its digits."""
     deviations = change["uncertainty"]
@@ -139,7 +130,7 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
         f"{shift_mm:.{_digits(across if on_wall else min(along, across))}f}",
         _signed(change["yaw_deg"], _digits(heading)),
         _signed(100 * (change["size_ratio"] - 1), _digits(size)),
-        *(outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
+        *(_outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
         ", ".join(deviation_texts),
     ]
 
@@ -156,3 +147,59 @@ def _deviation(value: float) -> str:
 def _signed(value: float, digits: int) -> str:
     rounded = round(value, digits) + 0.0  # Adding 0.0 turns -0.0 into 0.0.
     return f"{rounded:+.{digits}f}" if rounded else f"{rounded:.{digits}f}"
+
+
+def _outline_off(value: float | None) -> str:
+    """Format the distance [px] of an outline from that in the photograph; None is unknown."""
+    return "unknown" if value is None else f"{value:.1f}"
+
+
+def rescue_section(folder: Path) -> Markup:
+    """Return the section on a rescue; empty markup for any other run."""
+    if not (folder / RESCUE).is_file():
+        return Markup()
+    rescued = read_json(folder / RESCUE)
+    if rescued is None:
+        return elements.section(RESCUE_TITLE, elements.missing(f"{RESCUE} cannot be read."))
+    outlines: dict[str, dict[str, float | None]] = rescued["outlines_px"]
+    heads = ["object", "#moved, mm", "#turned, deg"]
+    heads += ["#outline off as given, px", "#rescued, px"] if outlines else []
+    rows = [
+        [
+            name,
+            f"{1000 * move:.1f}",
+            f"{rescued['turns_deg'][name]:.1f}",
+            *(_outline_off(outlines[name][key]) for key in ("given", "rescued") if outlines),
+        ]
+        for name, move in rescued["moves_m"].items()
+    ]
+    pictures = [
+        (folder / "photo.png", "Photograph"),
+        (folder / "pictures" / "given.png", "As given, through the same camera"),
+        (folder / "pictures" / "after.png", "Rescued, through the same camera"),
+        (folder / "pictures" / "rescued.png", _RESCUE_CAPTION),
+    ]
+    figures = [picture(path, caption) for path, caption in pictures] if outlines else []
+    return elements.section(
+        RESCUE_TITLE,
+        elements.paragraph(CHECKED),
+        elements.div("pictures", *figures) if figures else "",
+        elements.paragraph(_agreement(outlines)),
+        elements.table(heads, rows),
+        elements.paragraph(OUTLINE_OFF, "dim") if outlines else "",
+    )
+
+
+def _agreement(outlines: dict[str, Any]) -> str:
+    """Return a sentence on how many outlines are nearer to the photograph's than as given."""
+    if not outlines:
+        return "No photograph was given, so nothing was compared with one."
+    outline_pairs = [
+        (o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()
+    ]
+    nearer = sum(after < before for before, after in outline_pairs)
+    unknown = len(outlines) - len(outline_pairs)
+    return (
+        f"Of {len(outlines)} movable objects, {nearer} have outlines nearer to the photograph's "
+        f"than as given, {len(outline_pairs) - nearer} do not, and {unknown} are unknown."
+    )

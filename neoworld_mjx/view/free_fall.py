@@ -3,41 +3,18 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.mjcf import START, body_name, to_mjspec
-from ...spec import JointSpec, SceneSpec
-from ...spec.pose import Pose, rotate
+from ..physics.mjcf import START, body_name, to_mjspec
+from ..spec import JointSpec, SceneSpec
+from ..spec.pose import Pose, rotate
 from .scene_nodes import PartPoses
 
 TIMESTEP_S = 0.004
 FRAME_S = 1 / 30
-
-
-class Contacts(NamedTuple):
-    """Contacts between different objects."""
-
-    points: NDArray
-    """Contact points in the world frame [m], shape [n, 3]."""
-    depths: NDArray
-    """Penetration depths [m], shape [n]; negative for gaps."""
-    normals: NDArray
-    """Contact normals in the world frame, shape [n, 3]."""
-    pairs: tuple[tuple[str, str], ...]
-    """Names of the two objects of each contact."""
-
-    def summary(self) -> str:
-        """Return the number of contacts, and up to four pairs of objects that penetrate deepest."""
-        deepest: dict[tuple[str, str], float] = {}
-        for depth, pair in zip(self.depths, self.pairs, strict=True):
-            deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
-        worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
-        lines = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
-        return f"{len(self.depths)} contacts. Deepest: {'; '.join(lines) or 'no overlap'}"
 
 
 class FreeFall:
@@ -68,7 +45,6 @@ class FreeFall:
             for obj in scene.objects
             for part, joint in obj.spec.ordered
         ]
-        self._owner = {body: key[0] for key, body, _ in self._bodies}
         self.reset()
 
     @property
@@ -112,16 +88,6 @@ class FreeFall:
             for _ in range(max(1, round(seconds / self._model.opt.timestep))):
                 mujoco.mj_step(self._model, self._data)
 
-    def push(self, name: str, velocity: NDArray) -> bool:
-        """Add a velocity [m/s], shape [3], to a movable object; return False if it is static."""
-        with self._lock:
-            joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            if joint < 0:
-                return False
-            address = int(self._model.jnt_dofadr[joint])
-            self._data.qvel[address : address + 3] += velocity
-            return True
-
     def poses(self) -> PartPoses:
         """Return the current pose of each part; see `PartPoses`."""
         with self._lock:
@@ -131,20 +97,6 @@ class FreeFall:
             key: Pose(pos[body] - rotate(quat[body], origin), quat[body])
             for key, body, origin in self._bodies
         }
-
-    def contacts(self) -> Contacts:
-        """Return the contacts between objects, as of the last step."""
-        with self._lock:
-            contact = self._data.contact
-            geoms = np.array(contact.geom).reshape(-1, 2)
-            objects = [tuple(self._owner[self._model.geom_bodyid[g]] for g in row) for row in geoms]
-            rows = [k for k, (a, b) in enumerate(objects) if a != b]
-            return Contacts(
-                np.array(contact.pos).reshape(-1, 3)[rows],
-                -np.array(contact.dist)[rows],
-                np.array(contact.frame).reshape(-1, 9)[rows, :3],
-                tuple((objects[k][0], objects[k][1]) for k in rows),
-            )
 
     def _run(self) -> None:
         due = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Web server of the pages; by default, it accepts only local clients."""
+"""Web server of the pages, which accepts only local clients by default, and HTML of the pages."""
 
 import io
 import logging
@@ -6,9 +6,10 @@ import re
 import socket
 from contextlib import redirect_stdout
 from functools import partial
+from html import escape
 from typing import Any
 
-from ...errors import RunError
+from ..errors import RunError
 
 LOCAL = "127.0.0.1"
 PORT = 8080
@@ -16,7 +17,17 @@ _HOSTS_OF_THIS_MACHINE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _PAGES_OF_THIS_MACHINE = re.compile(rf"https?://{_HOSTS_OF_THIS_MACHINE.pattern}")
 _MAX_MESSAGE_BYTES = 1 << 20
 """Maximum size of a message from a page. The controls of a page send a few hundred bytes."""
+_STYLE = (
+    "<style>.nw{font-size:13px;line-height:1.45;padding:4px 10px}"
+    ".nw .bad{color:#c0392b}.nw p{margin:4px 0}</style>"
+)
 _log = logging.getLogger(__name__)
+
+
+def message(*lines: str, bad: bool = False) -> str:
+    """Return lines of plain text as HTML, in red if `bad`."""
+    paragraphs = "".join(f'<p class="{"bad" if bad else ""}">{escape(line)}</p>' for line in lines)
+    return f'{_STYLE}<div class="nw">{paragraphs}</div>'
 
 
 def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> Any:

@@ -1,10 +1,10 @@
 """Annotation of a photograph: the camera, and the box, kind and support of each object."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from ..errors import choices
+from ..errors import SpecError, choices
 from ..io.names import repeated
 from ..program.materials import MATERIALS
 from ..spec import Box2D, Camera, Name, PartState, Spec
@@ -80,3 +80,54 @@ class Annotation(Spec):
     def parents(self) -> dict[str, str | None]:
         """Return the name of each object's parent, by object name; None stands for the ground."""
         return {obj.name: None if obj.parent == GROUND else obj.parent for obj in self.objects}
+
+    def find(self, name: str) -> AnnotatedObject | None:
+        """Return the object with the given name, or None if there is none."""
+        return next((obj for obj in self.objects if obj.name == name), None)
+
+    def with_box(self, box: Box2D) -> tuple["Annotation", str]:
+        """Add an object with a box and default values; return the annotation and its name."""
+        numbers = range(1, len(self.objects) + 2)
+        name = next(f"object_{k}" for k in numbers if self.find(f"object_{k}") is None)
+        return self._checked((*self.objects, AnnotatedObject(name=name, box=box))), name
+
+    def with_change(self, name: str, change: dict[str, Any]) -> "Annotation":
+        """Change fields of one object; if its name changes, update the parent of its children.
+
+        Args:
+            name: name of the object.
+            change: new values, by field name of `AnnotatedObject`.
+
+        Raises:
+            SpecError: a value is invalid, or objects would support each other in a cycle.
+        """
+        objects = (
+            obj.model_copy(update=change)
+            if obj.name == name
+            else _moved(obj, name, change.get("name", name))
+            for obj in self.objects
+        )
+        return self._checked(tuple(objects))
+
+    def without(self, name: str) -> "Annotation":
+        """Remove an object; its children move to the ground."""
+        rest = (obj for obj in self.objects if obj.name != name)
+        return self._checked(tuple(_moved(obj, name, GROUND) for obj in rest))
+
+    def _checked(self, objects: tuple[AnnotatedObject, ...]) -> "Annotation":
+        data = self.model_copy(update={"objects": objects}).model_dump()
+        try:
+            return Annotation.model_validate(data)
+        except ValidationError as error:
+            raise SpecError("; ".join(_reason(item) for item in error.errors())) from None
+
+
+def _moved(obj: AnnotatedObject, parent: str, new: str) -> AnnotatedObject:
+    """Return an object on the parent `new` if its parent is `parent`."""
+    return obj.model_copy(update={"parent": new}) if obj.parent == parent else obj
+
+
+def _reason(item: Any) -> str:
+    message = item["msg"].removeprefix("Value error, ")
+    field = item["loc"][-1] if item["loc"] else None
+    return f"{field}: {message}" if isinstance(field, str) else message

@@ -1,14 +1,26 @@
 """Page of `neoworld annotate`, on which a person marks boxes, labels and camera of a photograph."""
 
+import logging
 import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from ...annotation.annotation import (
+from ..config import Config
+from ..errors import NeoWorldError, SpecError
+from ..io.names import is_name
+from ..parse.photo import load_photo
+from ..program.materials import MATERIALS
+from ..render.part_meshes import RGB
+from ..run_folder import Result
+from ..spec import Box2D, Camera, PartState, read_scene
+from ..templates import templates
+from .annotated_tree import annotated_tree
+from .annotation import (
     EXISTING_PROGRAM,
     GROUND,
     SHAPES,
@@ -16,31 +28,25 @@ from ...annotation.annotation import (
     AnnotatedObject,
     Annotation,
 )
-from ...annotation.edits import find_object, with_box, with_change, without
-from ...config import Config
-from ...errors import SpecError
-from ...fit.vanishing_points import camera_of_lines
-from ...io.names import is_name
-from ...parse.photo import load_photo
-from ...program.materials import MATERIALS
-from ...run_folder import Result
-from ...spec import Box2D, Camera, PartState, read_scene
-from ...templates import templates
-from .annotation_drawing import draw_boxes, draw_grid, draw_photo
-from .line_picker import LinePicker
-from .page_html import message
-from .page_jobs import ShowLine, run_job
-from .rectangle_picker import RectanglePicker
-from .scene_nodes import SceneNodes, look_through
-from .view_target import shown_picture
+from .scene_nodes import NEAR_M, SceneNodes, add_picture, look_through
+from .server import message
+from .target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
 """Initial camera of an annotation without objects."""
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 GROUNDS = ("table top", "floor", "counter", "ground")
 NEW = "new object"
-CORNERS = ("Box left", "Box top", "Box right", "Box bottom")
 SIZES = ("Known depth, m", "Known width, m", "Known height, m")
+FAR, FARTHEST_M = 40.0, 800.0
+"""Distance of the photograph from the camera, as a multiple of the camera's height, and its upper
+limit [m]."""
+GRID_M = 0.1
+"""Distance between the lines of the grid on the ground [m]."""
+MIN_EDGE_PX = 2.0
+"""Minimum edge length of a box [px]."""
+CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
 def empty_annotation(photo: Path, config: Config) -> Annotation:
@@ -87,16 +93,13 @@ class Annotator:
                 is True, it also simulates the scene.
         """
         self._write_annotated = write
-        self._server, self._photo, self._out, self._config = server, photo, out, config
+        self._server, self._out = server, out
         self.annotation = annotation
         self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
         self._nodes = SceneNodes(server, lambda _: None)
         self._selected = ""
-        self._rectangle = RectanglePicker(server, lambda: self.annotation.camera, self._set_box)
+        self._draws_box = False
         self._editing, self._busy = threading.Lock(), threading.Lock()
-        server.scene.set_up_direction("+z")
-        server.scene.configure_environment_map(None)
-        server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Camera"):
             self._build_camera_tab()
@@ -113,14 +116,8 @@ class Annotator:
     def _build_camera_tab(self) -> None:
         gui, camera = self._server.gui, self.annotation.camera
         gui.add_html(
-            message(
-                "Adjust the camera until the grid lies on the ground, or mark lines on the ground."
-            )
+            message("Adjust the camera until the grid, with lines every 10 cm, lies on the ground.")
         )
-        self._lines_message = gui.add_html("")
-        self._picker = LinePicker(self._server, self._show_lines_message, self._take_lines)
-        lines = gui.add_button("Mark lines on the ground")
-        lines.on_click(lambda event: self._begin_lines(event.client))
         pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
         lens = {
             "pitch": gui.add_slider("Pitch, deg", -90, 90, 0.5, pitch),
@@ -128,13 +125,10 @@ class Annotator:
             "fovy": gui.add_slider("Field of view, deg", 1, 179, 0.5, math.degrees(camera.fovy)),
             "roll": gui.add_slider("Roll, deg", -180, 180, 0.5, math.remainder(roll, 360)),
         }
-        self._lens = lens
         for field, control in lens.items():
             self._on_edit(control, lambda value, field=field: self._set_camera(field, value))
         ground = gui.add_dropdown("Ground", GROUNDS, initial_value=self.annotation.ground)
         self._on_edit(ground, self._set_ground)
-        self._grid_step = gui.add_number("Grid, m", 0.1, min=0.01, max=5.0, step=0.01)
-        self._on_edit(self._grid_step, lambda _: self._draw_camera())
 
     def _build_object_tab(self) -> None:
         gui = self._server.gui
@@ -157,7 +151,6 @@ class Annotator:
                 "yaw_deg": gui.add_slider("Heading, deg", -180, 180, 1, 180.0),
             }
             self._sizes = [gui.add_number(s, 0.0, min=0.0, max=50.0, step=0.001) for s in SIZES]
-            self._corners = [gui.add_number(label, 0.0, step=0.1) for label in CORNERS]
             with gui.add_folder("Moving part"):
                 self._part = gui.add_text("Part", "")
                 self._motion = gui.add_dropdown("Joint", JOINT_TYPES)
@@ -168,8 +161,6 @@ class Annotator:
             self._on_edit(control, lambda value, field=field: self._set_field(field, value))
         for k, control in enumerate(self._sizes):
             self._on_edit(control, lambda value, k=k: self._set_size(k, value))
-        for k, control in enumerate(self._corners):
-            self._on_edit(control, lambda value, k=k: self._set_corner(k, value))
 
     def _build_scene_tab(self) -> None:
         gui = self._server.gui
@@ -201,59 +192,46 @@ class Annotator:
         for client in self._server.get_clients().values():
             look_through(client, camera)
 
-    def _show_lines_message(self, line: str, *, bad: bool = False) -> None:
-        self._lines_message.content = message(line, bad=bad)
-
-    def _begin_lines(self, client: Any) -> None:
-        """Use the next clicks on the photograph as end points of lines on the ground."""
-        with self._editing:
-            look_through(client, self.annotation.camera)
-            self._picker.begin(self.annotation.camera)
-
-    def _take_lines(self, along: NDArray, across: NDArray) -> None:
-        """Set the camera that puts the marked lines on the ground."""
-        with self._editing:
-            try:
-                camera, has_fovy = camera_of_lines(self.annotation.camera, along, across)
-            except SpecError as error:
-                self._show_lines_message(str(error), bad=True)
-                return
-            for field in ("pitch", "roll", "fovy"):
-                degrees = math.degrees(getattr(camera, field))
-                self._lens[field].value = round(degrees, 1)
-            self.annotation = self.annotation.model_copy(update={"camera": camera})
-            self._draw_camera()
-        lens = "including the field of view" if has_fovy else "except the field of view"
-        self._show_lines_message(
-            f"The lines determine the camera, {lens}; set the height yourself."
-        )
-        for client in self._server.get_clients().values():
-            look_through(client, camera)
-
     def _set_ground(self, label: str) -> None:
         self.annotation = self.annotation.model_copy(update={"ground": label})
 
     def _begin_box(self, client: Any) -> None:
-        """Use the next rectangle on the photograph as the object's box."""
+        """Use the next rectangle that a client draws on the photograph as the object's box."""
         with self._editing:
+            look_through(client, self.annotation.camera)
             self._message.content = message(
                 "Drag a rectangle around the visible part of the object."
             )
-            self._rectangle.begin(client)
+            if self._draws_box:
+                return
+            self._draws_box = True
 
-    def _set_box(self, box: Box2D | None) -> None:
-        with self._editing:
-            self._take_box(box)
+        @self._server.scene.on_rect_select()
+        def drawn(event: Any) -> None:
+            self._server.scene.remove_rect_select_callback(drawn)
+            with self._editing:
+                self._draws_box = False
+                view, camera = event.client.camera, self.annotation.camera
+                corners = (event.screen_min, event.screen_max)
+                self.set_box(*(pixel_of(view, camera, corner) for corner in corners))
 
-    def _take_box(self, box: Box2D | None) -> None:
-        if box is None:
+    def set_box(self, low: NDArray, high: NDArray) -> None:
+        """Set the box of the selected object, or of a new one.
+
+        Args:
+            low: upper left corner in the photograph [px].
+            high: lower right corner.
+        """
+        if (high - low < MIN_EDGE_PX).any():
             self._message.content = message("The box is too small: draw it again.", bad=True)
             return
+        x0, y0, x1, y1 = (round(float(v), 1) for v in (*low, *high))
+        box = Box2D(x0=x0, y0=y0, x1=x1, y1=y1)
         if self._selected:
             self._change({"box": box})
             self._choose(self._selected)
         else:
-            self.annotation, name = with_box(self.annotation, box)
+            self.annotation, name = self.annotation.with_box(box)
             self._choose(name)
 
     def _set_field(self, field: str, value: Any) -> None:
@@ -272,14 +250,6 @@ class Annotator:
         self._change({"size": size if min(size) > 0 else None})
         self._draw_boxes()
 
-    def _set_corner(self, k: int, value: float) -> None:
-        corners = self._object().box.as_tuple()
-        x0, y0, x1, y1 = (*corners[:k], float(value), *corners[k + 1 :])
-        if not (x0 < x1 and y0 < y1):
-            raise SpecError("left must be less than right, and top less than bottom")
-        self._change({"box": Box2D(x0=x0, y0=y0, x1=x1, y1=y1)})
-        self._draw_boxes()
-
     def _set_part(self) -> None:
         if not is_name(self._part.value):
             raise SpecError(
@@ -293,23 +263,23 @@ class Annotator:
         self._message.content = message(f"Parts: {listed}")
 
     def _delete(self) -> None:
-        self.annotation = without(self.annotation, self._selected)
+        self.annotation = self.annotation.without(self._selected)
         self._choose("")
 
     def _object(self) -> AnnotatedObject:
-        obj = find_object(self.annotation, self._selected)
+        obj = self.annotation.find(self._selected)
         if obj is None:
             raise SpecError("choose an object, or draw the box of a new one")
         return obj
 
     def _change(self, change: dict[str, Any]) -> None:
-        self.annotation = with_change(self.annotation, self._object().name, change)
+        self.annotation = self.annotation.with_change(self._object().name, change)
 
     # Display.
 
     def _choose(self, name: str) -> None:
         """Select an object and show its fields; hide them for a new object."""
-        obj = find_object(self.annotation, name)
+        obj = self.annotation.find(name)
         self._selected = "" if obj is None else obj.name
         self._list_objects()
         self._object_folder.visible = obj is not None
@@ -318,56 +288,123 @@ class Annotator:
                 control.value = getattr(obj, field)
             for control, value in zip(self._sizes, obj.size or (0, 0, 0), strict=True):
                 control.value = value
-            for control, value in zip(self._corners, obj.box.as_tuple(), strict=True):
-                control.value = value
         self._draw_boxes()
 
     def _list_objects(self) -> None:
         names = [obj.name for obj in self.annotation.objects]
-        parent = self._fields["parent"]
         _set_options(self._chooser, (NEW, *names), self._selected or NEW)
-        obj = find_object(self.annotation, self._selected)
+        obj = self.annotation.find(self._selected)
         others = (GROUND, *(name for name in names if name != self._selected))
-        _set_options(parent, others, GROUND if obj is None else obj.parent)
+        _set_options(self._fields["parent"], others, GROUND if obj is None else obj.parent)
 
     def _draw_camera(self) -> None:
         camera = self.annotation.camera
+        distance = min(FAR * max(camera.height, 0.05), FARTHEST_M)
+        reach = min(40 * GRID_M, distance / 2)
+        ticks = np.arange(-reach, reach + GRID_M / 2, GRID_M)
+        lines = [[[0.0, y, 0.0], [2 * reach, y, 0.0]] for y in ticks]
+        lines += [[[x + reach, -reach, 0.0], [x + reach, reach, 0.0]] for x in ticks]
         with self._server.atomic():
-            draw_photo(self._server, camera, self._picture)
-            draw_grid(self._server, camera, _clipped(self._grid_step))
+            add_picture(self._server, camera, self._picture, distance)
+            self._draw_lines("/grid", np.array(lines), GRID, 1)
         self._draw_boxes()
 
     def _draw_boxes(self) -> None:
-        self._nodes.show_visible(False)  # The built scene would cover the photograph.
-        try:
-            size = draw_boxes(self._server, self.annotation, self._selected)
-        except SpecError as error:
-            self._message.content = message(str(error), bad=True)
-        else:
-            self._message.content = message(size) if size else ""
+        """Draw the 2D boxes in the picture, and the resulting 3D boxes in the world."""
+        self._server.scene.remove_by_name("/scene")  # The scene would cover the photograph.
+        with self._server.atomic():
+            self._server.scene.remove_by_name("/boxes")
+            for obj in self.annotation.objects:
+                color = CHOSEN if obj.name == self._selected else OTHER
+                lines = _outline(self.annotation.camera, obj.box)
+                self._draw_lines(f"/boxes/{obj.name}", lines, color, 3)
+            self._message.content = ""
+            if not self.annotation.objects:
+                return
+            try:
+                tree = annotated_tree(self.annotation)
+            except SpecError as error:
+                self._message.content = message(str(error), bad=True)
+                return
+            for obj in self.annotation.objects:
+                corners = tree.node(obj.name).box3d.corners()
+                lines = np.array([[corners[a], corners[b]] for a, b in _EDGES])
+                self._draw_lines(f"/boxes/{obj.name}/solid", lines, SOLID, 2)
+        if self._selected:
+            size = " x ".join(f"{100 * v:.1f}" for v in tree.node(self._selected).box3d.size)
+            text = f"{self._selected}: {size} cm (depth, width, height)"
+            self._message.content = message(text)
+
+    def _draw_lines(self, name: str, lines: NDArray, rgb: RGB, thickness: float) -> None:
+        self._server.scene.add_line_segments(
+            name, lines, rgb, thickness=thickness, thickness_units="screen"
+        )
 
     # Run.
 
     def _write(self, *, simulate: bool) -> None:
-        def job(show_line: ShowLine) -> None:
-            show_line("running ...")
+        """Write the run, and show its last log line meanwhile, unless a run is being written."""
+        if not self._busy.acquire(blocking=False):
+            return
+        self._log.content = message("running ...")
+        log, package = _PageLog(self._log), logging.getLogger("neoworld_mjx")
+        package.addHandler(log)
+        try:
             with self._editing:
                 annotation = self.annotation
             self._show(self._write_annotated(annotation, simulate))
-
-        run_job(self._busy, self._log, job)
+        except NeoWorldError as error:
+            self._log.content = message(str(error), bad=True)
+        finally:
+            package.removeHandler(log)
+            self._busy.release()
 
     def _show(self, result: Result) -> None:
         scene = self._out / "scene.json"
         if result.until is None and scene.is_file():
             self._nodes.show(read_scene(scene))
-            self._nodes.show_visible(True)
-            verdict = "the scene is stable" if result.passed else "the scene fails its checks"
-            self._log.content = message(f"Done: {verdict}. {result!r}", bad=not result.passed)
+            self._log.content = message(result.verdict, bad=not result.passed)
         else:
             self._log.content = message(
                 f"Saved in {self._out}; continue with neoworld reconstruct --resume"
             )
+
+
+class _PageLog(logging.Handler):
+    """Log handler that shows the last line of the package's log in a text element."""
+
+    def __init__(self, element: Any):
+        super().__init__(logging.INFO)
+        self._element = element
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._element.content = message(record.getMessage())
+
+
+def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArray:
+    """Return the pixel [2] of the photograph at a position in a client's window.
+
+    The client must look through the photograph's camera.
+
+    Args:
+        view: camera of the client.
+        camera: camera of the photograph.
+        position: horizontal and vertical position in the window, 0 to 1.
+    """
+    window = np.array([view.image_width, view.image_height])
+    focal = view.image_height / 2 / math.tan(view.fov / 2)
+    offset = (np.array(position) - 0.5) * window * camera.focal / focal
+    size = np.array([camera.width, camera.height_px])
+    return np.clip(size / 2 + offset, 0.0, size)
+
+
+def _outline(camera: Camera, box: Box2D) -> NDArray:
+    """Return the edges of a 2D box as lines in front of the photograph's camera [m], [4, 2, 3]."""
+    x0, y0, x1, y1 = box.as_tuple()
+    rays = camera.rays(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
+    depth = rays @ camera.axes()[:, 2]
+    points = camera.position() + rays * (NEAR_M / depth)[:, None]
+    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def _clipped(control: Any) -> Any:

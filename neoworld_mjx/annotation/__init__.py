@@ -1,1 +1,0 @@
-"""Annotation of a photograph by a person, and the scene tree and programs that it defines."""

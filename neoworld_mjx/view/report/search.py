@@ -1,0 +1,61 @@
+"""Table of the iterations of the search in Step 5, from refine/history.npz."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import RunError
+from ...io import read_arrays
+from .page import elements
+
+TITLE = "Convergence of the search"
+NOT_SAMPLED = -1
+"""Status of an entry of the arrays for which no candidate was sampled."""
+_NOTE = "Terms are those of the candidate with the best reward, in SI units, with their weights."
+
+
+def convergence(path: Path) -> Markup:
+    """Return the section with rewards, terms and numbers of candidates by iteration.
+
+    Args:
+        path: history.npz, with the arrays `absolute`, `valid` and `status` and an array for each
+            name in `term_names`, all of shape [iteration, candidate], and `term_weights` [term].
+    """
+    if not path.exists():
+        return elements.section(TITLE, elements.missing("No refine/history.npz yet."))
+    try:
+        history = read_arrays(path, RunError)
+    except RunError as error:
+        note = f"refine/history.npz cannot be read: {error}"
+        return elements.section(TITLE, elements.missing(note))
+    absolute = history["absolute"]
+    if len(absolute) == 1:
+        note = "The composed scene was accepted; no search was needed."
+        return elements.section(TITLE, elements.paragraph(note))
+    names = [str(name) for name in history["term_names"]]
+    sampled = np.sum(history["status"] != NOT_SAMPLED, axis=1)
+    valid = np.sum(history["valid"], axis=1)
+    failed = sampled - np.sum(np.isfinite(absolute), axis=1)
+    best, mean = _over_finite(absolute, np.max), _over_finite(absolute, np.mean)
+    chosen = np.where(np.isfinite(absolute), absolute, -np.inf).argmax(axis=1)
+    rows = [
+        [
+            *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", sampled[t], valid[t], failed[t]),
+            *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
+        ]
+        for t in range(len(absolute))
+    ]
+    heads = ["#iteration", "#best reward", "#mean reward", "#sampled", "#valid", "#failed"]
+    weights = history["term_weights"]
+    heads += [f"#{name} × {weight:g}" for name, weight in zip(names, weights, strict=True)]
+    return elements.section(TITLE, elements.table(heads, rows), elements.paragraph(_NOTE, "dim"))
+
+
+def _over_finite(values: ArrayLike, function: Callable[[NDArray], Any]) -> NDArray:
+    """Reduce the finite values of each iteration to one number, or NaN if there are none."""
+    rows = [row[np.isfinite(row)] for row in np.asarray(values, float)]
+    return np.array([float(function(row)) if row.size else np.nan for row in rows])
