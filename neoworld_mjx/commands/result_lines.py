@@ -1,7 +1,6 @@
 """Short summaries of command results: validity with reasons, files, time and cost."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from statistics import median
 from typing import Any
 
 from .base_command import CommandResult
@@ -56,27 +55,6 @@ def photo_lines(result: CommandResult) -> list[str]:
     valid = sum(entry["passed"] is True for entry in result["photos"])
     return [f"{valid} of {count(rows, 'photograph')} valid", *rows,
             f"{_cost(result['mllm'])}; {DETAILS}"]  # fmt: skip
-
-
-def rescue_lines(result: CommandResult) -> list[str]:
-    """Summarize the rescue of another method's scene."""
-    moves = result["moves_m"]
-    furthest = max(moves, key=moves.__getitem__)
-    outlines = [o for o in result["outlines_px"].values() if None not in o.values()]
-    photo = []
-    if outlines:
-        before, after = (median(o[key] for o in outlines) for key in ("given", "rescued"))
-        photo = [f"photo:  outlines {before:.1f} px off before, {after:.1f} px after (median)"]
-    return [
-        f"{'valid' if result['passed'] else 'not valid'}: {count(len(moves), 'movable object')}, "
-        f"moved by up to {1000 * moves[furthest]:.1f} mm ({furthest}); the deepest overlap before "
-        f"was {1000 * result['depth_before_m']:.2g} mm",
-        f"scene:  {result['rescued']}",
-        f"report: {result['report']}",
-        *photo,
-        *result["notes"],
-        f"{result['seconds']:.1f} s; {DETAILS}",
-    ]
 
 
 def scene_check_lines(result: CommandResult) -> list[str]:

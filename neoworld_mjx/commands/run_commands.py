@@ -11,7 +11,7 @@ from ..errors import ConfigError
 from ..places import HERE, Place
 from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import file_lines, photo_lines, rescue_lines, run_lines
+from .result_lines import file_lines, photo_lines, run_lines
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -154,17 +154,13 @@ class RefineCommand(ConfiguredCommand):
         from ..pipeline.rescue import rescue_file
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
-        rescued = rescue_file(source, self.folder, config, photo=self.photo, camera=self.camera)
-        return {
-            "rescued": str(self.folder),
-            "report": str(self.folder / "report.html"),
-            "scene": rescued.scene.name,
-            **rescued.to_json(),
-        }
+        return rescue_file(
+            source, self.folder, config, photo=self.photo, camera=self.camera
+        ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return rescue_lines(result) if "rescued" in result else run_lines(result)
+        return run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,12 @@ from .formatting import read_json, size_cm
 from .page import elements
 
 TITLE = "Parsed, fitted, refined"
+RESCUE, GIVEN = "From the given poses", "given.json"
+_RESCUE_NOTE = (
+    "The shapes and poses of the objects were given. The scene as a whole was checked for "
+    "penetration and for motion in free fall. No object test ran: shapes, masses and friction are "
+    "as given or assumed (see the notes)."
+)
 BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
 LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
 """Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
@@ -51,6 +57,21 @@ def changes(folder: Path) -> Markup:
         *(f"#{BOXES}", f"#{SHAPES}", f"#{SEARCH}", "hidden sides"),
     ]
     return elements.section(TITLE, elements.table(heads, rows), elements.paragraph(_NOTE, "dim"))
+
+
+def given_moves(folder: Path) -> Markup:
+    """Return the changes from the poses of another method; empty markup for any other run."""
+    if not (folder / GIVEN).is_file():
+        return Markup()
+    if not (folder / "scene.json").is_file():
+        return elements.section(RESCUE, elements.missing("There is no refined scene."))
+    moves = object_moves(read_scene(folder / GIVEN), read_scene(folder / "scene.json"))
+    rows = [
+        [name, f"{1e3 * m.distance_m:.1f}", f"{m.turn_deg:.1f}", f"{m.size_ratio:.3f}"]
+        for name, m in moves.items()
+    ]
+    table = elements.table(["object", "#moved, mm", "#turned, deg", "#size ratio"], rows)
+    return elements.section(RESCUE, elements.paragraph(_RESCUE_NOTE), table)
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:

@@ -26,7 +26,6 @@ from . import (
     film_strips,
     object_rows,
     photograph_section,
-    rescue_section,
     scene_3d,
 )
 from .formatting import progress_of, read_json
@@ -62,7 +61,7 @@ def write_report(folder: Path) -> Path:
         (title, lambda: _header(run, title, folder)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
-        (rescue_section.TITLE, lambda: rescue_section.rescue_section(folder)),
+        (changes.RESCUE, lambda: changes.given_moves(folder)),
         ("Numbers", lambda: _numbers(run)),
         ("Before and after", lambda: _pictures(folder)),
         (photograph_section.TITLE, lambda: photograph_section.photograph_section(folder)),
@@ -83,7 +82,7 @@ def write_report(folder: Path) -> Path:
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
-    if (folder / rescue_section.FILE).is_file():
+    if (folder / changes.GIVEN).is_file():
         sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
