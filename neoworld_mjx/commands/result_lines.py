@@ -3,7 +3,6 @@
 import shutil
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from statistics import median
 from typing import Any
 
 from ..quantities import count
@@ -34,29 +33,6 @@ def run_lines(result: CommandResult) -> list[str]:
         rows += [f"{count(fallbacks, 'fallback')}:", *_indented(fallbacks)]
     rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
-
-
-def rescue_lines(result: CommandResult) -> list[str]:
-    """Summarize the rescue of another method's scene."""
-    from ..run_folder import verdict_line
-
-    moves = result["moves_m"]
-    furthest = max(moves, key=moves.__getitem__)
-    outlines = [o for o in result["outlines_px"].values() if None not in o.values()]
-    photo = []
-    if outlines:
-        before, after = (median(o[key] for o in outlines) for key in ("given", "rescued"))
-        photo = [f"photo:  outlines {before:.1f} px off before, {after:.1f} px after (median)"]
-    return [
-        verdict_line(result),
-        f"moved {count(len(moves), 'object')} by up to {1000 * moves[furthest]:.1f} mm "
-        f"({furthest}); the deepest overlap before was {1000 * result['depth_before_m']:.2g} mm",
-        f"scene:  {result['rescued']}",
-        f"report: {result['report']}",
-        *photo,
-        *result["notes"],
-        f"{result['seconds']:.1f} s; {DETAILS}",
-    ]
 
 
 def scene_check_lines(result: CommandResult) -> list[str]:

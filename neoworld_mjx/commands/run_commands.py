@@ -11,7 +11,7 @@ from ..errors import ConfigError
 from ..quantities import count
 from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import DETAILS, rescue_lines, run_lines
+from .result_lines import DETAILS, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,21 +121,15 @@ class RefineCommand(ConfiguredCommand):
 
     def _rescue(self, source: Path) -> CommandResult:
         from ..pipeline.rescue import rescue_file
-        from ..run_folder import read_run
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
-        rescued = rescue_file(source, self.folder, config, photo=self.photo, camera=self.camera)
-        return {
-            "rescued": str(self.folder),
-            "report": str(self.folder / "report.html"),
-            "scene": rescued.scene.name,
-            **rescued.to_json(),
-            "checks": read_run(self.folder)["metrics"]["checks"],
-        }
+        return rescue_file(
+            source, self.folder, config, photo=self.photo, camera=self.camera
+        ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        return rescue_lines(result) if "rescued" in result else run_lines(result)
+        return run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -322,12 +322,6 @@ class ComposeOptions(Options):
             "move joints.",
         ),
     )
-    mesh_sizes: bool = option(
-        True,
-        "Correct the sizes of another method's meshes by the heights at which the meshes are "
-        "given, unless the meshes are aligned with a photograph. Disable this option for meshes of "
-        "known sizes.",
-    )
     align: AlignOptions = AlignOptions()
     looks: bool = option(
         True,

@@ -22,7 +22,6 @@ from .requests import (
     ask_or_record,
     package_text,
 )
-from .revision import revise
 
 __all__ = [
     "PROVIDERS",
@@ -42,5 +41,4 @@ __all__ = [
     "load_prices",
     "open_panel",
     "package_text",
-    "revise",
 ]

@@ -12,14 +12,16 @@ from ..errors import SpecError
 from ..io import read_model
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
-from ..spec import ObjectSpec, SceneSpec, SceneTree, read_scene
+from ..spec import SceneSpec, SceneTree, read_scene
 from .step_context import (
     ALIGNED,
     ANNOTATION,
     CHECK,
     COMPOSED,
     EVIDENCE,
+    GIVEN,
     OUTLINES,
+    PHOTO,
     REFIT,
     RESPONSE_TREE,
     SPEC,
@@ -32,8 +34,8 @@ from .step_context import (
 
 if TYPE_CHECKING:
     from ..align.alignment import Alignment
-    from ..compose.compose import Composed
     from ..compose.layout_patch import LayoutPatch
+    from .place import Placed
 
 
 def compose_scene(context: StepContext) -> None:
@@ -44,8 +46,9 @@ def compose_scene(context: StepContext) -> None:
     `compose.align.dimensions` is set, it also writes each changed program.py, with the spec.json
     that it builds. The scene's picture is rendered in the background.
     """
-    from ..compose.compose import compose
     from ..compose.layout_patch import apply_layout, read_layout_patch
+    from .place import Evidence, place
+    from .resized_programs import editable_programs, write_resized
 
     run, config = context.run, context.config
     options = config.compose
@@ -62,25 +65,31 @@ def compose_scene(context: StepContext) -> None:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            if refits:
+            evidence = Evidence(
+                _rgb(run) if (run.path / PHOTO).is_file() else None,
+                boxes=not (run.path / GIVEN).is_file(),
                 # The fit keeps supports that a person chose.
-                by_person = edited or (run.path / ANNOTATION).is_file()
-                tree = _refit(context, tree, objects, out, change_supports=not by_person)
-            composed = compose(tree, objects, options)
-            scene, contact_notes = composed.scene, ()
-            photo = _rgb(run) if options.align.enabled or options.looks else None
-            if photo is not None and options.align.enabled:
-                composed, scene, contact_notes = _align(
-                    context, tree, objects, composed, photo, out
-                )
-            scene, stale = apply_layout(scene, patch, options.gap_m)
-            if photo is not None and options.looks:
+                supports=edited or (run.path / ANNOTATION).is_file(),
+            )
+            programs = None
+            if options.align.enabled and options.align.dimensions:
+                programs = editable_programs(run, tree, objects, config)
+            used = options.model_copy(update={"refit": refits})
+            placed = place(tree, objects, evidence, used, programs=programs)
+            _write_fit(run, placed, out)
+            if placed.freed is not None:
+                write_resized(placed.freed, out)
+            if placed.alignment is not None and evidence.photo is not None:
+                start = placed.composed.scene
+                _write_alignment(run, start, placed.alignment, evidence.photo, out)
+            scene, stale = apply_layout(placed.scene, patch, options.gap_m)
+            if evidence.photo is not None and options.looks:
                 from ..align.looks import as_photographed
 
-                scene = as_photographed(scene, photo)
+                scene = as_photographed(scene, evidence.photo)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
-            _write_json(out / "compose" / "scales.json", composed.scales)
-            _record_notes(run, composed, contact_notes)
+            _write_json(out / "compose" / "scales.json", placed.composed.scales)
+            _record_notes(run, placed)
             _record_patch(run, patch, stale)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
@@ -112,8 +121,8 @@ def _inputs(
     run, config = context.run, context.config
     align = config.compose.align
     inputs: dict[str, object] = {"tree": tree, "options": config.compose, "refits": refits, **specs}
-    if align.enabled or config.compose.looks:
-        inputs["photo"] = run.path / "photo.png"
+    if (run.path / PHOTO).is_file():
+        inputs["photo"] = run.path / PHOTO
     if align.enabled and align.dimensions:
         inputs |= {"program": config.program, "verify": config.verify}
         inputs |= program_files(run, tree)
@@ -122,74 +131,20 @@ def _inputs(
     return inputs
 
 
-def _refit(
-    context: StepContext,
-    tree: SceneTree,
-    objects: Mapping[str, ObjectSpec],
-    out: Path,
-    *,
-    change_supports: bool,
-) -> SceneTree:
-    """Fit the tree to the built shapes; write the tree and the report of the fit."""
-    from ..compose.compose import compose
-    from ..fit.refit import refit_tree
-    from ..measure import shown_sides
-
-    run = context.run
-    visible_sides = shown_sides(compose(tree, objects, context.config.compose).scene)
-    tree, report = refit_tree(tree, objects, visible_sides, change_supports=change_supports)
-    (out / TREE).write_text(tree.to_json(), encoding="utf-8")
-    _write_json(out / REFIT, report.to_json())
-    for outcome, reason in report.notes():
+def _write_fit(run: RunFolder, placed: "Placed", out: Path) -> None:
+    """Write the fitted tree and the report of the fit, if there was one."""
+    if placed.fit is None:
+        return
+    (out / TREE).write_text(placed.tree.to_json(), encoding="utf-8")
+    _write_json(out / REFIT, placed.fit.to_json())
+    for outcome, reason in placed.fit.notes():
         run.note("compose", outcome, reason)
-    for name, support in report.supports.items():
+    for name, support in placed.fit.supports.items():
         change = f"{name} {support.relation} {support.parent}, not {support.before}"
         run.note("compose", change, support.phrase())
-    return tree
 
 
-def _align(
-    context: StepContext,
-    tree: SceneTree,
-    objects: Mapping[str, ObjectSpec],
-    composed: "Composed",
-    photo: UInt8[np.ndarray, "row column 3"],
-    out: Path,
-) -> tuple["Composed", SceneSpec, tuple[str, ...]]:
-    """Align a composed scene with the photograph, and move its objects back into contact.
-
-    Returns:
-        The composition, composed again from the changed objects if dimensions changed; the aligned
-        scene; and notes on objects that were moved into contact.
-    """
-    from ..align.align import align
-    from ..compose.compose import compose
-    from ..compose.on_supports import in_contact
-    from .resized_programs import with_freed_dimensions, write_resized
-
-    run, config = context.run, context.config
-    options, start = config.compose, composed.scene
-    alignment = align(start, photo, options.align, measured=tree.camera_measured)
-    if options.align.dimensions:
-        freed = with_freed_dimensions(
-            run,
-            tree,
-            objects,
-            config,
-            photo,
-            start,
-            alignment,
-            lambda changed: compose(tree, changed, options).scene,
-        )
-        write_resized(freed, out)
-        composed = compose(tree, {**objects, **freed.specs}, options)
-        alignment = freed.alignment
-    write_alignment(run, start, alignment, photo, out)
-    scene, contact_notes = in_contact(alignment.scene, options, composed=composed.scene)
-    return composed, scene, contact_notes
-
-
-def write_alignment(
+def _write_alignment(
     run: RunFolder,
     scene: SceneSpec,
     alignment: "Alignment",
@@ -227,10 +182,10 @@ def write_alignment(
         run.note("compose", outcome, reason)
 
 
-def _record_notes(run: RunFolder, composed: "Composed", contact_notes: tuple[str, ...]) -> None:
-    for note in (*composed.notes, *contact_notes):
+def _record_notes(run: RunFolder, placed: "Placed") -> None:
+    for note in (*placed.composed.notes, *placed.notes):
         name, _, change = note.partition(": ")
-        record = run.fallback if note in composed.shortfalls else run.note
+        record = run.fallback if note in placed.composed.shortfalls else run.note
         record("compose", name, change)
 
 
@@ -279,7 +234,7 @@ def _check_composed(context: StepContext) -> None:
 
 
 def _rgb(run: RunFolder) -> UInt8[np.ndarray, "row column 3"]:
-    return load_photo(run.path / "photo.png").rgb
+    return load_photo(run.path / PHOTO).rgb
 
 
 def _write_json(path: Path, data: object) -> None:

@@ -4,52 +4,37 @@ The changed program and the object that it builds, with the patch of Step 3, rep
 spec.json of the object.
 """
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import UInt8
 from pydantic import ValidationError
 
-from ..align.align import align
-from ..align.alignment import Alignment
 from ..checks.object_tests import run_object_tests
 from ..checks.verdict import Verdict
 from ..compose.resting_pose import on_level, pose_without_scene
 from ..config import Config, ProgramOptions, VerifyOptions
 from ..errors import SpecError
 from ..io import read_object
-from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
+from ..program.freed_dimensions import EditablePrograms, FreedScene
 from ..program.sandbox import BuildResult, build
 from ..program.sandbox import run as run_program
 from ..run_folder import RunFolder
-from ..spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
+from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..verify.patch import Patch, apply, read_patch
 from .step_context import PROGRAM, SPEC, object_file
 
 
-def with_freed_dimensions(
-    run: RunFolder,
-    tree: SceneTree,
-    objects: Mapping[str, ObjectSpec],
-    config: Config,
-    photo: UInt8[np.ndarray, "row column 3"],
-    composed: SceneSpec,
-    alignment: Alignment,
-    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
-) -> FreedScene:
-    """Change dimensions of a run's programs that contradict the photograph.
+def editable_programs(
+    run: RunFolder, tree: SceneTree, objects: Mapping[str, ObjectSpec], config: Config
+) -> EditablePrograms:
+    """Return the programs of a run's objects, of which `place` may change dimensions.
 
     Args:
         run: the run folder.
-        tree: the scene tree from which the scene is composed.
+        tree: the scene tree.
         objects: the built objects, by name.
         config: options of the run.
-        photo: the photograph (sRGB).
-        composed: the composed scene.
-        alignment: the alignment of the composed scene.
-        compose: function that composes the scene from given objects, by name.
     """
     sources = {node.name: _source(run, node, tree, config) for node in tree.nodes}
     texts, unchangeable = {}, {}
@@ -59,16 +44,12 @@ def with_freed_dimensions(
             unchangeable[name] = reason
         else:
             texts[name] = source.text
-    programs = EditablePrograms(
+    return EditablePrograms(
         texts,
         lambda name, text: sources[name].object_of(text),
         lambda name, text: sources[name].fault(text),
-        lambda changed: compose({**objects, **changed}),
-        unchangeable,
+        unchangeable=unchangeable,
     )
-    camera_measured = tree.camera_measured
-    align_again = lambda scene: align(scene, photo, config.compose.align, measured=camera_measured)
-    return free_dimensions(composed, alignment, photo, programs, align_again)
 
 
 def program_files(run: RunFolder, tree: SceneTree) -> dict[str, Path]:

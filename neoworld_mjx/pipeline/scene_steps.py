@@ -1,41 +1,36 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
 import json
-import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import progress
 from ..errors import RunError
 from ..io import read_object
-from ..mllm import Picture
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
-from ..spec import SceneSpec, read_scene
-from .step_context import ALIGNED, COMPOSED, RESULT, SCENE, TREE, StepContext, read_tree
-
-if TYPE_CHECKING:
-    from ..refinement.final_alignment import FinalAlignment
+from ..spec import read_scene
+from .step_context import ALIGNED, COMPOSED, GIVEN, PHOTO, RESULT, SCENE, StepContext, read_tree
 
 
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
+    from ..compose.layout_patch import read_layout_patch
     from ..fit.fit_report import NOTED_M, NOTED_SIZE
     from ..measure import box_iou, object_moves, scene_checks
-    from ..refinement import refine
+    from .place import refine_placed
 
     run, config = context.run, context.config
+    align = config.compose.align
     by_model = config.refine.semantic.scorer == "mllm"
-    photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if by_model else None
     inputs: dict[str, object] = {
         "scene": run.path / COMPOSED,
         "options": config.refine,
         "seed": config.seed,
     }
-    aligns_again = config.compose.align.aligns_again and (run.path / ALIGNED).is_file()
+    aligns_again = align.aligns_again and (run.path / ALIGNED).is_file()
     if aligns_again:
-        inputs |= {"photo": run.path / "photo.png", "align": config.compose.align}
+        inputs |= {"photo": run.path / PHOTO, "align": align}
 
     def report(line: str) -> None:
         progress.report(f"  {line}")
@@ -46,30 +41,28 @@ def refine_layout(context: StepContext) -> None:
             return
         (out / "refine").mkdir()
         composed = read_scene(run.path / COMPOSED)
-        refined = refine(
+        photo = load_photo(run.path / PHOTO).rgb if by_model or aligns_again else None
+        placed = refine_placed(
             composed,
             config.refine,
             seed=config.seed,
             photo=photo,
+            again=align if aligns_again else None,
+            keep=read_layout_patch(run.path).objects,
             panel=context.models,
             progress=report,
         )
+        refined, final, scene = placed.refined, placed.final, placed.scene
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
-        scene, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
-        if aligns_again and refined.passed:
-            began = time.perf_counter()
-            final = _align_final(context, composed, refined.scene, photo)
-            seconds["align"] = time.perf_counter() - began
-            if final.failure:
-                run.fallback("refine", "no object is aligned again", final.failure)
-            if final.measure is not None:
-                scene, measure = final.scene, final.measure
-                count = "1 object" if len(final.aligned) == 1 else f"{len(final.aligned)} objects"
-                why = f"the refinement had moved them in the image: {', '.join(final.aligned)}"
-                run.note("refine", f"{count} aligned again", why)
+        if final is not None and final.failure:
+            run.fallback("refine", "no object is aligned again", final.failure)
+        if final is not None and final.measure is not None:
+            count = "1 object" if len(final.aligned) == 1 else f"{len(final.aligned)} objects"
+            why = f"the refinement had moved them in the image: {', '.join(final.aligned)}"
+            run.note("refine", f"{count} aligned again", why)
         (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
         moves = object_moves(composed, scene)
-        checks = scene_checks(measure, config.refine)
+        checks = scene_checks(placed.measure, config.refine)
         summary = {
             "passed": all(check.passed for check in checks),
             "checks": [check.to_json() for check in checks],
@@ -87,13 +80,13 @@ def refine_layout(context: StepContext) -> None:
                 name: np.asarray(getattr(refined.layout, name)[0]).tolist()
                 for name in ("xy", "yaw", "log_scale")
             },
-            "after": measure.model_dump(mode="json"),
+            "after": placed.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
-        if (run.path / TREE).is_file():  # A rescue has no tree.
+        if not (run.path / GIVEN).is_file():  # Boxes of a rescue are no evidence.
             summary["box_iou"] = box_iou(read_tree(run, before="program"), composed, scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-        run.record("refine", seconds=seconds)
+        run.record("refine", seconds=placed.seconds)
         for note in refined.fallbacks:
             outcome, _, reason = note.partition(": ")
             run.fallback("refine", outcome, reason)
@@ -105,24 +98,6 @@ def refine_layout(context: StepContext) -> None:
                     f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
-
-
-def _align_final(
-    context: StepContext, composed: SceneSpec, refined: SceneSpec, photo: Picture | None
-) -> "FinalAlignment":
-    """Align the objects again that the refinement moved, except those that a person placed."""
-    from ..compose.layout_patch import read_layout_patch
-    from ..refinement.final_alignment import align_final
-
-    run, config = context.run, context.config
-    return align_final(
-        composed,
-        refined,
-        load_photo(run.path / "photo.png").rgb if photo is None else photo.rgb,
-        config.refine,
-        config.compose.align,
-        keep=read_layout_patch(run.path).objects,
-    )
 
 
 def _mean(values: list[float]) -> float:

@@ -47,7 +47,7 @@ NO_CONSTANT = "no named constant of its program changes its proportions alone"
 
 @dataclass(frozen=True)
 class EditablePrograms:
-    """Programs of a scene's objects, and functions that build, check and compose edited ones."""
+    """Programs of a scene's objects, and functions that build and check edited ones."""
 
     texts: Mapping[str, str]
     """Program of each object that may be edited, by object name."""
@@ -55,11 +55,6 @@ class EditablePrograms:
     """Builds an object from its name and a program; if it cannot be built, returns the reason."""
     check: Callable[[str, str], str]
     """Returns why the object with a name and a program is invalid; empty if it is valid."""
-    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec]
-    """Composes the scene with some objects replaced, by name.
-
-    The geometric mean of the edges of each replaced object is preserved.
-    """
     unchangeable: Mapping[str, str] = field(default_factory=dict)
     """Why an object is not in `texts`, by object name."""
 
@@ -127,6 +122,7 @@ def free_dimensions(
     alignment: Alignment,
     photo: UInt8[np.ndarray, "row column 3"],
     programs: EditablePrograms,
+    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
     align: Callable[[SceneSpec], Alignment],
 ) -> FreedScene:
     """Change dimensions of programs where the photograph contradicts them.
@@ -136,6 +132,8 @@ def free_dimensions(
         alignment: the alignment of `composed`.
         photo: the photograph (sRGB).
         programs: the programs of the scene's objects.
+        compose: composes the scene with some objects replaced, by name. The geometric mean of the
+            edges of each replaced object is preserved.
         align: aligns a composed scene.
 
     Returns:
@@ -157,7 +155,7 @@ def free_dimensions(
         if not proposals:
             break
         specs = _specs(objects)
-        scene = programs.compose(specs | {name: p.spec for name, p in proposals.items()})
+        scene = compose(specs | {name: p.spec for name, p in proposals.items()})
         trial = align(scene)
         if trial.fitted is None:
             break
@@ -167,7 +165,7 @@ def free_dimensions(
             best = FreedScene(scene, trial, {}, _specs(objects))
     if best.specs != _specs(objects):
         # The last alignment was made with changes that were refused.
-        scene = programs.compose(_specs(objects))
+        scene = compose(_specs(objects))
         best = FreedScene(scene, align(scene), {}, _specs(objects))
     return _result(best, objects, excluded, photo)
 

@@ -197,7 +197,7 @@ class SceneTree(Spec):
         nodes = []
         for node in self.nodes:
             if node.name in sizes:
-                box = Box3D(**dict(node.box3d) | {"size": sizes[node.name]})
+                box = node.box3d.model_copy(update={"size": sizes[node.name]})
                 node = node.model_copy(update={"box3d": box})
             nodes.append(node)
         return self.model_copy(update={"nodes": tuple(nodes)})

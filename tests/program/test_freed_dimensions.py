@@ -58,12 +58,12 @@ def freed(five, photo, text, *, check=fault, make=object_of):
         {"brick": text},
         lambda name, changed: make(changed),
         lambda name, changed: check(changed),
-        lambda specs: composed_with(five, specs.get("brick", spec)),
     )
+    compose = lambda specs: composed_with(five, specs.get("brick", spec))
     composed = composed_with(five, spec)
     alignment = align(composed, photo)
     again = lambda scene: align(scene, photo)
-    return free_dimensions(composed, alignment, photo, programs, again), composed
+    return free_dimensions(composed, alignment, photo, programs, compose, again), composed
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from neoworld_mjx.align.outline_error import outline_errors
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.export.read_mesh_scene import FileCamera, viewpoint
 from neoworld_mjx.measure import measured, passes
@@ -96,6 +97,9 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
     given_passed = passes(
         measured(disturbed_scene.spec.model_copy(update={"objects": fixed}), o), o
     )
+    outlines: list[dict[str, float | None]] = [{}, {}]
+    if picture is not None:
+        outlines = [outline_errors(s, picture.rgb) for s in (rescued.given, rescued.scene)]
     for name in rescued.moves_m:
         yield RescueRow(
             scene=seed,
@@ -103,6 +107,8 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
             given_passed=given_passed,
             passed=rescued.passed,
             **_compared(original, disturbed_scene.spec, rescued, name, up),
+            given_outline_px=outlines[0].get(name),
+            outline_px=outlines[1].get(name),
             seconds=seconds,
         )
 
@@ -174,7 +180,6 @@ def _compared(
     turn = float(np.degrees(angle_between(start.quat, end.quat)))
     true = _points(original, name)
     diagonal = float(np.linalg.norm(np.ptp(true, axis=0)))
-    outlines = rescued.outlines_px.get(name, {})
     return {
         "on_table": rescued.scene.object(name).parent in (None, "table"),
         "position_mm": 1e3 * float(np.linalg.norm(shift)),
@@ -184,8 +189,6 @@ def _compared(
         "size": _size(rescued.scene, name) / _size(original, name) - 1,
         "given_add_s": add_s(_points(disturbed_scene, name), true) / diagonal,
         "add_s": add_s(_points(rescued.scene, name) + up, true) / diagonal,
-        "given_outline_px": outlines.get("given"),
-        "outline_px": outlines.get("rescued"),
     }
 
 

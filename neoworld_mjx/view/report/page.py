@@ -106,7 +106,7 @@ def cropped_picture(
 def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
     """Embed frames of an animation side by side, or nothing if the file is missing or damaged."""
     try:
-        raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+        raw = read_bytes(path, file_bounds().max_file_mib * MIB)
         with open_image(raw, path.name, RunError) as image:
             count = getattr(image, "n_frames", 1)
             pixels = []
@@ -121,7 +121,7 @@ def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
 
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[bytes, Image.Image]]:
-    raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+    raw = read_bytes(path, file_bounds().max_file_mib * MIB)
     with open_image(raw, path.name, RunError) as image:
         image.load()
         yield raw, image

@@ -7,6 +7,8 @@ from typing import Any
 from markupsafe import Markup
 
 from ...fit.priors import YAW
+from ...measure import object_moves
+from ...spec import read_scene
 from .page import elements, picture, read_json
 
 TITLE = "The photograph"
@@ -17,14 +19,12 @@ OUTLINE_OFF = (
     "from those behind it."
 )
 """Explanation of the distances that `_outline_off` formats."""
-RESCUE_TITLE = "Rescue"
-RESCUE = "rescue.json"
+RESCUE_TITLE, GIVEN = "From the given poses", "given.json"
 CHECKED = (
     "The shapes and poses of the objects were given. The scene as a whole was checked for "
     "penetration and for motion in free fall (below). The individual objects were not checked: no "
     "object test ran, and shapes, masses and friction are as given or assumed (see the notes)."
 )
-_RESCUE_CAPTION = "Outlines of the scene as given, orange, and of the rescued scene, green"
 UNSEEN = 0.9
 """Ratio of a heading's standard deviation to that of its prior at and above which the photograph
 counts as not showing the heading."""
@@ -155,51 +155,15 @@ def _outline_off(value: float | None) -> str:
 
 
 def rescue_section(folder: Path) -> Markup:
-    """Return the section on a rescue; empty markup for any other run."""
-    if not (folder / RESCUE).is_file():
+    """Return the changes from the poses of another method; empty markup for any other run."""
+    if not (folder / GIVEN).is_file():
         return Markup()
-    rescued = read_json(folder / RESCUE)
-    if rescued is None:
-        return elements.section(RESCUE_TITLE, elements.missing(f"{RESCUE} cannot be read."))
-    outlines: dict[str, dict[str, float | None]] = rescued["outlines_px"]
-    heads = ["object", "#moved, mm", "#turned, deg"]
-    heads += ["#outline off as given, px", "#rescued, px"] if outlines else []
+    if not (folder / "scene.json").is_file():
+        return elements.section(RESCUE_TITLE, elements.missing("There is no refined scene."))
+    moves = object_moves(read_scene(folder / GIVEN), read_scene(folder / "scene.json"))
     rows = [
-        [
-            name,
-            f"{1000 * move:.1f}",
-            f"{rescued['turns_deg'][name]:.1f}",
-            *(_outline_off(outlines[name][key]) for key in ("given", "rescued") if outlines),
-        ]
-        for name, move in rescued["moves_m"].items()
+        [name, f"{1e3 * m.distance_m:.1f}", f"{m.turn_deg:.1f}", f"{m.size_ratio:.3f}"]
+        for name, m in moves.items()
     ]
-    pictures = [
-        (folder / "photo.png", "Photograph"),
-        (folder / "pictures" / "given.png", "As given, through the same camera"),
-        (folder / "pictures" / "after.png", "Rescued, through the same camera"),
-        (folder / "pictures" / "rescued.png", _RESCUE_CAPTION),
-    ]
-    figures = [picture(path, caption) for path, caption in pictures] if outlines else []
-    return elements.section(
-        RESCUE_TITLE,
-        elements.paragraph(CHECKED),
-        elements.div("pictures", *figures) if figures else "",
-        elements.paragraph(_agreement(outlines)),
-        elements.table(heads, rows),
-        elements.paragraph(OUTLINE_OFF, "dim") if outlines else "",
-    )
-
-
-def _agreement(outlines: dict[str, Any]) -> str:
-    """Return a sentence on how many outlines are nearer to the photograph's than as given."""
-    if not outlines:
-        return "No photograph was given, so nothing was compared with one."
-    outline_pairs = [
-        (o["given"], o["rescued"]) for o in outlines.values() if None not in o.values()
-    ]
-    nearer = sum(after < before for before, after in outline_pairs)
-    unknown = len(outlines) - len(outline_pairs)
-    return (
-        f"Of {len(outlines)} movable objects, {nearer} have outlines nearer to the photograph's "
-        f"than as given, {len(outline_pairs) - nearer} do not, and {unknown} are unknown."
-    )
+    table = elements.table(["object", "#moved, mm", "#turned, deg", "#size ratio"], rows)
+    return elements.section(RESCUE_TITLE, elements.paragraph(CHECKED), table)

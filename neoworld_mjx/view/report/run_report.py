@@ -58,7 +58,7 @@ def write_report(folder: Path) -> Path:
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
-    if (folder / photograph.RESCUE).is_file():
+    if (folder / photograph.GIVEN).is_file():
         sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",

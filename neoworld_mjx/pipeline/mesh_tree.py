@@ -1,13 +1,15 @@
-"""Compose a scene of posed objects without stated supports, such as meshes of another method.
+"""The scene tree of posed objects without stated supports, such as meshes of another method.
 
-The support of an object is the highest surface below its middle, within its footprint. Wide objects
+The tree takes the place of a parse (Step 1), and the objects that of programs (Steps 2 and 3). The
+support of an object is the highest surface below its middle, within its footprint. Wide objects
 that carry others and have nothing below them are supports. All other objects without a support
 stand on a floor.
 """
 
-from collections.abc import Collection, Mapping
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +18,24 @@ from ..errors import SpecError
 from ..io.names import identifier
 from ..spec import (
     Box,
+    Box2D,
+    Box3D,
+    Camera,
     GeomSpec,
     Material,
     ObjectSpec,
     PartSpec,
+    PartState,
     SceneObject,
     SceneSpec,
+    SceneTree,
+    TreeNode,
     bounds,
     world_poses,
 )
-from ..spec.pose import Pose, angle_between, conjugate, from_yaw, quat_mul, rotate, yaw_of
-from .mesh_sizes import fit_sizes
-from .on_supports import snap
-from .resting_pose import resting_tilt
+from ..spec.opening import opening_share
+from ..spec.pose import from_yaw, pose, rotate
+from ..spec.scene import transformed_scene
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,33 +52,32 @@ MARGIN_M = 0.5
 """Distance by which the floor extends beyond the objects [m]."""
 FLOOR_M = 0.1
 """Thickness of the floor [m]."""
+MIN_BOX_PX = 2.0
+"""Least edge of a projected box [px]; a smaller box, or one outside of the image, is the whole
+image."""
 
 
 @dataclass(frozen=True)
-class FoundSupports:
-    """A scene at its given poses, and the supports of its objects."""
+class MeshTree:
+    """A scene of posed objects as a tree."""
 
-    scene: SceneSpec
-    """The given objects with fixed supports, and a floor if an object needs one."""
-    parents: dict[str, str]
-    """Name of the support of every free object."""
+    tree: SceneTree
+    objects: dict[str, ObjectSpec]
+    """The object of each node, by name."""
+    given: SceneSpec
+    """The objects at their given poses, with fixed supports, and a floor if an object needs one."""
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Supported:
-    """A scene whose objects stand on supports."""
-
-    scene: SceneSpec
-    notes: tuple[str, ...]
-    """Notes on supports, on the floor, and on corrected tilts and sizes."""
-
-
-def find_supports(scene: SceneSpec) -> FoundSupports:
-    """Find the support of each object of a scene, and fix the supports that cannot move.
+def mesh_tree(scene: SceneSpec, camera: Camera | None = None) -> MeshTree:
+    """Return the tree of a scene of posed objects.
 
     Args:
         scene: objects at their poses in the world, without parents; fixed objects are supports.
+        camera: camera of the scene's photograph. The scene is then moved vertically, so that the
+            top of its main support is at z = 0, as in scenes of photographs. The 2D boxes are
+            projections of the objects. Without a camera, the tree has a camera of no meaning, as
+            have its 2D boxes.
 
     Raises:
         SpecError: the scene has no object that is free to move, or already states parents.
@@ -84,7 +90,9 @@ def find_supports(scene: SceneSpec) -> FoundSupports:
     supports = _supports(scene, parents)
     notes = [f"{name} is a support: it carries others" for name in sorted(supports)]
     objects = [
-        item.model_copy(update={"environment": True}) if item.name in supports else item
+        item.model_copy(update={"environment": True})
+        if item.static or item.name in supports
+        else item
         for item in scene.objects
     ]
     unsupported = [item.name for item in objects if not item.static and item.name not in parents]
@@ -93,94 +101,72 @@ def find_supports(scene: SceneSpec) -> FoundSupports:
         objects.append(floor)
         notes.append(f"{floor.name} is added below what nothing carries: {', '.join(unsupported)}")
         parents |= dict.fromkeys(unsupported, floor.name)
-    return FoundSupports(
-        scene.model_copy(update={"objects": tuple(objects)}), parents, tuple(notes)
+    given = scene.model_copy(update={"objects": tuple(objects)})
+    if camera is not None:
+        top = _main_top(given, parents)
+        given = transformed_scene(given, pose((0.0, 0.0, -top)))
+        camera = camera.model_copy(update={"height": camera.height - top})
+        given = given.model_copy(update={"camera": camera})
+    view = camera or Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
+    nodes = tuple(_node(item, given, parents.get(item.name), view) for item in given.objects)
+    tree = SceneTree(camera=view, nodes=nodes)
+    return MeshTree(tree, {item.name: item.spec for item in given.objects}, given, tuple(notes))
+
+
+def _node(item: SceneObject, scene: SceneSpec, parent: str | None, camera: Camera) -> TreeNode:
+    """Return the node from which composition gives an object its given pose."""
+    at = world_poses(scene)[item.name]
+    low, high = bounds(item.spec, item.joint_state)
+    bottom = np.array([*((low + high) / 2)[:2], low[2]])
+    # Composition turns an upright box about the object's origin.
+    position = np.array([*item.xy, item.z]) + rotate(from_yaw(item.yaw), bottom)
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    return TreeNode(
+        name=item.name,
+        label=item.name,
+        parent=parent,
+        environment=item.environment,
+        box2d=_box2d(camera, at.apply(corners)),
+        box3d=Box3D(
+            position=cast(tuple[float, float, float], tuple(position.tolist())),
+            size=cast(tuple[float, float, float], tuple((high - low).tolist())),
+            yaw=item.yaw,
+        ),
+        base_tilt=item.base_tilt,
+        articulation=tuple(_states(item)),
     )
 
 
-def with_supports(
-    supports: FoundSupports, *, resting: Collection[str] = (), sizes: bool = False
-) -> Supported:
-    """Return a scene with every object on its support.
-
-    Each object is tilted about its middle to the nearest resting pose (`resting_tilt`). Headings
-    and horizontal positions do not change, and heights follow from the supports.
-
-    Args:
-        supports: the objects and their supports.
-        resting: names of the objects that rest at their given poses. Such an object keeps its pose
-            if the objects that carry it keep theirs.
-        sizes: if True, correct sizes by the given heights (`fit_sizes`).
-    """
-    scene, parents = supports.scene, supports.parents
-    fixed = {n for n in resting if all(m in resting for m in _chain(n, parents) if m in parents)}
-    composed, notes = _compose(scene, parents, fixed)
-    changes: list[str] = []
-    if sizes:
-        scene, changes = fit_sizes(scene, composed, fixed)
-    if changes:
-        composed, notes = _compose(scene, parents, fixed)
-    return Supported(composed, (*supports.notes, *notes, *changes))
-
-
-def _compose(
-    scene: SceneSpec, parents: Mapping[str, str], fixed: Collection[str]
-) -> tuple[SceneSpec, list[str]]:
-    """Put objects onto their supports, from the bottom up; return the scene, and notes on tilts."""
-    poses, notes = world_poses(scene), list[str]()
-    objects = [item for item in scene.objects if item.static]
-    frames = {item.name: poses[item.name] for item in objects}
-    free = [item for item in scene.objects if not item.static]
-    for item in sorted(free, key=lambda item: len(_chain(item.name, parents))):
-        parent = parents[item.name]
-        placed, note = _place(
-            item, poses[item.name], parent, frames[parent], as_given=item.name in fixed
+def _states(item: SceneObject) -> list[PartState]:
+    """Return the positions of an object's hinges and slides as openings."""
+    return [
+        PartState(
+            part=joint.name,
+            type=cast(Literal["revolute", "continuous", "prismatic"], joint.type),
+            opening=opening_share(joint, item.joint_state[joint.name]),
         )
-        objects.append(placed)
-        pos = frames[parent].pos + rotate(
-            from_yaw(yaw_of(frames[parent].quat)), np.array([*placed.xy, placed.z])
-        )
-        frames[item.name] = Pose(pos, from_yaw(placed.yaw + yaw_of(frames[parent].quat)))
-        notes += note
-    composed = scene.model_copy(update={"objects": tuple(objects)})
-    snapped = [
-        unsnapped if unsnapped.name in fixed else snapped_item
-        for unsnapped, snapped_item in zip(objects, snap(composed).objects, strict=True)
+        for joint in item.spec.joints
+        if joint.type in ("revolute", "continuous", "prismatic") and joint.name in item.joint_state
     ]
-    return composed.model_copy(update={"objects": tuple(snapped)}), notes
 
 
-def _place(
-    item: SceneObject, pose: Pose, parent: str, frame: Pose, *, as_given: bool
-) -> tuple[SceneObject, list[str]]:
-    """Return an object in its parent's frame, in a resting pose unless `as_given`; and notes."""
-    yaw = yaw_of(pose.quat)
-    tilt = quat_mul(conjugate(from_yaw(yaw)), pose.quat)
-    tilt = tuple((tilt / np.linalg.norm(tilt)).tolist())
-    rest_tilt = tilt if as_given else resting_tilt(item.spec, item.joint_state, tilt)
-    notes = []
-    if rest_tilt is None:
-        notes.append(f"{item.name} has no resting pose near its tilt, which is kept")
-        rest_tilt = tilt
-    else:
-        angle = np.degrees(angle_between(np.array(rest_tilt), np.array(tilt)))
-        if angle > 0.1:
-            notes.append(f"{item.name} is turned upright by {angle:.1f} deg")
-    # The object turns about its middle, which does not move.
-    low, high = bounds(item.spec, item.joint_state)
-    middle = (low + high) / 2
-    quat = quat_mul(from_yaw(yaw), np.array(rest_tilt))
-    pos = pose.apply(middle) - rotate(quat, middle)
-    heading = yaw_of(frame.quat)
-    x, y, z = rotate(from_yaw(-heading), pos - frame.pos).tolist()
-    update = {
-        "parent": parent,
-        "xy": (x, y),
-        "z": z,
-        "yaw": float(yaw - heading),
-        "base_tilt": rest_tilt,
-    }
-    return item.model_copy(update=update), notes
+def _box2d(camera: Camera, corners: NDArray) -> Box2D:
+    """Return the projection of an object's corners, clipped to the image [px]."""
+    size = np.array([camera.width, camera.height_px], float)
+    pixels, depth = camera.project(corners)
+    low, high = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
+    if depth.min() <= 0 or np.any(high - low < MIN_BOX_PX):
+        low, high = np.zeros(2), size
+    return Box2D(x0=float(low[0]), y0=float(low[1]), x1=float(high[0]), y1=float(high[1]))
+
+
+def _main_top(scene: SceneSpec, parents: Mapping[str, str]) -> float:
+    """Return the height of the top of the support that carries most objects [m]."""
+    carried = list(parents.values())
+    main = max(
+        (item for item in scene.objects if item.static), key=lambda item: carried.count(item.name)
+    )
+    return main.z + float(bounds(main.spec, main.joint_state, main.base_tilt)[1][2])
 
 
 def _parents(scene: SceneSpec) -> dict[str, str]:

@@ -1,0 +1,209 @@
+"""Steps 4 and 5 as two functions: `place` composes and aligns a scene, `refine_placed` refines it.
+
+Runs, rescues of another method's meshes and the benchmark call these two, so that published figures
+measure the steps that users run.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..align.align import align
+from ..align.alignment import Alignment
+from ..compose.compose import Composed, compose
+from ..compose.on_supports import in_contact
+from ..config import AlignOptions, ComposeOptions, RefineOptions
+from ..engines import EngineChoice
+from ..fit.fit_report import FitReport
+from ..fit.refit import refit_tree
+from ..measure import SceneMeasure, shown_sides
+from ..mllm import Panel, Picture
+from ..physics.engine import Engine
+from ..physics.model import SceneModel
+from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
+from ..refinement.final_alignment import FinalAlignment, align_final
+from ..refinement.scene_refinement import Refined, refine
+from ..spec import ObjectSpec, SceneSpec, SceneTree
+
+Photo = UInt8[np.ndarray, "row column 3"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known about the layout of a scene besides its tree."""
+
+    photo: Photo | None = field(default=None, repr=False)
+    """The photograph (sRGB) that the camera of the tree took; without one, the scene is composed
+    and not aligned."""
+    boxes: bool = True
+    """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
+    own. The tree is then not fitted to them."""
+    supports: bool = False
+    """True if a person chose the supports, which the fit then keeps."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A scene composed and aligned with its evidence."""
+
+    tree: SceneTree
+    """The tree, fitted to the built shapes."""
+    composed: Composed
+    """The scene before the alignment."""
+    scene: SceneSpec
+    """The aligned scene, with its objects in contact with their supports."""
+    fit: FitReport | None = None
+    """Report of the fit; None if the tree was not fitted."""
+    alignment: Alignment | None = None
+    """The alignment, before objects were moved into contact; None without one."""
+    freed: FreedScene | None = None
+    """Objects whose programs got other dimensions; None unless `compose.align.dimensions` is
+    set."""
+    notes: tuple[str, ...] = ()
+    """A note for each object that was moved into contact after the alignment."""
+    seconds: float = 0.0
+    """Wall time [s]."""
+
+
+def place(
+    tree: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    evidence: Evidence | None = None,
+    options: ComposeOptions | None = None,
+    *,
+    programs: EditablePrograms | None = None,
+    name: str = "scene",
+) -> Placed:
+    """Fit a tree to its built objects, compose the scene, and align it with its evidence (Step 4).
+
+    Args:
+        tree: the scene tree of Step 1.
+        objects: built object of every node, by the node's name.
+        evidence: the photograph, and what of the tree is evidence.
+        options: options of composition and alignment.
+        programs: programs of the objects, if `options.align.dimensions` is set.
+        name: name of the scene.
+
+    Raises:
+        SpecError: a node has no object.
+        PhotoError: the photograph does not have the camera's aspect ratio.
+    """
+    began = time.perf_counter()
+    evidence, options = evidence or Evidence(), options or ComposeOptions()
+    fit = None
+    if options.refit and evidence.boxes:
+        visible = shown_sides(compose(tree, objects, options, name=name).scene)
+        tree, fit = refit_tree(tree, objects, visible, change_supports=not evidence.supports)
+    build = partial(_composed, tree, objects, evidence, options, name)
+    composed = build({})
+    if evidence.photo is None or not options.align.enabled:
+        return Placed(tree, composed, composed.scene, fit, seconds=time.perf_counter() - began)
+    realign = partial(
+        align, photo=evidence.photo, options=options.align, measured=tree.camera_measured
+    )
+    alignment, freed = realign(composed.scene), None
+    if options.align.dimensions and programs is not None:
+        freed = free_dimensions(
+            composed.scene,
+            alignment,
+            evidence.photo,
+            programs,
+            lambda changed: build(changed).scene,
+            realign,
+        )
+        composed, alignment = build(freed.specs), freed.alignment
+    scene, notes = in_contact(alignment.scene, options, composed=composed.scene)
+    seconds = time.perf_counter() - began
+    return Placed(tree, composed, scene, fit, alignment, freed, notes, seconds)
+
+
+def _composed(
+    tree: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    evidence: Evidence,
+    options: ComposeOptions,
+    name: str,
+    changed: Mapping[str, ObjectSpec],
+) -> Composed:
+    """Compose the scene with some objects changed; drop boxes and a camera that are no evidence."""
+    composed = compose(tree, {**objects, **changed}, options, name=name)
+    if evidence.boxes:
+        return composed
+    bare = tuple(item.model_copy(update={"box2d": None}) for item in composed.scene.objects)
+    camera = None if evidence.photo is None else tree.camera
+    scene = composed.scene.model_copy(update={"objects": bare, "camera": camera})
+    return dataclasses.replace(composed, scene=scene)
+
+
+@dataclass(frozen=True)
+class RefinedPlacement:
+    """A refined scene, aligned once more where the refinement had moved objects in the image."""
+
+    scene: SceneSpec
+    measure: SceneMeasure
+    """Measures of the scene's final check."""
+    refined: Refined
+    """Result of the search, before the final alignment."""
+    final: FinalAlignment | None
+    """The final alignment; None if it did not run."""
+    seconds: Mapping[str, float]
+    """Wall time of each part [s]."""
+
+
+def refine_placed(
+    scene: SceneSpec,
+    options: RefineOptions | None = None,
+    *,
+    seed: int = 0,
+    engine: Engine | EngineChoice | None = None,
+    photo: Photo | None = None,
+    again: AlignOptions | None = None,
+    keep: Collection[str] = (),
+    model: SceneModel | None = None,
+    panel: Panel | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> RefinedPlacement:
+    """Refine a placed scene, and align again the objects that the refinement moved (Step 5).
+
+    Args:
+        scene: the placed scene.
+        options: options of the refinement and of the final check.
+        seed: seed of the search.
+        engine: physics engine, or its name; by default, the engine that the options name.
+        photo: the photograph (sRGB), for S_sem by a model and for the final alignment.
+        again: options of the final alignment; if None, there is none.
+        keep: names of the objects that the final alignment does not move.
+        model: the scene compiled for the search, if it is at hand.
+        panel: as for `refine`.
+        progress: as for `refine`.
+
+    Raises:
+        ConfigError, EngineError: as `refine`.
+        PhotoError: the photograph does not have the camera's aspect ratio.
+    """
+    o, final = options or RefineOptions(), None
+    picture = None
+    if photo is not None and o.semantic.scorer == "mllm":
+        picture = Picture.of("photo", photo)
+    refined = refine(
+        scene if model is None else model,
+        o,
+        seed=seed,
+        engine=engine,
+        photo=picture,
+        panel=panel,
+        progress=progress,
+    )
+    result, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
+    if photo is not None and again is not None and again.aligns_again and refined.passed:
+        began = time.perf_counter()
+        final = align_final(scene, refined.scene, photo, o, again, keep=keep)
+        seconds["align"] = time.perf_counter() - began
+        if final.measure is not None:
+            result, measure = final.scene, final.measure
+    return RefinedPlacement(result, measure, refined, final, seconds)
