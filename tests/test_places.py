@@ -113,5 +113,5 @@ def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
         list(run_tasks(failing, [2], place))
     with pytest.raises(RunError, match="was lost 4 times"):
         list(run_tasks(dying, [3], place))
-    with pytest.raises(ConfigError, match="a task needs 8 GPU, the cluster has 0"):
+    with pytest.raises(ConfigError, match="a task needs 8 GPU, but the cluster has 0"):
         list(run_tasks(squares, [2], Place(ray="local", workers=1, task_gpus=8)))
