@@ -290,7 +290,7 @@ def test_a_failed_score_is_estimated(model, rounds):
 def test_the_cost_limit_is_observed(model, rounds):
     with MessagesServer(delay_s=0.02, failing=0.1) as server:
         with (
-            panel_to(server.url, max_cost_usd=0.26) as panel,
+            panel_to(server.url, max_cost_usd=0.26, max_tokens=16384) as panel,
             SemanticScorer(model, PHOTO, panel, options(top=12)) as scorer,
         ):
             seen = play(scorer, rounds)
