@@ -182,7 +182,7 @@ def test_a_late_score_counts_when_it_arrives(model, rounds):
     ("given", "answer", "scored", "reason"),
     [
         ({"base_url": None}, judged, 0, "5 consecutive scores failed; the last"),
-        ({"max_cost_usd": 0.1}, judged, None, "cost cap reached"),
+        ({"max_cost_usd": 0.1, "max_tokens": 4096}, judged, None, "cost cap reached"),
         ({}, lambda _: "I cannot tell.", 0, "5 consecutive scores failed"),
     ],
 )
