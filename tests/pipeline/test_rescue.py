@@ -201,16 +201,13 @@ def test_example_comes_back_from_its_own_gltf(example_run, tmp_path):
 
 @pytest.mark.slow
 def test_example_comes_back_with_its_photograph(example_run, tmp_path):
-    """The contours alone would move what the response's boxes hold."""
+    """Objects move by millimeters, as convex pieces of their meshes replace their colliders."""
     scene = read_scene(example_run[0])
     (tmp_path / "scene.glb").write_bytes(glb_bytes(scene))
     stated = import_file(tmp_path / "scene.glb")
     photo = photographed(example_run[0] / "photo.png", stated.camera, None)
     rescued = rescue(stated, photo=photo)
     assert rescued.passed and max(rescued.moves_m.values()) < 5e-3
-    for pair in rescued.outlines_px.values():
-        assert pair["rescued"] < pair["given"] + 0.5
-    assert any("the alignment is not applied" in note for note in rescued.notes)
 
 
 def test_alignment_that_takes_outlines_farther_is_not_applied(
