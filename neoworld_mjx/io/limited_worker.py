@@ -232,10 +232,11 @@ def _serve() -> None:
             function, arguments, needs, bounds, wall_factor, folder = pickle.loads(data)
             for name in needs:
                 importlib.import_module(name)
+            output = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
         except Exception as failure:
             _send(results, _ERROR, f"{type(failure).__name__}: {failure}".encode())
             continue
-        with tempfile.TemporaryFile() as output:
+        with output:
             alive, held = os.pipe()
             pid = os.fork()
             if not pid:
