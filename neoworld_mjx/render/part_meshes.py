@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from ..spec import ObjectSpec, PartSpec, Shape, pieces
 from ..spec.convex import Piece
-from ..spec.object import OPAQUE_ALPHA
 from ..spec.triangles import corner_normals
 
 RGB = tuple[int, int, int]
@@ -24,8 +23,6 @@ PIECE_COLOURS: tuple[RGB, ...] = (
     (196, 98, 82),
 )
 """Colors of convex pieces, assigned in turn."""
-THIN = 0.04
-"""Largest deviation of a simplified surface, relative to the shortest edge of its bounding box."""
 
 
 class PartMesh(NamedTuple):
@@ -39,33 +36,19 @@ class PartMesh(NamedTuple):
     alpha: float
 
 
-def visible_meshes(
-    spec: ObjectSpec, part: PartSpec, *, opaque: bool | None = None, tolerance: float = 0.0
-) -> list[PartMesh]:
-    """Return the visible surfaces of a part, one mesh for each color.
-
-    Args:
-        spec: the object.
-        part: a part of the object.
-        opaque: if True, return only opaque surfaces; if False, only transparent ones; if None, all.
-        tolerance: largest deviation of simplified surfaces [m]; if 0, keep every triangle.
-    """
+def visible_meshes(spec: ObjectSpec, part: PartSpec) -> list[PartMesh]:
+    """Return the visible surfaces of a part of an object, one mesh for each color."""
     by_colour: dict[tuple[float, float, float, float], list[tuple[NDArray, NDArray]]] = {}
     for geom in part.geoms:
         rgba = spec.material(geom.material).rgba
-        if geom.role == "collision" or opaque not in (None, rgba[3] >= OPAQUE_ALPHA):
+        if geom.role == "collision":
             continue
-        vertices, faces = _creased_surface(geom.shape, tolerance)  # pyright: ignore[reportArgumentType] hashable
+        vertices, faces = _creased_surface(geom.shape)  # pyright: ignore[reportArgumentType] hashable
         by_colour.setdefault(rgba, []).append((geom.pose().apply(vertices), faces))
     return [
         PartMesh(*_joined(meshes), (_byte(r), _byte(g), _byte(b)), a)
         for (r, g, b, a), meshes in by_colour.items()
     ]
-
-
-def visible_triangles(part: PartSpec) -> int:
-    """Return the number of triangles of a part's visible surfaces."""
-    return sum(len(geom.shape.surface()[1]) for geom in part.geoms if geom.role != "collision")
 
 
 def piece_meshes(part: PartSpec) -> list[PartMesh]:
@@ -87,29 +70,9 @@ def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
 
 
 @lru_cache(maxsize=1024)
-def _creased_surface(shape: Shape, tolerance: float) -> tuple[NDArray, NDArray]:
-    """Return the simplified, creased surface of a shape in the shape's frame."""
-    return creased(*simplified(*shape.surface(), tolerance))
-
-
-def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDArray, NDArray]:
-    """Simplify a closed mesh; return any other mesh unchanged.
-
-    Args:
-        vertices: vertices [m], shape [v, 3].
-        faces: triangles, shape [f, 3].
-        tolerance: largest deviation [m]; for thin shapes, THIN limits it further.
-    """
-    tolerance = min(tolerance, THIN * float(np.ptp(vertices, axis=0).min()))
-    if tolerance <= 0:
-        return vertices, faces
-    import manifold3d
-
-    mesh = manifold3d.Mesh64(np.array(vertices, float), np.array(faces, np.uint64))
-    result = manifold3d.Manifold(mesh).simplify(tolerance).to_mesh64()
-    if not len(result.tri_verts):
-        return vertices, faces
-    return np.array(result.vert_properties)[:, :3], np.array(result.tri_verts).astype(int)
+def _creased_surface(shape: Shape) -> tuple[NDArray, NDArray]:
+    """Return the creased surface of a shape in the shape's frame."""
+    return creased(*shape.surface())
 
 
 def _hull(piece: Piece) -> tuple[NDArray, NDArray]:
