@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from neoworld_mjx.align.align import align as align_scene
 from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.compose.on_supports import in_contact
-from neoworld_mjx.config import AlignOptions, RefineOptions, merged
+from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.mllm import Picture
@@ -30,11 +30,8 @@ from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.program.freed_dimensions import EditablePrograms, free_dimensions
 from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.final_alignment import align_final
-from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import SceneSpec
-
-from .baselines import algorithm1, with_budget
 
 GRAVITY_S = 3.0
 """Duration of the fall of the method `gravity` [s]."""
@@ -66,6 +63,24 @@ def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
     return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
 
 
+def algorithm1(o: RefineOptions) -> RefineOptions:
+    """Return the options of Algorithm 1, with the paper's value of every option that differs.
+
+    They are the options of configs/paper.yaml, except that S_sem is geometric.
+    """
+    values: dict[str, Any] = {}
+    for option in list_options(RefineOptions):
+        if option.difference is None or option.path.startswith("semantic."):
+            continue
+        group = values
+        *groups, name = option.path.split(".")
+        for part in groups:
+            group = group.setdefault(part, {})
+        group[name] = option.difference.value
+    values["cem"] |= {"patience": 1}
+    return changed(o, values)
+
+
 ABLATIONS: dict[str, dict[str, Any]] = {
     "without_s_sem": {"reward": {"w_sem": 0.0}},
     "without_d_pen": {"reward": {"w_pen": 0.0}},
@@ -93,23 +108,19 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "algorithm1": algorithm1,
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
     **dict.fromkeys(EVIDENCE, ours),
-    "with_s_photo": partial(changed, change={"reward": {"terms": {"s_photo": 1.0}}}),
 }
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-EQUAL_ROLLOUTS = ("random", "cma_es")
-"""Other optimizers, which make as many rollouts as `ours` from the same initial scene."""
 METHODS = (
     "open_loop",
     "aligned",
     "aligned_dimensions",
     "gravity",
     "guided",
-    *(name for name in SEARCHES if name != "ours"),
-    *EQUAL_ROLLOUTS,
-    "ours",
+    *SEARCHES,
 )
+"""Names of all methods."""
 
 
 def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
@@ -138,7 +149,6 @@ def outcome_of(
     engine: Engine,
     *,
     seed: int = 0,
-    rollouts: int = 0,
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
     photo: UInt8[np.ndarray, "row column 3"] | None = None,
@@ -146,28 +156,22 @@ def outcome_of(
     """Run a method from an initial scene.
 
     Args:
-        method: name from METHODS, an optimizer accepted by `is_budgeted`, or a name from `named`.
+        method: name from METHODS, or from `named`.
         start: the initial scene.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
-        rollouts: number of rollouts of an optimizer accepted by `is_budgeted`.
         warm: if True, first run a search of one iteration that simulates only one candidate, so
             that the measured time does not include compilation.
         named: options of user-named searches, by name.
-        photo: the photograph, for S_photo.
+        photo: the photograph, for a search whose S_sem is a model's.
     """
     if method in SETTLED:
         began = time.perf_counter()
         scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
-    if named and method in named:
-        options = named[method]
-    elif is_budgeted(method):
-        options = with_budget(o, method, max(rollouts, 1))
-    else:
-        options = SEARCHES[method](o)
+    options = named[method] if named and method in named else SEARCHES[method](o)
     model = compile_for_search(start, options)
     picture = None if photo is None else Picture.of("photo", photo)
     if warm:
@@ -242,9 +246,6 @@ def outcomes_of(
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
 
-    `ours` runs first, because optimizers accepted by `is_budgeted` make as many rollouts as `ours`
-    made. If `ours` was not requested, its result is discarded.
-
     Args:
         methods: names, as for `outcome_of`.
         composed: the composed scene.
@@ -257,7 +258,6 @@ def outcomes_of(
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
     """
-    rollouts = 0
     starts: dict[AlignOptions, tuple[SceneSpec, float]] = {}
     picture = functools.cache(photo)
     alignments: dict[AlignOptions, tuple[Alignment, float]] = {}
@@ -289,12 +289,7 @@ def outcomes_of(
             starts[used] = aligned, spent + time.perf_counter() - began
         return starts[used]
 
-    for method in in_order(methods):
-        if is_budgeted(method) and not rollouts:
-            first, _ = start_of("ours")
-            rollouts = outcome_of(
-                "ours", first, o, engine, seed=seed, warm=False, photo=picture()
-            ).rollouts
+    for method in methods:
         start, spent = start_of(method)
         result = outcome_of(
             method,
@@ -302,12 +297,10 @@ def outcomes_of(
             o,
             engine,
             seed=seed,
-            rollouts=rollouts,
             warm=warm,
             named=named,
             photo=None if method in SETTLED else picture(),
         )
-        rollouts = result.rollouts if method == "ours" else rollouts
         times = {
             name: value + spent
             for name in ("seconds", "seconds_to_result")
@@ -323,30 +316,16 @@ def outcomes_of(
         yield method, dataclasses.replace(result, **times)
 
 
-def in_order(methods: Sequence[str]) -> list[str]:
-    """Return methods in the order of execution: `ours` first, then as in METHODS."""
-    place = {name: k for k, name in enumerate(METHODS)}
-    return sorted(methods, key=lambda name: (name != "ours", place.get(name, len(place))))
-
-
-def is_budgeted(method: str) -> bool:
-    """Return True if a method is another optimizer, which makes as many rollouts as `ours`.
-
-    Such methods are those in EQUAL_ROLLOUTS, and names like `evosax:SNES` or
-    `package.module:function`.
-    """
-    return method in EQUAL_ROLLOUTS or ":" in method
-
-
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
     """Check the names of methods.
 
+    Args:
+        methods: the names.
+        named: further names that are methods.
+
     Raises:
         SpecError: a name is not a method.
-        ConfigError: a name with a colon is not an optimizer.
     """
     for method in methods:
-        if is_budgeted(method) and method not in named:
-            optimizer_factory(method)
-        elif method not in (*METHODS, *named):
+        if method not in (*METHODS, *named):
             raise SpecError(f"method: {choices(method, METHODS)}")

@@ -1,6 +1,6 @@
 """Scenes from other methods (submissions), read from a folder and scored as rows of a method.
 
-    DIR/SCENE/scene.json | scene.xml | scene.usda | scene.usd | scene.usdc | scene.glb | poses.json
+    DIR/SCENE/scene.json | scene.xml | scene.glb | poses.json
     DIR/SCENE/result.json            optional: {"seconds": 12.5}
     DIR/SCENE/start_0/...            the same files for each initial scene (start), if the method
                                      was given the initial scenes
@@ -32,7 +32,7 @@ from .scene_methods import MethodResult
 MESHES = ("scene.glb", "poses.json")
 """Files with meshes, which do not state which objects are fixed. An object is fixed if it is fixed
 in the ground truth."""
-FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc", *MESHES)
+FILES = ("scene.json", "scene.xml", *MESHES)
 """File names of a submitted scene. If there are several files, the first in this order is read."""
 RESULT = "result.json"
 FIXED_PREFIX = "held_"
@@ -134,7 +134,7 @@ def scene_file(folder: Path) -> Path | None:
 
 
 def read_scene_file(file: Path) -> ImportedScene:
-    """Read a scene.json, an MJCF, USD or glTF scene, or a poses.json, with the reader's notes.
+    """Read a scene.json, an MJCF or glTF scene, or a poses.json, with the reader's notes.
 
     Raises:
         SpecError: the file cannot be read, or contains a single object.

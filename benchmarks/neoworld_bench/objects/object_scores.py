@@ -17,13 +17,10 @@ from ..measures import canonical_points, geometry_measure, joint_measure, read_t
 from ..measures.mean import Mean
 from ..measures.object_truth import Front, ObjectTruth
 from ..measures.surface_measure import SAMPLES
-from ..row_files import RowFile, stored_rows
-from ..rows import Row
-from ..unfinished_runs import KeptRows
+from ..rows import ROWS, Row, RowStore
 from .made_objects import object_files
 from .partnet import TrueObject, partnet_folders, partnet_object
 
-SCORES = "joints.parquet"
 SURFACE = ("chamfer_x10", "f_01", "f_05")
 """Measures of surfaces after the fit."""
 
@@ -103,7 +100,7 @@ def score_objects(
     front: Front = "-x",
     options: ProgramOptions | None = None,
     out: Path | None = None,
-    kept: KeptRows | None = None,
+    kept: RowStore | None = None,
     samples: int = SAMPLES,
 ) -> Iterator[ObjectScoreRow]:
     """Yield a row for each ground-truth object that was reconstructed, or for all named ones.
@@ -115,7 +112,7 @@ def score_objects(
         objects: names of ground-truth objects; one that was not made is missed whole.
         front: direction in which objects of PartNet-Mobility face.
         options: of made programs.
-        out: folder of `joints.parquet`, in which rows replace those of the same objects.
+        out: folder of results, in which rows replace those of the same objects.
         kept: rows of an interrupted run.
         samples: of each surface.
 
@@ -135,15 +132,15 @@ def score_objects(
             f"{made} has no object of {partnet or truth}: it has {', '.join(list(files)[:8])}, "
             f"which has {', '.join(list(known)[:8])}"
         )
-    stored = RowFile(None if out is None else out / SCORES, ObjectScoreRow, lambda row: row.object)
+    stored = RowStore(None if out is None else out / ROWS)
 
     def scored(name: str) -> list[ObjectScoreRow]:
         true = read_true(known[name], front, samples)
         return [_scored(name, files.get(name), true, options or ProgramOptions(), samples)]
 
     for name in names:
-        rows = (kept or KeptRows(None)).rows(name, partial(scored, name))
-        stored.put(rows, in_place_of=name)
+        rows = (kept or RowStore(None)).rows(name, partial(scored, name))
+        stored.put(f"joints {name}", rows)
         yield from rows
 
 
@@ -223,13 +220,3 @@ def _mean(values: Sequence[tuple[float, int]]) -> Mean:
         return Mean(value=None, n=0)
     means, counts = zip(*values, strict=True)
     return Mean(value=float(np.average(means, weights=counts)), n=n)
-
-
-def stored_scores(folder: Path) -> list[ObjectScoreRow]:
-    """Read the rows of a folder; none where it has no such file.
-
-    Raises:
-        RunError: they cannot be read.
-    """
-    file = folder / SCORES
-    return stored_rows(file, ObjectScoreRow) if file.exists() else []

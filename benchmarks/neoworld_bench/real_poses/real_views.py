@@ -12,9 +12,7 @@ from neoworld_mjx.errors import ConfigError, SpecError
 
 from ..measures.mean import mean_of_known
 from ..measures.pose_measure import RECALL, recall
-from ..row_files import RowFile, stored_rows
-from ..rows import log
-from ..unfinished_runs import KeptRows
+from ..rows import ROWS, RowStore, log
 from .aria_twin import aria_views, is_aria_twin
 from .bop import bop_views, is_bop
 from .depth_folder import depth_views, is_depth_folder
@@ -24,7 +22,6 @@ from .pose_rows import AlignBy, RealObjectRow, RealViewRow, real_rows
 from .true_views import TrueView
 
 DataFormat = Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"]
-VIEWS, OBJECTS = "real_views.parquet", "real_objects.parquet"
 MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou", "chamfer", "f_score", "voxel_iou")
 
 
@@ -96,7 +93,7 @@ def score_real_views(
     volumes: bool = True,
     options: RefineOptions | None = None,
     out: Path | None = None,
-    kept: KeptRows | None = None,
+    kept: RowStore | None = None,
 ) -> tuple[list[RealViewRow], list[RealObjectRow]]:
     """Score the reconstructions of the views of a data set.
 
@@ -111,7 +108,7 @@ def score_real_views(
         depth_scale: millimeters of a unit.
         volumes: False to leave out Chamfer distance, F-score and voxel IoU.
         options: of the final check.
-        out: folder of the row files; rows replace those of the same view and method.
+        out: folder of results, in which rows replace those of the same view and method.
         kept: rows of an interrupted run.
 
     Raises:
@@ -125,10 +122,7 @@ def score_real_views(
         )
     roots = [*runs, *([] if submission is None else [submission])]
     names = list(views) or folder_names(roots)
-    files = (
-        RowFile(out and out / VIEWS, RealViewRow, lambda row: row.key),
-        RowFile(out and out / OBJECTS, RealObjectRow, lambda row: row.key),
-    )
+    stored = RowStore(out and out / ROWS)
     view_rows: list[RealViewRow] = []
     object_rows: list[RealObjectRow] = []
     matched = set()
@@ -139,11 +133,10 @@ def score_real_views(
             by_method.setdefault(stage.method, []).append(stage)
         for method, stages in by_method.items():
             score = partial(_scored, view, stages, align, options or RefineOptions(), volumes)
-            rows = (kept or KeptRows(None)).rows(f"{view.name} {method}", score)
+            rows = (kept or RowStore(None)).rows(f"{view.name} {method}", score)
+            stored.put(f"real {view.name} {method}", rows)
             view_part = [row for row in rows if isinstance(row, RealViewRow)]
             object_part = [row for row in rows if isinstance(row, RealObjectRow)]
-            files[0].put(view_part, in_place_of=(view.name, method))
-            files[1].put(object_part, in_place_of=(view.name, method))
             view_rows += view_part
             object_rows += object_part
             for line in lines(view_part, object_part):
@@ -226,14 +219,3 @@ def real_figures(views: Sequence[RealViewRow], objects: Sequence[RealObjectRow])
         figure["collider_sound"] = float(np.mean(gaps)) if gaps else None
         figures[f"{method} {stage}"] = figure
     return figures
-
-
-def stored_real_rows(folder: Path) -> tuple[list[RealViewRow], list[RealObjectRow]]:
-    """Read the rows of a folder; none where it has no such files.
-
-    Raises:
-        RunError: they cannot be read.
-    """
-    if not (folder / VIEWS).exists():
-        return [], []
-    return stored_rows(folder / VIEWS, RealViewRow), stored_rows(folder / OBJECTS, RealObjectRow)

@@ -1,46 +1,49 @@
-"""Tables of the results in a folder: scenes, joints, tasks, real photographs."""
+"""Tables of the rows in a folder: scenes, tasks, objects, real photographs."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.io.files import write_output
 
-from ..methods.scene_runs import RESULTS
-from ..objects.object_scores import SCORES, stored_scores
-from ..real_poses.real_views import OBJECTS, stored_real_rows
-from ..tasks.success_runs import SUCCESSES, known_successes
+from ..methods.scene_runs import SceneRow
+from ..objects.object_scores import ObjectScoreRow
+from ..real_poses.pose_rows import RealObjectRow
+from ..rows import ROWS, RowStore
+from ..tasks.success_runs import SuccessRow
 from .joint_table import joint_table
 from .real_table import real_table
-from .scene_table import scene_tables
-from .success_table import success_table
+from .scene_table import scene_table
+from .task_table import task_table
+
+TABLES: dict[str, tuple[type[Any], Callable[..., Any]]] = {
+    "scenes": (SceneRow, scene_table),
+    "tasks": (SuccessRow, task_table),
+    "joints": (ObjectScoreRow, joint_table),
+    "real": (RealObjectRow, real_table),
+}
+"""Kind of row and function of each table, by the name of its files."""
 
 
 def write_tables(folder: Path) -> dict[str, Any]:
-    """Write the tables of the rows in a folder: table.* and curves.* of scenes, joints.*,
-    tasks.*, real.*.
+    """Write the tables of the rows in a folder, in Markdown and CSV.
 
     Raises:
         RunError: it has no rows, or a file cannot be written.
     """
-    texts: dict[str, str] = {}
-    if (folder / RESULTS).exists():
-        texts |= scene_tables(folder)
-    if rows := stored_scores(folder):
-        texts |= joint_table(rows).files("joints")
-    if successes := known_successes(folder):
-        texts |= success_table(successes).files("tasks")
-    if real := stored_real_rows(folder)[1]:
-        texts |= real_table(real).files("real")
-    if not texts:
+    store = RowStore(folder / ROWS if (folder / ROWS).exists() else None)
+    files = []
+    for name, (kind, table_of) in TABLES.items():
+        if not (rows := store.of(kind)):
+            continue
+        table = table_of(rows)
+        for suffix, text in (("md", table.markdown()), ("csv", table.comma_separated())):
+            write_output(folder / f"{name}.{suffix}", text, RunError)
+            files.append(str(folder / f"{name}.{suffix}"))
+    if not files:
         raise RunError(
-            f"{folder} has no rows yet, no {RESULTS}, {SCORES}, {SUCCESSES} or {OBJECTS}; "
-            "`neoworld bench run` with scenes, joints, task-success or real-poses and --out makes "
-            "them"
+            f"{folder} has no rows yet, no {ROWS}; `neoworld bench run` with scenes, tasks, joints "
+            "or real-poses and --out makes them"
         )
-    for name, text in texts.items():
-        try:
-            write_atomic(folder / name, text)
-        except OSError as error:
-            raise RunError(f"cannot write {folder / name}: {error.strerror}") from None
-    return {"files": [str(folder / name) for name in texts]}
+    return {"files": files}
