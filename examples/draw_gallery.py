@@ -1,17 +1,14 @@
 """Draw the pictures of README and docs/gallery.md from runs of the bundled examples.
 
     uv run neoworld bench run examples --out runs --json
-    uv run python examples/draw_gallery.py runs/replay docs/pictures > pictures.json
-    uv run python -m benchmarks.page --record pictures pictures.json
+    uv run python examples/draw_gallery.py runs/replay docs/pictures
 
 writes examples.jpg (photograph, refined scene, the same with joints open), coffee.jpg (photograph,
 outlines of the reconstruction, refined scene) and report.jpg, a part of the report in a browser,
 which needs chromium (`apt-get install chromium`).
 """
 
-import datetime
 import io
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -23,14 +20,7 @@ from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
-from neoworld_mjx.sweeps.result import commit
 
-SHOWS = {
-    "examples.jpg": "The three bundled photographs, their refined scenes, and these scenes with "
-    "joints open",
-    "coffee.jpg": "`coffee`: photograph, outlines of the objects over it, and refined scene",
-    "report.jpg": "Its report: rows of objects, and the scene in three dimensions",
-}
 HEIGHT, GAP = 300, 8
 REPORT = (820, 1400)
 """Size of the shown part of the report [px]."""
@@ -107,19 +97,11 @@ def report(file: Path) -> Image.Image:
 
 
 def main(runs: Path, out: Path) -> None:
-    """Write the pictures, and print what they show as the result of a suite."""
+    """Write the pictures."""
     folders = [runs / name for name in bundled_examples()]
     sheet([row(folder) for folder in folders]).save(out / "examples.jpg", quality=85)
     sheet([first_look(runs / "coffee")]).save(out / "coffee.jpg", quality=85)
     report(runs / "coffee" / "report.html").save(out / "report.jpg", quality=85)
-    result = {
-        "suite": None,
-        "command": "uv run python examples/draw_gallery.py runs/replay docs/pictures",
-        "date": datetime.date.today().isoformat(),
-        "commit": commit() or "",
-        "rows": [{"picture": name, "shows": text} for name, text in SHOWS.items()],
-    }
-    print(json.dumps(result))
 
 
 if __name__ == "__main__":

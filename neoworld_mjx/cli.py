@@ -59,11 +59,6 @@ def _run_words(args: Sequence[str]) -> int:
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    refusal = getattr(COMMANDS[args[0]].load(), "refusal", None)
-    reason = refusal(args[1:]) if refusal else None
-    if reason is not None:
-        print(f"error: {reason}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
     return run(parse(args[0], args[1:]))
 
 

@@ -53,14 +53,14 @@ def test_the_command_gives_the_figures_of_the_pages(example_run):
         "calls": answer["mllm"]["calls"],
         "objects": answer["movable"],
         "valid": answer["passed"],
-        "drift, mm": 1e3 * answer["max_drift_m"],
-        "tilt, degrees": answer["max_tilt_deg"],
-        "overlap, mm": 1e3 * answer["max_depth_m"],
-        "box IoU": answer["box_iou"]["refined"],
+        "drift_mm": 1e3 * answer["max_drift_m"],
+        "tilt_deg": answer["max_tilt_deg"],
+        "overlap_mm": 1e3 * answer["max_depth_m"],
+        "box_iou": answer["box_iou"]["refined"],
     }
     check_figures("coffee", measured)
     with pytest.raises(AssertionError, match="measure again"):
-        check_figures("coffee", measured | {"tilt, degrees": answer["max_tilt_deg"] + 0.5})
+        check_figures("coffee", measured | {"tilt_deg": answer["max_tilt_deg"] + 0.5})
     with pytest.raises(AssertionError, match="valid"):
         check_figures("coffee", {"valid": not answer["passed"]})
 

@@ -90,13 +90,13 @@ def run_openings(o: suites.Openings) -> dict[str, Any]:
 
 def run_coverage(o: suites.Coverage) -> dict[str, Any]:
     """Count the intervals of aligned objects that contain the truth."""
-    from .methods.coverage import coverage_rows, coverage_table
+    from .methods.interval_coverage import interval_coverage, interval_rows
     from .methods.scene_runs import chosen_scenes
 
-    rows_of = partial(coverage_rows, starts=o.starts, seed=o.seed)
+    jobs = {name: partial(interval_rows, name, o.starts) for name in chosen_scenes(o.scenes)}
     with kept_rows(o) as store:
-        rows = store.all({name: partial(rows_of, name) for name in chosen_scenes(o.scenes)})
-    return {"n": len(rows), "table": coverage_table(rows)}
+        rows = store.all(jobs)
+    return {"n": len(rows), "table": interval_coverage(rows)}
 
 
 def run_rescue(o: suites.Rescues) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
     }
     with kept_rows(o, config) as store:
         rows = store.all(jobs)
-    return {"scenes": plain(rows)}
+    return {"rows": plain(rows)}
 
 
 def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
@@ -220,7 +220,7 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
             )
         result |= {"figures": real_figures(views, objects), "views": plain(views)}
         result |= {"n": len(views), "rows": plain(objects), "table": records(real_table(objects))}
-    return {**result}
+    return result
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:

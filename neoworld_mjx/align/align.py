@@ -45,8 +45,8 @@ NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
-of the log scale. They were set on the development half of the benchmark scenes. `python -m
-benchmarks coverage` counts the 90 % intervals that contain the true value."""
+of the log scale. They were set on the development half of the benchmark scenes. `neoworld
+bench run coverage` counts the 90 % intervals that contain the true value."""
 
 
 @dataclass(frozen=True)

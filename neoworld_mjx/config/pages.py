@@ -3,7 +3,6 @@
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -41,8 +40,8 @@ The last column gives the cost of changing an option during the search, which is
 _DIFFERENCES_HEAD = """\
 # Differences from the paper
 
-The table lists every option whose default differs from the paper, with the reason and the measured
-effect. `configs/paper.yaml` sets all of these options to the paper's values, and a test compares
+The table lists every option whose default differs from the paper, with the reason.
+`configs/paper.yaml` sets all of these options to the paper's values, and a test compares
 that file with this list. `python -m neoworld_mjx.config --write` generates this page from the
 declarations in `neoworld_mjx/config/`.
 
@@ -54,24 +53,13 @@ Three differences have no option:
 - Before the final check, the returned scene is settled. If settling is disabled, its objects are
   snapped exactly onto their supports.
 
-The last column gives the results with the default and with the paper's value, and the commit that
-was measured. [Effects of the differences](benchmarks/differences.md) states which code has changed
-since then. If a cell is empty, the effect was not measured. The plans
+The effects that were measured are in [decisions](decisions.md). The plans
 `configs/ablations/refine.yaml` and `configs/ablations/differences.yaml` measure the options of the
 search.
 
-| option | default | paper | reason | effect |
-|---|---|---|---|---|
+| option | default | paper | reason |
+|---|---|---|---|
 """
-_MEASURED = "benchmarks/figures/differences.yaml"
-"""Measured effects of options outside the search, in the columns option, effect, n and commit."""
-_ABLATIONS = {
-    "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
-    "configs/ablations/differences.yaml": "benchmarks/figures/differences_ablation.yaml",
-}
-"""Plans of ablations, and the files of their results, which exist after they were measured."""
-_EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
-"""Columns of the results of ablations that the page of differences shows, and their formats."""
 
 
 def write_pages(root: Path) -> None:
@@ -79,52 +67,20 @@ def write_pages(root: Path) -> None:
     for name, text in (
         ("configs/default.yaml", default_yaml()),
         ("docs/options.md", options_page()),
-        ("docs/differences-from-the-paper.md", differences_page(root)),
+        ("docs/differences-from-the-paper.md", differences_page()),
     ):
         (root / name).write_text(text, encoding="utf-8")
 
 
-def differences_page(root: Path) -> str:
-    """Return the text of docs/differences-from-the-paper.md.
-
-    Args:
-        root: a checkout of the repository, which contains the figures and the plans of ablations.
-    """
-    measured = {
-        path.strip("`"): f"{effect} (n: {n}; commit {commit})"
-        for path, effect, n, commit in _read(root / _MEASURED)["rows"]
-    }
-    ablated: dict[tuple[str, Any], str] = {}
-    for plan, results in _ABLATIONS.items():
-        if (root / results).is_file():
-            ablated |= _ablated(_read(root / plan)["variants"], _read(root / results))
+def differences_page() -> str:
+    """Return the text of docs/differences-from-the-paper.md."""
     text = [_DIFFERENCES_HEAD]
     for option in list_options(Config):
         if option.difference is not None:
             value, reason = option.difference
-            cells = [f"`{option.path}`", f"`{_flow(option.default)}`", f"`{_flow(value)}`"]
-            effect = measured.get(option.path) or ablated.get((option.path, value), "")
-            text.append(f"| {' | '.join([*cells, reason, effect])} |\n")
+            cells = [f"`{option.path}`", f"`{_flow(option.default)}`", f"`{_flow(value)}`", reason]
+            text.append(f"| {' | '.join(cells)} |\n")
     return "".join(text)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
-
-
-def _ablated(
-    variants: dict[str, dict[str, Any]], results: dict[str, Any]
-) -> dict[tuple[str, Any], str]:
-    """Return the effects of the variants that change a single option, by option and value."""
-    rows = {row[0]: row for row in results["rows"]}
-    base, effects = rows["as it is"], {}
-    for name, change in variants.items():
-        if len(change) == 1 and name in rows:
-            row = rows[name]
-            shown = [words.format(f"{base[k]} and {row[k]}") for k, words in _EFFECTS if row[k]]
-            (option,) = change.items()
-            effects[option] = f"{'; '.join(shown)} (n = {results['n'].split(':')[0]})"
-    return effects
 
 
 def _flow(value: object) -> str:

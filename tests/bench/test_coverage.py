@@ -3,8 +3,12 @@
 import math
 
 import pytest
+from neoworld_bench.methods.interval_coverage import (
+    IntervalRow,
+    interval_coverage,
+    object_errors,
+)
 
-from benchmarks.coverage import Error, _row, object_errors
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.align import desk
 
@@ -57,9 +61,11 @@ def test_objects_of_another_support_do_not_count():
     assert not list(object_errors(truth.model_copy(update={"objects": tuple(objects)}), truth))
 
 
-def test_rows_count_what_the_intervals_hold_and_state_a_factor():
-    found = [Error(f"scene {k % 5}", "yaw", False, 0.1 * k) for k in range(40)]
-    row = _row([*found, Error("scene 0", "along", False, 9.0)], False, "yaw")
+def test_the_coverage_counts_the_intervals_that_hold_the_truth():
+    known = {"evaluation": False, "quantity": "yaw"}
+    rows = [IntervalRow(scene=f"scene {k % 5}", deviations=0.1 * k, **known) for k in range(40)]
+    other = IntervalRow(scene="scene 0", quantity="along", evaluation=False, deviations=9.0)
+    _, row = interval_coverage([*rows, other])
     assert row["n"] == 40 and row["half"] == "development"
     # 1.645 deviations: the errors 0 to 1.6.
     assert row["held"] == pytest.approx(17 / 40)

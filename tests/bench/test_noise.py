@@ -331,7 +331,7 @@ def test_program_noise_has_the_measured_surface_error():
         for number in range(4):
             drawn = wrong_program(item, number, frozenset(), NoiseLog())
             distances.append(geometry_measure(drawn, true).aligned.chamfer_x10)
-    # The twelve objects' mean (docs/benchmarks.md); the truth against itself has .08 to .11.
+    # The twelve objects' mean; the truth against itself has .08 to .11.
     assert np.mean(distances) == pytest.approx(0.139, rel=0.12)
 
 

@@ -7,38 +7,17 @@ from pathlib import Path
 import pytest
 from neoworld_bench import suites
 
-from benchmarks import __main__ as developer
-from benchmarks import suites as developer_suites
 from neoworld_mjx import cli
 
 
-@pytest.mark.parametrize("table", [suites.SUITES, developer_suites.SUITES])
-def test_every_suite_has_a_function_and_documented_options(table):
-    for name, suite in table.items():
+def test_every_suite_has_a_function_and_documented_options():
+    for name, suite in suites.SUITES.items():
         assert callable(suite.load()), name
         assert suite.options.__doc__
         suite.options()
 
 
-def test_developer_suites_match_the_list_of_the_command():
-    assert set(suites.DEVELOPER_SUITES) == set(developer_suites.SUITES)
-
-
-def test_command_explains_how_to_run_developer_suites(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["bench", "run", "verify", "--json"])
-    assert "uv run python -m benchmarks verify --json" in capsys.readouterr().err
-
-
-def test_developer_suite_prints_one_json_object(capfd):
-    arguments = ["battery", "--objects", "1", "--engine", "native", "--json"]
-    with pytest.raises(SystemExit, match="0"):
-        developer.main(arguments)
-    (row,) = json.loads(capfd.readouterr().out)["rows"]
-    assert (row["engine"], row["status"]) == ("native", "ok")
-
-
-def test_packages_do_not_import_tests_or_developer_suites():
+def test_packages_do_not_import_tests_or_benchmarks():
     imports = re.compile(r"^\s*(from|import) (tests|benchmarks)\b", re.MULTILINE)
     roots = (Path(cli.__file__).parent, Path(suites.__file__).parent)
     modules = [path for root in roots for path in root.rglob("*.py")]

@@ -1,4 +1,4 @@
-"""One fault of each kind; `python -m benchmarks faults` injects two hundred.
+"""One fault of each kind.
 
 The slow ones have fast tests of their own: a server that is slow or answers nonsense in tests/mllm,
 clocks in tests/program/test_call_clock.py, two runs on a folder in tests/test_run_folder.py.

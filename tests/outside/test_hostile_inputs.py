@@ -1,4 +1,4 @@
-"""Generated hostile inputs, read in a fresh process (`python -m benchmarks inputs` reads 1000)."""
+"""Generated hostile inputs, read in a fresh process."""
 
 import json
 import os

@@ -1,1 +1,1 @@
-"""Scenes, objects, hostile programs and fake servers that tests and developer benchmarks share."""
+"""Scenes, objects, hostile programs and fake servers that tests share."""

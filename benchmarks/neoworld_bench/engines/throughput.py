@@ -15,6 +15,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -249,7 +250,7 @@ def _penetration_s(model: SceneModel, rollout: Rollout) -> float:
     """Return the time of the pair depths of the placed candidates [s]."""
     poses = rollout.start
     arguments = (poses.pos, rotation(poses.quat), poses.scale)
-    depth: Callable[..., object] = pair_depth
+    depth: Callable[..., Float[Array, "pop object object"]] = pair_depth
     depths = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, model.samples, model.colliders))
     call = lambda: jax.block_until_ready(depths(*arguments))
     call()

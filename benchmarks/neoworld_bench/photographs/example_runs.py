@@ -10,7 +10,6 @@ from typing import Any
 
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import ConfigError, PhotoError, choices
-from neoworld_mjx.mllm import Usage, load_prices
 from neoworld_mjx.mllm.replay import SUFFIX, Tape
 from neoworld_mjx.pipeline import Result, reconstruct
 from neoworld_mjx.pipeline.bundled_examples import BundledExample, bundled_examples
@@ -18,10 +17,7 @@ from neoworld_mjx.pipeline.step_context import TAPE
 from neoworld_mjx.spec import SceneObject, read_scene
 
 from ..rows import Row
-from .token_estimates import estimated_usages
 
-MODELS = ("claude-haiku-5-5", "claude-sonnet-5-5", "claude-opus-5-5", "gpt-6-sol")
-"""Models whose cost is estimated for a tape's requests."""
 COMPARED = (
     *("objects", "joints", "calls", "valid", "drift_mm", "tilt_deg", "overlap_mm", "box_iou"),
     "fallbacks",
@@ -46,15 +42,10 @@ class ExampleRow(Row):
     """Joints that move."""
     calls: int
     tokens_in: int
-    """Tokens; estimated for a tape, as reported by the server otherwise."""
+    """Tokens as reported by the server; 0 for a tape."""
     tokens_out: int
     usd: float | None
     """Cost [USD]; None for a tape, and where a model has no price."""
-    usd_haiku: float | None
-    """Estimated cost with MODELS [USD]; None if the responses come from a server."""
-    usd_sonnet: float | None
-    usd_opus: float | None
-    usd_gpt: float | None
     valid: bool
     drift_mm: float
     """Largest drift of an object in the 2 s of the final check."""
@@ -110,7 +101,6 @@ def run_example(
     config = config.model_copy(update={"provider": provider})
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        usages = stack.enter_context(estimated_usages())
         tape = None if provider == "replay" else folder / f"{name}{SUFFIX}"
         run = folder / provider / name
         began = _processor_s()
@@ -126,7 +116,7 @@ def run_example(
             used.save(tape)
         items = [item for item in read_scene(run).objects if not item.environment]
         spent = _processor_s() - began
-    return _row(name, example, provider, result, usages, used, items, spent)
+    return _row(name, example, provider, result, used, items, spent)
 
 
 def _row(
@@ -134,17 +124,11 @@ def _row(
     example: BundledExample,
     provider: str,
     result: Result,
-    usages: Sequence[Usage],
     used: Tape,
     items: Sequence[SceneObject],
     processor_s: float,
 ) -> ExampleRow:
     m, books = result.metrics, result.cost
-    total = sum(usages, Usage())
-    if provider != "replay":
-        total = Usage(books["tokens"]["input"], books["tokens"]["output"])
-    prices = [load_prices()[model].cost(total) if usages else None for model in MODELS]
-    haiku, sonnet, opus, gpt = (None if usd is None else round(usd, 4) for usd in prices)
     bundled = provider == "replay"
     models = ", ".join(sorted({entry.model for entry in used.answers.values()}))
     return ExampleRow(
@@ -156,13 +140,9 @@ def _row(
         objects=len(items),
         joints=sum(joint.type != "fixed" for item in items for joint in item.spec.joints),
         calls=books["calls"],
-        tokens_in=total.input,
-        tokens_out=total.output,
+        tokens_in=books["tokens"]["input"],
+        tokens_out=books["tokens"]["output"],
         usd=None if bundled else books["cost_usd"],
-        usd_haiku=haiku,
-        usd_sonnet=sonnet,
-        usd_opus=opus,
-        usd_gpt=gpt,
         valid=bool(result.passed),
         drift_mm=1e3 * m["max_drift_m"],
         tilt_deg=m["max_tilt_deg"],

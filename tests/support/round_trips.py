@@ -1,21 +1,16 @@
 """Differences of objects that were written in a format and read again."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.random_objects import random_object
-from benchmarks.suites import RoundTrips
-from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.errors import NeoWorldError
-from neoworld_mjx.export import import_mjcf, import_urdf, import_usd
+from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.importing import Imported
 from neoworld_mjx.format_names import Format
-from neoworld_mjx.program import build
 from neoworld_mjx.spec import (
     JointSpec,
     Material,
@@ -27,13 +22,10 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.finish import finish
 from neoworld_mjx.spec.pose import matrix
-from neoworld_mjx.templates import templates
 
-OBJECTS = Path(__file__).parents[1] / "examples" / "objects"
 READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
     "mjcf": ("object.xml", import_mjcf),
     "urdf": ("object.urdf", import_urdf),
-    "usd": ("object.usdc", import_usd),
 }
 BOUNDS: dict[str, float] = {
     "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,
@@ -43,51 +35,9 @@ BOUNDS: dict[str, float] = {
 LOST: dict[Format, frozenset[str]] = {
     "mjcf": frozenset({"velocity"}),
     "urdf": frozenset({"stiffness", "armature", "shine"}),
-    "usd": frozenset(),
 }
 """Fields of joints and materials that a format cannot store, as `neoworld export` reports."""
 DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")
-
-
-def run_suite(o: RoundTrips) -> dict[str, Any]:
-    """Write and read objects in every format and compare."""
-    rows = {kind: {"format": kind, "objects": 0} | dict.fromkeys(BOUNDS, 0.0) for kind in READERS}
-    bounds_mm = dict.fromkeys(READERS, 0.0)
-    faults: list[str] = []
-    for spec in objects(o):
-        for kind in READERS:
-            rows[kind]["objects"] += 1
-            try:
-                differences = round_trip(spec, kind)
-            except NeoWorldError as error:
-                faults.append(f"{spec.name} {kind}: {error}")
-                continue
-            bounds_mm[kind] = max(bounds_mm[kind], 1e3 * differences.pop("extent_m"))
-            for name, value in differences.items():
-                rows[kind][name] = max(rows[kind][name], value)
-                if value > BOUNDS[name]:
-                    faults.append(f"{spec.name} {kind}: {name} {value:.3g}")
-    for kind in READERS:
-        rows[kind]["colliders_mm"] = bounds_mm[kind]
-    return {"passed": not faults, "rows": list(rows.values()), "faults": faults}
-
-
-def objects(o: RoundTrips) -> Iterator[ObjectSpec]:
-    """Yield the examples, templates, random trees and assets."""
-    options = ProgramOptions()
-    texts = [path.read_text() for path in sorted(OBJECTS.glob("*.py"))]
-    bundled = list(templates().values())
-    texts += [t.program(t.draw(o.seed)) for t in bundled[:: max(len(bundled) // o.templates, 1)]]
-    for text in texts[: len(list(OBJECTS.glob("*.py"))) + o.templates]:
-        built = build(text, options)
-        if built.spec is None:
-            raise ValueError(f"a program does not build: {built.signals}")
-        yield built.spec
-    for seed in range(o.random):
-        yield random_object(o.seed + seed)
-    if o.assets is not None:
-        for path in sorted(o.assets.glob("*/model.xml")):
-            yield import_mjcf(path).spec
 
 
 def round_trip(spec: ObjectSpec, kind: Format) -> dict[str, float]:

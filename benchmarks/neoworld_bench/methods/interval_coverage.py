@@ -1,4 +1,4 @@
-"""Calibration: share of the 90 % intervals of aligned objects that contain the truth."""
+"""Share of the 90 % intervals of aligned objects that hold the truth, over rendered scenes."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -22,61 +22,52 @@ LEVEL, Z = 0.9, 1.645
 """Probability of an interval, and its half-width in standard deviations of a Gaussian."""
 
 
-class CoverageRow(Row):
+class IntervalRow(Row):
     """Error of one number of an aligned object."""
 
     scene: str
-    start: int
-    """Number of the initial scene."""
     quantity: str
     """along, across, yaw or log_scale, as in `PoseUncertainty`."""
+    evaluation: bool
+    """True for initial scenes of the evaluation half."""
     deviations: float
     """Absolute error in stated standard deviations."""
 
 
-def coverage_rows(name: str, *, starts: int, seed: int = 0) -> Iterator[CoverageRow]:
-    """Align a scene's initial scenes with the photograph, and yield the errors of its objects.
-
-    Args:
-        name: name of the scene.
-        starts: number of initial scenes.
-        seed: of the noise.
-    """
+def interval_rows(name: str, starts: int) -> Iterator[IntervalRow]:
+    """Yield the errors of a scene's aligned objects from all its initial scenes."""
     truth = photographed(declaration(name))
     photo, response = photograph(truth), exact_response(truth)
     for start in range(starts):
-        composed = initial_scene(truth, response, noise_number(name, seed, start)).scene
+        composed = initial_scene(truth, response, noise_number(name, 0, start)).scene
         for quantity, value in object_errors(align(composed, photo).scene, truth):
-            yield CoverageRow(scene=name, start=start, quantity=quantity, deviations=value)
+            yield IntervalRow(
+                scene=name, quantity=quantity, evaluation=is_evaluation(start), deviations=value
+            )
 
 
-def coverage_table(rows: Sequence[CoverageRow]) -> list[dict[str, Any]]:
-    """Return by half and quantity the share of intervals that contain the truth.
+def interval_coverage(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
+    """Return the coverage for each half and quantity, with its 95 % interval over scenes.
 
-    "low" and "high" are the ends of the share's interval, clustered by scene. "factor" is by how
-    much the stated deviations must grow so that LEVEL of the intervals contain the truth.
+    `factor` is the factor on the stated deviations at which exactly 90 % would be covered.
     """
-    table = []
-    for evaluation in (False, True):
-        half = [row for row in rows if is_evaluation(row.start) == evaluation]
-        for quantity in dict.fromkeys(row.quantity for row in half):
-            some = [row for row in half if row.quantity == quantity]
-            share, low, high = ratio_interval(
-                ((row.scene, float(row.deviations <= Z), 1.0) for row in some), share=True
-            )
-            largest = float(np.quantile([row.deviations for row in some], LEVEL))
-            table.append(
-                {
-                    "half": "evaluation" if evaluation else "development",
-                    "quantity": quantity,
-                    "n": len(some),
-                    "contained": share,
-                    "low": low,
-                    "high": high,
-                    "factor": largest / Z,
-                }
-            )
-    return table
+    groups = sorted({(row.evaluation, row.quantity) for row in rows})
+    return [_coverage([r for r in rows if (r.evaluation, r.quantity) == g], *g) for g in groups]
+
+
+def _coverage(rows: list[IntervalRow], evaluation: bool, quantity: str) -> dict[str, Any]:
+    held, low, high = ratio_interval(
+        ((row.scene, float(row.deviations <= Z), 1.0) for row in rows), share=True
+    )
+    return {
+        "half": "evaluation" if evaluation else "development",
+        "quantity": quantity,
+        "n": len(rows),
+        "held": held,
+        "low": low,
+        "high": high,
+        "factor": float(np.quantile([row.deviations for row in rows], LEVEL) / Z),
+    }
 
 
 def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, float]]:

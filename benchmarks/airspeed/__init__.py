@@ -1,1 +1,0 @@
-"""Benchmarks for airspeed velocity; the measuring itself is `neoworld_bench`."""

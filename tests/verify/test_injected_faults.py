@@ -1,0 +1,51 @@
+"""Object tests detect and name faults injected into valid objects, and repairs remove them."""
+
+from functools import partial
+
+import pytest
+
+from neoworld_mjx.checks.object_tests import run_object_tests
+from neoworld_mjx.verify.repairs import repair
+from tests.support.injected_faults import KINDS
+from tests.support.valid_objects import valid_objects
+
+run = partial(run_object_tests, threads=1)
+KIND = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+
+
+def faulty_objects(kind, every):
+    """Return every n-th pair of a valid object that can have the fault and a magnitude of it."""
+    broken = [
+        kind.inject(spec, magnitude)
+        for spec in valid_objects()
+        for magnitude in dict.fromkeys(kind.magnitudes)
+    ]
+    return [spec for spec in broken if spec is not None][::every]
+
+
+def check_faults(kind, specs):
+    """Assert that every fault is detected and named, and that 95 % of the repairs succeed."""
+    repaired = 0
+    for spec in specs:
+        first = run(spec)
+        assert first.verdict.cause in kind.causes, spec.name
+        repaired += kind.repairable and repair(spec, run, first=first).after.passed
+    assert not kind.repairable or repaired >= 0.95 * len(specs)
+
+
+@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
+def test_valid_objects_pass(every):
+    for spec in list(valid_objects())[::every]:
+        verdict = run(spec).verdict
+        assert verdict.passed, (spec.name, verdict.faults)
+
+
+@KIND
+def test_a_fault_is_detected_named_and_repaired(kind):
+    check_faults(kind, faulty_objects(kind, 1)[:1])
+
+
+@pytest.mark.slow
+@KIND
+def test_faults_of_all_magnitudes_are_detected_named_and_repaired(kind):
+    check_faults(kind, faulty_objects(kind, 4))
