@@ -129,5 +129,5 @@ def plan_figures(rows: Sequence[PlanRow]) -> dict[str, Any]:
         for name in SHARES:
             parts = [(row.task, float(getattr(row, name)), 1.0) for row in method_rows]
             share, low, high = ratio_interval(parts, share=True)
-            figures[method] |= {name: share, f"{name}_interval": [low, high]}
+            figures[method] |= {f"success_{name}": share, f"success_{name}_interval": [low, high]}
     return {"n": len(rows), "tasks": len({row.task for row in rows}), "methods": figures}
