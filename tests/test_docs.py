@@ -28,7 +28,6 @@ RUN_BY = {
 NOT_RUN = {
     "docs/how-to/use-in-simulators.md": "needs a finished run, and a simulator beside it",
     "docs/tasks.md": "takes long; tests/bench/test_tasks.py executes plans by the same calls",
-    "docs/measures.md": "needs truth of published assets, which their licences keep elsewhere",
     "docs/models.md": "needs a model, and names of a program around it",
     "docs/how-to/sweeps.md": "needs pandas and finished sweeps; tests/sweeps runs sweeps",
     "docs/how-to/learn-in-environments.md": "needs a run with a drawer; the notebook "

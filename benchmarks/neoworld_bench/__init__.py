@@ -12,7 +12,8 @@ Packages that run on them:
 - `measures`: comparisons with ground truth: joints, surfaces, parses, images.
 - `noise`: errors of responses and programs with measured rates; initial scenes made with them.
 - `methods`: the search, its ablations and baselines on the thirty scenes; submissions; calibration.
-- `objects`: reconstructed objects compared with ground-truth files.
+- `objects`: reconstructed objects compared with ground-truth objects.
+- `real_poses`: reconstructions of real photographs compared with depth images and BOP data.
 - `judge`: rendered images compared with photographs, and a model as judge.
 - `rescues`: scenes of meshes with known errors, repaired.
 - `tasks`: 84 manipulation tasks, plans and their execution, task success.

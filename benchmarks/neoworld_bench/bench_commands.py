@@ -63,8 +63,8 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables of the results of `bench run` scenes, tasks, joints and real-poses with --out,
-    in Markdown and CSV: scenes.*, tasks.*, joints.* and real.*.
+    """Write the tables of the results of `bench run` scenes and tasks with --out, in Markdown and
+    CSV: scenes.* and tasks.*.
     """
 
     folder: Positional[Path]

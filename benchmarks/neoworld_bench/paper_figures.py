@@ -1,5 +1,4 @@
-"""Published results on data of their own: the paper's images, judgements, surfaces and joints, and
-other projects' layouts and stability."""
+"""Results of the paper on data of its own: images, judgements, surfaces and joints."""
 
 Rows = dict[str, tuple[float | None, ...]]
 
@@ -67,18 +66,6 @@ PAPER_JOINTS = _table(
     },
 )
 """Joints, decided by paired videos; miss = 1 - hits / total, "type_error" is over all joints."""
-PUBLISHED_LAYOUTS = _table(
-    "box_iou icp_rot_deg add_s recall",
-    {
-        "HY3D-2.0 + FoundationPose": (0.3864, 25.1435, 0.1026, 0.5992),
-        "SAM 3D + FoundationPose": (0.3661, 18.9102, 0.0930, 0.6495),
-        "MIDI": (0.0336, 44.2353, 2.5278, 0.0175),
-        "SAM 3D": (0.4970, 15.2515, 0.0765, 0.7673),
-    },
-)
-"""Layouts on Aria Digital Twin, as in Table 3 of SAM 3D (arXiv 2511.16624)."""
-PUBLISHED_STABILITY = _table("stable", {"REST3D": (0.95,)})
-"""Least stable rate of REST3D's data sets, as its page states ("95%+")."""
 
 
 def of_scenes(*measures: str) -> dict[str, dict[str, dict[str, float]]]:

@@ -162,90 +162,55 @@ def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
 
 
 def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
-    """Measure the errors of each step."""
-    from .fidelity.step_errors import (
-        QUICK,
-        chosen_numbers,
-        lines,
-        photo_rows,
-        photo_summary,
-        searching_little,
-    )
+    """Measure each step's errors."""
+    from .fidelity.step_errors import chosen_numbers, photo_rows, photo_summary
 
-    scenes = chosen_numbers(o.scenes or (QUICK if o.quick else ()))
     steps = partial(
         photo_rows,
         search=not o.no_search,
         seed=o.seed,
         compose_options=config.compose,
-        refine_options=searching_little(config.refine) if o.quick else config.refine,
+        refine_options=config.refine,
         engine=o.engine,
     )
+    jobs = {str(n): partial(steps, (n,)) for n in chosen_numbers(o.scenes)}
     with kept_rows(o, config) as store:
-        rows = store.all({str(n): partial(steps, (n,)) for n in scenes})
-    summary = photo_summary(rows)
-    for line in lines(summary):
-        log.info(line)
-    return {**summary, "rows": plain(rows)}
+        rows = store.all(jobs)
+    return {**photo_summary(rows), "rows": plain(rows)}
 
 
 def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     """Score reconstructions of real photographs."""
-    from .real_poses.pose_estimates import estimate_figures, estimate_rows
     from .real_poses.real_views import real_figures, score_real_views
-    from .tables.real_table import real_table
-    from .tables.text_cells import records
 
     if o.data is None:
         raise ConfigError("real-poses needs DATA, the folder of the data set")
-    result: dict[str, Any] = {}
-    if o.poses is not None:
-        estimates = list(estimate_rows(o.data, o.poses))
-        result |= {"pose_figures": estimate_figures(estimates), "poses": plain(estimates)}
-    if o.poses is None or o.runs or o.submission is not None:
-        with kept_rows(o, config) as store:
-            views, objects = score_real_views(
-                o.data,
-                runs=o.runs,
-                submission=o.submission,
-                kind=o.format,
-                views=o.view,
-                align=o.align,
-                intrinsics=o.intrinsics,
-                depth_scale=o.depth_scale,
-                volumes=not o.no_volumes,
-                options=config.refine,
-                out=o.out,
-                kept=store,
-            )
-        result |= {"figures": real_figures(views, objects), "views": plain(views)}
-        result |= {"n": len(views), "rows": plain(objects), "table": records(real_table(objects))}
-    return result
+    with kept_rows(o, config) as store:
+        views, objects = score_real_views(
+            o.data,
+            o.runs,
+            views=o.view,
+            intrinsics=o.intrinsics,
+            depth_scale=o.depth_scale,
+            options=config.refine,
+            kept=store,
+        )
+    return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
-    from .objects.object_scores import score_figures, score_objects
-    from .tables.joint_table import NOTE, PAPER, joint_table
-    from .tables.text_cells import records
+    from .objects.object_scores import object_names, score_figures, score_object
+    from .paper_figures import PAPER_JOINTS, PAPER_SURFACES
 
-    if o.made is None:
-        raise ConfigError("joints needs --made DIR, the objects, and --partnet PATH or --truth DIR")
+    if o.made is None or o.truth is None:
+        raise ConfigError("joints needs --made DIR and --truth DIR, folders of objects")
+    score = partial(score_object, made=o.made, truth=o.truth, front=o.front, options=config.program)
+    jobs = {name: partial(score, name) for name in object_names(o.made, o.truth, o.object)}
     with kept_rows(o, config) as store:
-        scored = score_objects(
-            o.made,
-            partnet=o.partnet,
-            truth=o.truth,
-            objects=o.object,
-            front=o.front,
-            options=config.program,
-            out=o.out,
-            kept=store,
-        )
-        rows = list(scored)
-    paper = {"joints": PAPER, "note": NOTE}
-    figures = {**score_figures(rows), "n": len(rows), "table": records(joint_table(rows))}
-    return {**figures, "paper": paper, "rows": plain(rows)}
+        rows = store.all(jobs)
+    paper = {"joints": PAPER_JOINTS, "surfaces": PAPER_SURFACES}
+    return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
 
 def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
@@ -254,11 +219,11 @@ def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
     from .judge.picture_rows import picture_figures, picture_rows
     from .measures.picture_similarity import PictureModels
 
-    models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    compare = partial(picture_rows, models=models, side=o.size, objects=not o.no_objects, out=o.out)
-    scenes = made_scenes(o.folders, o.data)
+    models = PictureModels(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
+    compare = partial(picture_rows, models=models, side=o.size)
+    jobs = {each.numbered: partial(compare, each) for each in made_scenes(o.folders, o.data)}
     with kept_rows(o) as store:
-        rows = store.all({scene.numbered: partial(compare, [scene]) for scene in scenes})
+        rows = store.all(jobs)
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
@@ -270,19 +235,8 @@ def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
     scenes = made_scenes(o.folders, o.data)
     # Responses are kept on a tape, from which an interrupted run takes them.
     with kept_rows(o, config) as store, _panel(o, config, store) as models:
-        rows = collect(rating_rows(models, scenes, repeats=o.repeats, out=o.out))
+        rows = collect(rating_rows(models, scenes, repeats=o.repeats))
     return {**rating_figures(rows), "rows": plain(rows)}
-
-
-def run_joint_videos(o: suites.JointVideos, config: Config) -> dict[str, Any]:
-    """Let a model compare the motions of joints."""
-    from .judge.joint_films import object_pairs
-    from .judge.joint_hits import joint_hit_figures, joint_hit_rows
-
-    pairs = object_pairs(o.made, o.truth, config.program, front=o.front)
-    with kept_rows(o, config) as store, _panel(o, config, store) as models:
-        rows = collect(joint_hit_rows(models, pairs, repeats=o.repeats, out=o.out))
-    return {**joint_hit_figures(rows, pairs), "rows": plain(rows)}
 
 
 def _panel(o: suites.ModelRequests, config: Config, store: RowStore) -> Panel:

@@ -109,8 +109,6 @@ class Photos:
 
     scenes: tuple[int, ...] = ()
     """Numbers of scenes, all by default: 0 to 19 are tuned on, 20 to 39 held out."""
-    quick: bool = False
-    """Run two scenes with a small search."""
     no_search: bool = False
     """Skip the search, which takes half a minute per scene on two cores."""
     seed: int = 0
@@ -243,84 +241,59 @@ class Engines:
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
     """Score reconstructions of real photographs against a sensor's depth and true poses, in the
-    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md says
-    what to get where.
+    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md has the layouts.
     """
 
     data: Positional[Path | None] = None
-    """Folder of the data: depth images NAME-depth.png, a data set in the BOP format (YCB-V, T-LESS,
-    HOPE, HomebrewedDB, GraspClutter6D), MessyKitchens, or a recording of Aria Digital Twin."""
+    """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
+    T-LESS, HOPE, HomebrewedDB)."""
     runs: tuple[Path, ...] = ()
     """Run folders named after the views, or folders of such folders. A row is written for each of
     their scenes: composed, aligned and refined."""
-    submission: Path | None = None
-    """Folder of another method's scenes: VIEW/scene.json, scene.xml, scene.usda, scene.glb, or
-    meshes with a poses.json."""
-    poses: Path | None = None
-    """Results file of a pose estimator in BOP's format (scene_id,im_id,obj_id,score,R,t,time): ADD
-    and ADD-S of the data set's own models, with the recall at a tenth of the diameter."""
-    format: Literal["auto", "depth", "bop", "messy-kitchens", "aria-twin"] = "auto"
-    """Format of the data; auto recognizes it by its files."""
     view: tuple[str, ...] = ()
     """Names of views; all that have a reconstruction by default."""
-    align: Literal["auto", "none", "scale", "depth", "objects"] = "auto"
-    """Alignment of the whole scene: by a scale about the camera, by the similarity of the rendered
-    with the sensor's depth, or by that of the objects' centroids. auto takes depth where there is a
-    depth image, else scale, or objects without a camera."""
     intrinsics: tuple[float, float, float, float] | None = None
     """fx, fy, cx and cy [px] of depth images without a camera.json."""
     depth_scale: float | None = None
     """Millimeters of a unit of these depth images."""
-    no_volumes: bool = False
-    """Leave out Chamfer distance, F-score and voxel IoU, which take seconds for each object."""
-    out: Path | None = None
-    """Folder of real_views.parquet and real_objects.parquet; rows replace those of the same view
-    and method."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSuite:
-    """Compare joints and surfaces of reconstructed objects with those of your copy of
-    PartNet-Mobility or with ground-truth files, alongside the paper's 245 joints.
+    """Compare joints and surfaces of reconstructed objects with those of ground-truth objects,
+    alongside the paper's 245 joints.
     """
 
     made: Path | None = None
-    """Folder of objects named like the ground-truth objects: NAME.py, .urdf, .xml or .usda, or
-    NAME/ with program.py, spec.json or object.urdf.
+    """Folder of objects named like the ground-truth objects: NAME.py, .urdf or .xml, or NAME/ with
+    program.py, spec.json or object.urdf.
     """
-    partnet: Path | None = None
-    """Folder of PartNet-Mobility: ID/mobility.urdf with its meshes."""
     truth: Path | None = None
-    """Folder of ground-truth files instead: NAME.json, with NAME.npz if surfaces are sampled."""
+    """Folder of ground-truth objects in the same layout, or of PartNet-Mobility
+    (ID/mobility.urdf)."""
     object: tuple[str, ...] = ()
     """Ground-truth objects; those without a reconstruction count as missed. By default all that
     have one."""
     front: FrontName = "-x"
-    """Direction in which objects of PartNet-Mobility face in their URDF."""
-    out: Path | None = None
-    """Folder of joints.parquet; rows replace those of the same objects."""
+    """Direction in which the ground-truth objects face; -x in PartNet-Mobility."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureSuite(SceneFolders):
     """Compare rendered images of scenes with the photographs: SSIM, and LPIPS, CLIP, DINOv2 and
-    Uni3D if their models are given.
+    Uni3D if their ONNX files are given (docs/measures.md).
     """
 
     clip: Path | None = None
-    """CLIP: a folder with onnx/vision_model.onnx and preprocessor_config.json."""
+    """CLIP: a folder with model.onnx and preprocessor_config.json."""
     dino: Path | None = None
-    """DINOv2: a folder with onnx/model.onnx and preprocessor_config.json."""
+    """DINOv2: a folder with model.onnx and preprocessor_config.json."""
     lpips: Path | None = None
     """LPIPS: an ONNX file with two image inputs."""
     uni3d: Path | None = None
-    """Uni3D: a folder with points.onnx, image.onnx and preprocessor_config.json."""
+    """Uni3D: a folder with points.onnx, model.onnx and preprocessor_config.json."""
     size: int = 512
     """Longer side of a scene's images, at most the photograph's [px]; an object's have 256."""
-    no_objects: bool = False
-    """Measure whole scenes only."""
-    out: Path | None = None
-    """Folder for the compared images, the photograph on the left."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,27 +302,6 @@ class Judge(SceneFolders, ModelRequests):
 
     repeats: int = 3
     """Judgements of each scene."""
-    out: Path | None = None
-    """Folder for answers.json with every response, and the images."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointVideos(ModelRequests):
-    """Show a model the motion of each ground-truth joint next to a reconstructed joint, and count
-    those that it calls the same, as the paper decides hits; also count hits by geometry.
-    """
-
-    made: Path | None = None
-    """Reconstructed object: a program, spec.json, URDF, MJCF or USD, or a folder of them by name.
-    """
-    truth: Path | None = None
-    """Ground-truth object, or a folder of them with the same names."""
-    front: FrontName = "+x"
-    """Direction in the ground-truth objects' frame in which their fronts face."""
-    repeats: int = 1
-    """Responses about each joint; the majority decides."""
-    out: Path | None = None
-    """Folder for answers.json with every response, and the film strips."""
 
 
 SUITES = {
@@ -369,7 +321,6 @@ SUITES = {
         ("joints", ObjectSuite, True),
         ("pictures", PictureSuite, False),
         ("judge", Judge, True),
-        ("joint-videos", JointVideos, True),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""

@@ -7,17 +7,13 @@ import pytest
 from neoworld_bench.measures import geometry_measure
 from neoworld_bench.measures.surface_measure import closeness, surface_points
 
-from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, Sphere
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 
 STEEL = Material(name="steel", density=7800)
 
 
 def thing(*geoms):
     return ObjectSpec(name="thing", materials=(STEEL,), parts=(PartSpec(name="body", geoms=geoms),))
-
-
-def sphere(radius, at=(0, 0, 0), name="ball"):
-    return GeomSpec(name=name, shape=Sphere(radius=radius), pos=at, material="steel")
 
 
 def block(size, at=(0, 0, 0), name="block", **more):
@@ -27,15 +23,6 @@ def block(size, at=(0, 0, 0), name="block", **more):
 def turned(points, degrees):
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
-
-
-def test_chamfer_of_concentric_spheres_is_the_difference_of_radii():
-    a = surface_points(thing(sphere(0.50)), 20_000)
-    b = surface_points(thing(sphere(0.52)), 20_000)
-    result = closeness(a, b)
-    # The nearest sample lies a little beside the nearest point.
-    assert result.chamfer_x10 == pytest.approx(10 * 0.02, rel=0.06)
-    assert result.f_01 == 0 and result.f_05 == pytest.approx(100)
 
 
 def test_closeness_of_parallel_planes():
@@ -66,17 +53,6 @@ def test_samples_are_uniform_by_area_and_deterministic():
     assert np.any(points != surface_points(spec, 20_000, seed=4))
 
 
-def test_only_visible_geoms_are_sampled():
-    spec = thing(
-        block((0.2, 0.2, 0.2)),
-        block((1, 1, 1), name="hull", role="collision"),
-        block((0.1, 0.1, 0.1), at=(0, 0, 0.5), name="dial", role="visual"),
-    )
-    points = surface_points(spec, 2000)
-    assert points[:, 0].max() == pytest.approx(0.1, abs=1e-3)
-    assert points[:, 2].max() == pytest.approx(0.55, abs=1e-3)
-
-
 def chair(at=(0, 0, 0)):
     """A lopsided thing, so that no turn is as good as another."""
     x, y, z = at
@@ -87,18 +63,7 @@ def chair(at=(0, 0, 0)):
     )
 
 
-def test_object_compared_with_itself():
-    spec = chair()
-    result = geometry_measure(spec, surface_points(spec, 4_000, seed=1), samples=4_000)
-    assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 40
-    assert result.aligned.chamfer_x10 <= result.unaligned.chamfer_x10 * 1.02
-    assert abs(result.turn_deg) < 0.5 and result.scale == pytest.approx(1, abs=0.005)
-
-
-OTHER_FITS = [pytest.param(*each, marks=pytest.mark.slow) for each in ((90, 1.0), (180, 1.5))]
-
-
-@pytest.mark.parametrize(("turn", "factor"), [(-83, 0.6), *OTHER_FITS])
+@pytest.mark.parametrize(("turn", "factor"), [(-83, 0.6)])
 def test_fit_recovers_rotation_translation_and_scale(turn, factor):
     spec = chair()
     true = turned(surface_points(spec, 3000, seed=1), turn) * factor + [0.3, -0.2, 0.1]

@@ -67,15 +67,15 @@ def image_tower(path, *, output="image_embeds", side=SIDE, width=16, scale=1.0, 
 
 
 def clip_folder(folder, **changes):
-    """Write CLIP as it is published: onnx/vision_model.onnx and preprocessor_config.json."""
-    image_tower(folder / "onnx" / "vision_model.onnx", **changes)
+    """Write CLIP's image tower: model.onnx and preprocessor_config.json."""
+    image_tower(folder / "model.onnx", **changes)
     (folder / "preprocessor_config.json").write_text(json.dumps(CLIP_CONFIG))
     return folder
 
 
 def dino_folder(folder):
     """Write DINOv2 likewise; its size is larger than its square."""
-    image_tower(folder / "onnx" / "model.onnx", output="last_hidden_state")
+    image_tower(folder / "model.onnx", output="last_hidden_state")
     config = CLIP_CONFIG | {"size": {"shortest_edge": 40}, "crop_size": SIDE}
     (folder / "preprocessor_config.json").write_text(json.dumps(config))
     return folder
@@ -107,7 +107,7 @@ def lpips_file(path, *, size=("h", "w")):
 
 
 def uni3d_folder(folder, *, width=16):
-    """Write Uni3D's two files: the maximum over each group's points and all groups, projected."""
+    """Write Uni3D's files: the maximum over each group's points and all groups, projected."""
     nodes = [
         ("Unsqueeze", ["center", "axis"], ["apart"], {}),
         ("Expand", ["apart", "group"], ["centres"], {}),
@@ -121,6 +121,6 @@ def uni3d_folder(folder, *, width=16):
     weights |= {"axis": np.array([2]), "group": np.array([1, 1, 8, 1])}
     inputs = [("center", [1, 24, 3]), ("features", [1, 24, 8, 6])]
     save(folder / "points.onnx", nodes, inputs, ("pc_embeds", [1, 16]), weights)
-    image_tower(folder / "image.onnx", width=width)
+    image_tower(folder / "model.onnx", width=width)
     (folder / "preprocessor_config.json").write_text(json.dumps(CLIP_CONFIG))
     return folder

@@ -45,8 +45,6 @@ scene that was not aligned is compared with the composed one."""
 MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
 WORSE = {"position_mm": 20.0, "heading_deg": 3.0, "size_percent": 3.0}
 """Growth of an error from which a step counts as having made an object worse."""
-QUICK = (0, 20)
-"""Scenes of a quick run, one of each part."""
 
 
 class PoseError(Row):
@@ -160,12 +158,6 @@ def photo_rows(
             )
 
 
-def searching_little(options: RefineOptions) -> RefineOptions:
-    """Return options of a small search."""
-    cem = {"population": min(48, options.cem.population), "iterations": 3}
-    return options.model_copy(update={"cem": options.cem.model_copy(update=cem)})
-
-
 def chosen_numbers(scenes: Sequence[int]) -> tuple[int, ...]:
     """Return the numbers of scenes, all forty if there are none.
 
@@ -266,27 +258,3 @@ def _growths(row: PhotoRow, before: str, after: str, excused: str) -> Iterator[s
         old, new = (getattr(row.errors[step], name) for step in (before, after))
         if old is not None and new - old > bound:
             yield f"{row.scene}/{row.name}: {name} {old:.1f} to {new:.1f}"
-
-
-def lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield a summary as a table, one line a step, and the objects that were made worse."""
-    for part in ("tuned_on", "held_out"):
-        if part not in summary:
-            continue
-        part_summary = summary[part]
-        objects, scenes = part_summary["objects"], part_summary["scenes"]
-        yield f"{part}: {objects} objects of {scenes} scenes, median (worst)"
-        for step, figures in part_summary["steps"].items():
-            cells = [
-                f"{unit} {of['median']:.2f} ({of['worst']:.1f})"
-                for name, unit in zip(MEASURES, ("mm", "mm in layout", "deg", "%"), strict=True)
-                if (of := figures.get(name))
-            ]
-            if "box_iou" in figures:
-                cells += [
-                    f"IoU {figures['box_iou']:.3f}",
-                    f"{part_summary['valid_scenes'][step]} valid",
-                ]
-            yield f"  {step:12} " + ", ".join(cells)
-        for step, worse in part_summary["made_worse"].items():
-            yield f"  {step}: {len(worse)} made worse" + "".join(f"\n    {x}" for x in worse)

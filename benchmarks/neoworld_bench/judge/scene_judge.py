@@ -4,16 +4,15 @@ Each request shows one scene and is repeated. A response is valid only if all th
 numbers from 1 to 7; other responses and refusals count as missing.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+import asyncio
+from collections.abc import Iterator, Sequence
 from statistics import fmean, stdev
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from neoworld_mjx.errors import ConfigError, ModelError
+from neoworld_mjx.errors import BudgetError, ConfigError, MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Request, Response, package_text
 from neoworld_mjx.render import View, render_scene
 from neoworld_mjx.render.viewpoints import subject_points, with_open_joints
@@ -21,20 +20,13 @@ from neoworld_mjx.spec import SceneSpec
 
 from ..paper_figures import of_scenes
 from ..rows import Row
-from .answer_file import AnswerFile, answers_to, save_pictures
 from .made_scenes import MadeScene
 
 QUESTIONS = ("completeness", "layout", "function")
-NOTE = (
-    "NeoWorld-Pro as the paper reports it, of its own 30 scenes and by its own judge: completeness "
-    "6.20, layout 5.35, function 5.58"
-)
 SHOWN_PX = 640
 """Longer side of the images for the judge [px]."""
-ASIDE_DEG, ABOVE_DEG = (-50.0, 50.0), 40.0
-"""Azimuths of the second view relative to the photograph's, and its elevation [deg]."""
-LOOK_PX = 128
-"""Width of the images that select one of these [px]."""
+ASIDE_DEG, ABOVE_DEG = 50.0, 40.0
+"""Azimuth of the second view relative to the photograph's, and its elevation [deg]."""
 MOST_JOINTS = 40
 """Maximum number of listed joints."""
 
@@ -80,64 +72,31 @@ class RatingRow(Row):
     """Reason for a missing response."""
 
 
-@dataclass(frozen=True)
-class JudgedPictures:
-    """Images of a scene that the judge sees, by label."""
-
-    shown: Mapping[str, np.ndarray]
-
-    def for_request(self) -> list[Picture]:
-        """Return the images, the photograph first."""
-        return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
-
-
-def judged_pictures(reconstruction: MadeScene) -> JudgedPictures:
-    """Render the images of a scene for the judge."""
-    photo, scene = reconstruction.whole(SHOWN_PX)
+def judged_pictures(made: MadeScene) -> list[Picture]:
+    """Render the images of a scene for the judge, the photograph first."""
+    photo, rendered = made.whole(SHOWN_PX)
     height, width = photo.shape[:2]
-    half_open = with_open_joints(reconstruction.scene, 0.5)
-    view = _aside(reconstruction, half_open, width, height)
-    pictures = {
-        "photo": photo,
-        "scene": scene,
-        "aside": render_scene(reconstruction.scene, view).color,
-    }
-    if _moving(reconstruction.scene):
+    half_open = with_open_joints(made.scene, 0.5)
+    backward = -made.camera.axes()[:, 2]
+    view = View.framing(
+        np.vstack([subject_points(made.scene), subject_points(half_open)]),
+        width=width,
+        height=height,
+        azimuth=float(np.arctan2(backward[1], backward[0])) + np.radians(ASIDE_DEG),
+        elevation=np.radians(ABOVE_DEG),
+        margin=1.05,
+    )
+    pictures = {"photo": photo, "scene": rendered, "aside": render_scene(made.scene, view).color}
+    if _moving(made.scene):
         pictures["open"] = render_scene(half_open, view).color
-    return JudgedPictures(pictures)
-
-
-def _aside(reconstruction: MadeScene, half_open: SceneSpec, width: int, height: int) -> View:
-    """Return the view from the side, of two, from which more objects are visible."""
-    subjects = np.vstack([subject_points(reconstruction.scene), subject_points(half_open)])
-    backward = -reconstruction.camera.axes()[:, 2]
-    azimuth = float(np.arctan2(backward[1], backward[0]))
-    views = [
-        View.framing(
-            subjects,
-            width=width,
-            height=height,
-            azimuth=azimuth + np.radians(turn),
-            elevation=np.radians(ABOVE_DEG),
-            margin=1.05,
-        )
-        for turn in ASIDE_DEG
-    ]
-    small = (LOOK_PX, max(1, round(LOOK_PX * height / width)))
-    visible_counts = []
-    for view in views:
-        look = view._replace(width=small[0], height=small[1])
-        owners = render_scene(reconstruction.scene, look, supersample=1).segmentation
-        items = reconstruction.scene.objects
-        visible_counts.append(sum(not items[k].environment for k in np.unique(owners[owners >= 0])))
-    return views[int(np.argmax(visible_counts))]
+    return [Picture.of(label, rgb) for label, rgb in pictures.items()]
 
 
 def rating_request(
-    reconstruction: MadeScene, pictures: JudgedPictures, repeat: int, repeats: int
+    made: MadeScene, pictures: list[Picture], repeat: int, repeats: int
 ) -> Request[SceneRating]:
     """Return the request for one judgement; the repeats of a scene differ by their number."""
-    joints = _moving(reconstruction.scene)
+    joints = _moving(made.scene)
     listed = "\n".join(f"- {line}" for line in joints[:MOST_JOINTS]) or "- none"
     remainder = f"\n- and {len(joints) - MOST_JOINTS} more" if len(joints) > MOST_JOINTS else ""
     prompt = (
@@ -145,48 +104,56 @@ def rating_request(
         "this scene. The others are not known to you: judge it as if it were the only one."
     )
     system = package_text(__package__, "judge").removesuffix("\n")
-    name = f"judge:{reconstruction.name}:{repeat}"
-    return Request("critic", name, system, prompt, SceneRating, pictures.for_request())
+    name = f"judge:{made.name}:{repeat}"
+    return Request("critic", name, system, prompt, SceneRating, pictures)
 
 
 def rating_rows(
-    models: Panel,
-    scenes: Sequence[MadeScene],
-    *,
-    repeats: int = 3,
-    out: Path | None = None,
+    models: Panel, scenes: Sequence[MadeScene], *, repeats: int = 3
 ) -> Iterator[RatingRow]:
     """Yield the judgements of each scene.
 
     Args:
-        models: provides the critic.
+        models: provides the critic; its tape records every response.
         scenes: the scenes.
         repeats: judgements of each.
-        out: folder for answers.json, with every response as it came, and the pictures.
 
     Raises:
         ConfigError: `repeats` is out of range.
         BudgetError: the cost cap is reached.
         MissingResponseError: a tape lacks a response.
-        RunError: a file cannot be written.
     """
     if not 1 <= repeats <= 20:
         raise ConfigError(f"--repeats takes 1 to 20, got {repeats}")
-    file = AnswerFile(out)
-    for reconstruction in scenes:
-        pictures = judged_pictures(reconstruction)
-        if out is not None:
-            save_pictures(out, reconstruction.numbered, pictures.for_request())
-        requests = [
-            rating_request(reconstruction, pictures, k, repeats) for k in range(1, repeats + 1)
-        ]
-        for k, answer in enumerate(answers_to(models, requests), start=1):
-            file.add(requests[k - 1], answer)
-            yield _row(reconstruction, k, answer)
+    for made in scenes:
+        pictures = judged_pictures(made)
+        requests = [rating_request(made, pictures, k, repeats) for k in range(1, repeats + 1)]
+        for k, answer in enumerate(_answers(models, requests), start=1):
+            yield _row(made, k, answer)
+
+
+def _answers(
+    models: Panel, requests: Sequence[Request[SceneRating]]
+) -> list[Response[SceneRating] | ModelError]:
+    """Send requests concurrently; a refusal or invalid response becomes its error."""
+
+    async def one(request: Request[SceneRating]) -> Response[SceneRating] | ModelError:
+        try:
+            return await models.ask(request)
+        except (BudgetError, MissingResponseError):
+            raise
+        except ModelError as error:
+            return error
+
+    async def together() -> list[Response[SceneRating] | ModelError]:
+        return await asyncio.gather(*map(one, requests))
+
+    return models.run(together())
 
 
 def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
-    """Return each question's mean over the n scenes with a valid response, alongside the paper's.
+    """Return each question's mean over the n scenes with a valid response, alongside the paper's,
+    which are of its own scenes by its own judge.
 
     A scene's score is the mean of its valid responses. "sd_scenes" is the standard deviation of
     these scores, "sd_repeats" the mean standard deviation of the responses about one scene; None if
@@ -215,13 +182,11 @@ def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
         "missing": len(rows) - answers,
         **means,
         **spread,
-        "paper": {"scenes": of_scenes("complete", "layout", "function"), "note": NOTE},
+        "paper": of_scenes("complete", "layout", "function"),
     }
 
 
-def _row(
-    reconstruction: MadeScene, repeat: int, answer: Response[SceneRating] | ModelError
-) -> RatingRow:
+def _row(made: MadeScene, repeat: int, answer: Response[SceneRating] | ModelError) -> RatingRow:
     if isinstance(answer, ModelError):
         scores, model, why = dict.fromkeys(QUESTIONS), "", str(answer)
     else:
@@ -229,8 +194,8 @@ def _row(
         scores = {question: getattr(rating, question).score for question in QUESTIONS}
         model, why = answer.model, ""
     return RatingRow(
-        folder=reconstruction.name,
-        scene_number=reconstruction.number,
+        folder=made.name,
+        scene_number=made.number,
         repeat=repeat,
         **scores,
         model=model,

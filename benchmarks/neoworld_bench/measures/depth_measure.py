@@ -99,8 +99,6 @@ def depth_measure(
     segmentation: Int[np.ndarray, "h w"],
     names: tuple[str, ...],
     sensor: Float[np.ndarray, "h w 3"],
-    *,
-    similarity: Similarity | None = None,
 ) -> DepthMeasure:
     """Compare the points of a rendered scene with the points of a sensor, pixel by pixel.
 
@@ -111,7 +109,6 @@ def depth_measure(
         names: names of the objects by index.
         sensor: measured points in the frame of the sensor's camera [m]. The depth of a pixel
             without a measurement is 0.
-        similarity: similarity transform to use. If None, it is fitted.
 
     Raises:
         ValueError: fewer than LEAST_PIXELS pixels have both depths.
@@ -126,7 +123,7 @@ def depth_measure(
         )
     source, target, owner = rendered[overlap], sensor[overlap], segmentation[overlap]
     tolerance = TOLERANCE * float(np.median(target[:, 2]))
-    fitted = similarity or robust_similarity(source, target, tolerance)
+    fitted = robust_similarity(source, target, tolerance)
     off = fitted.apply(source) - target
     distance = np.linalg.norm(off, axis=1)
     objects = {}
@@ -166,11 +163,10 @@ def robust_similarity(source: Points, target: Points, tolerance: float) -> Simil
 
 
 def least_squares_similarity(
-    source: Points, target: Points, weights: Float[np.ndarray, " n"] | None = None
+    source: Points, target: Points, weights: Float[np.ndarray, " n"]
 ) -> Similarity:
     """Return the similarity with the smallest weighted sum of squared distances (Umeyama 1991)."""
-    w = np.full(len(source), 1.0) if weights is None else weights
-    w = w / w.sum()
+    w = weights / weights.sum()
     a, b = w @ source, w @ target
     p, q = source - a, target - b
     rotation = Rotation.align_vectors(q, p, weights=w)[0].as_matrix()

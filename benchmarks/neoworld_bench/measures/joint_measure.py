@@ -63,7 +63,7 @@ class JointPair(Spec):
 
 
 class JointMeasure(Spec):
-    """Comparison of the joints of one or several objects with the ground truth."""
+    """Comparison of the joints of an object with the ground truth."""
 
     name: str
     total: int
@@ -108,34 +108,28 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     estimated_joints, true_joints = _normalised(estimate), _normalised(truth)
     pairs = tuple(
         _pair(estimated_joints[j], true_joints[i])
-        for i, j in _assigned(estimated_joints, true_joints, MIN_AGREEMENT)
+        for i, j in _assigned(estimated_joints, true_joints)
     )
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
     missed = tuple(joint.name for joint in true_joints if joint.name not in matched)
     extra = tuple(joint.name for joint in estimated_joints if joint.name not in used)
-    return _summed(truth.name, pairs, missed, extra)
-
-
-def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
-    """Return the name of the reconstructed joint assigned to each ground-truth joint, by name.
-
-    Joints are assigned as in `joint_measure`, but without a minimum overlap. Ground-truth joints
-    are left out only if fewer joints were reconstructed.
-    """
-    estimated_joints, true_joints = _normalised(truth_of(predicted)), _normalised(truth)
-    return {
-        true_joints[i].name: estimated_joints[j].name
-        for i, j in _assigned(estimated_joints, true_joints, -1.0)
-    }
-
-
-def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
-    """Pool the joints of several objects; every joint has the same weight."""
-    return _summed(
-        name,
-        tuple(pair for measure in measures for pair in measure.pairs),
-        tuple(f"{m.name}.{joint}" for m in measures for joint in m.missed),
-        tuple(f"{m.name}.{joint}" for m in measures for joint in m.extra),
+    hits, total = len(pairs), len(true_joints)
+    wrong = sum(pair.true_type != pair.predicted_type for pair in pairs)
+    return JointMeasure(
+        name=truth.name,
+        total=total,
+        predicted=len(estimated_joints),
+        hits=hits,
+        missed=missed,
+        extra=extra,
+        correct=sum(pair.correct for pair in pairs),
+        miss=1 - hits / total if total else None,
+        type_error=(wrong + len(missed)) / total if total else None,
+        type_error_hits=wrong / hits if hits else None,
+        axis_deg=mean_of_known([pair.axis_deg for pair in pairs]),
+        pivot=mean_of_known([pair.pivot for pair in pairs]),
+        limits=mean_of_known([pair.limits for pair in pairs]),
+        pairs=pairs,
     )
 
 
@@ -177,7 +171,7 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
 
 
 def _assigned(
-    estimated_joints: Sequence[TrueJoint], true_joints: Sequence[TrueJoint], least: float
+    estimated_joints: Sequence[TrueJoint], true_joints: Sequence[TrueJoint]
 ) -> list[tuple[int, int]]:
     """Return the pairs (true index, estimated index) with the largest sum of similarities."""
     worth = np.zeros((len(true_joints), len(estimated_joints)))
@@ -185,7 +179,7 @@ def _assigned(
     for i, true in enumerate(true_joints):
         for j, estimate in enumerate(estimated_joints):
             agreement = box_agreement(estimate, true)
-            if agreement >= least:
+            if agreement >= MIN_AGREEMENT:
                 allowed[i, j] = True
                 worth[i, j] = (
                     agreement
@@ -269,26 +263,3 @@ def _range_overlap(estimate: TrueJoint, true: TrueJoint, *, flipped: bool) -> fl
     common = min(high, true.limits[1]) - max(low, true.limits[0])
     union = max(high, true.limits[1]) - min(low, true.limits[0])
     return max(common, 0.0) / union if union > 0 else 1.0
-
-
-def _summed(
-    name: str, pairs: tuple[JointPair, ...], missed: tuple[str, ...], extra: tuple[str, ...]
-) -> JointMeasure:
-    hits, total = len(pairs), len(pairs) + len(missed)
-    wrong = sum(pair.true_type != pair.predicted_type for pair in pairs)
-    return JointMeasure(
-        name=name,
-        total=total,
-        predicted=hits + len(extra),
-        hits=hits,
-        missed=missed,
-        extra=extra,
-        correct=sum(pair.correct for pair in pairs),
-        miss=1 - hits / total if total else None,
-        type_error=(wrong + len(missed)) / total if total else None,
-        type_error_hits=wrong / hits if hits else None,
-        axis_deg=mean_of_known([pair.axis_deg for pair in pairs]),
-        pivot=mean_of_known([pair.pivot for pair in pairs]),
-        limits=mean_of_known([pair.limits for pair in pairs]),
-        pairs=pairs,
-    )

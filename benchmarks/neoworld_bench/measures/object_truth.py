@@ -1,25 +1,14 @@
-"""Ground truth of an object, read from a file: its joints and its surface.
-
-    {"name": "cabinet", "front": "+x", "box": [[x, y, z], [x, y, z]],
-     "joints": [{"name": "hinge", "type": "revolute", "axis": [0, 0, 1], "pivot": [0.2, 0.3, 0],
-                 "limits": [0, 1.6], "parent": "body", "child": "door",
-                 "moving_box": [[0.2, -0.3, 0], [0.22, 0.3, 0.7]]}]}
+"""Ground truth of an object: the joints that move, and boxes of the parts that they move.
 
 Units are meters and radians. All positions are in one frame with +z up, with all joints at zero.
-`front` is the direction in which the object's front faces. `moving_box` is the box (low, high) of
-all parts that the joint moves. Files omit joints that move nothing visible. Samples of the surface
-may be in an .npz file of the same name, as `points` [n, 3] in the same frame.
 """
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import model_validator
 
-from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import read_json
 from neoworld_mjx.spec import Number, ObjectSpec, Spec, Vec3, bounds, pieces
 from neoworld_mjx.spec.convex import box_around
 from neoworld_mjx.spec.pose import triple
@@ -64,7 +53,6 @@ class ObjectTruth(Spec):
     box: Box
     """Low and high corner of the whole object, with all joints at zero [m]."""
     joints: tuple[TrueJoint, ...] = ()
-    source: str = Field(default="", description="Source and licence.")
 
     @model_validator(mode="after")
     def _valid(self) -> "ObjectTruth":
@@ -74,32 +62,8 @@ class ObjectTruth(Spec):
         return self
 
 
-def read_truth(path: Path) -> ObjectTruth:
-    """Read a ground-truth file.
-
-    Raises:
-        SpecError: the file cannot be read or is invalid.
-    """
-    return truth_from(read_json(path, SpecError), str(path))
-
-
-def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
-    """Validate a ground truth given as a mapping.
-
-    Raises:
-        SpecError: the mapping is invalid; the message names up to four invalid fields.
-    """
-    try:
-        return ObjectTruth.model_validate(data)
-    except ValidationError as error:
-        wrong = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'truth'}: {e['msg']}" for e in error.errors()[:4]
-        )
-        raise SpecError(f"{name}: {wrong}") from None
-
-
 def truth_of(spec: ObjectSpec) -> ObjectTruth:
-    """Convert a reconstructed object to an `ObjectTruth`, without fixed joints."""
+    """Return the joints of an object that move, and its box."""
     low, high = bounds(spec)
     joints = []
     for joint in spec.joints:
@@ -166,11 +130,6 @@ def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
 def diagonal(truth: ObjectTruth) -> float:
     """Return the diagonal of an object's box [m]."""
     return float(np.linalg.norm(np.ptp(np.array(truth.box), axis=0)))
-
-
-def quarter_turns(front: Front) -> int:
-    """Return the number of quarter turns about +z that rotate a front to +x."""
-    return _TURNS[front]
 
 
 def quarter_turn(count: int) -> NDArray:

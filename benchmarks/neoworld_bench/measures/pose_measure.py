@@ -1,9 +1,6 @@
-"""Published measures of poses and layouts.
+"""Layout measures of SAM 3D (2025), for predicted shapes and poses: ADD-S, ICP rotation, 3D IoU.
 
-If only the pose of a known model is predicted, `add` and `adi` are ADD and ADD-S as defined by
-Hinterstoisser et al. 2012 and by BOP. If shape and pose are predicted, ADD-S, ICP rotation and 3D
-IoU are the layout measures of SAM 3D (2025). This ADD-S compares two posed point sets in both
-directions and is divided by the diameter.
+This ADD-S compares two posed point sets in both directions and is divided by the diameter.
 """
 
 from typing import NamedTuple
@@ -14,12 +11,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 RECALL = 0.1
-"""A pose is correct if ADD or ADD-S is below this fraction of the diameter."""
+"""A pose is correct if ADD-S is below this fraction of the diameter."""
 ICP_STEPS, ICP_CHANGE = 100, 1e-10
 
 Points = Float[np.ndarray, "n 3"]
 TruePoints = Float[np.ndarray, "m 3"]
-Matrix4 = Float[np.ndarray, "4 4"]
 
 
 class LayoutMeasure(NamedTuple):
@@ -43,20 +39,6 @@ def layout_measure(predicted: Points, truth: TruePoints, diameter: float) -> Lay
     """
     score = add_s(predicted, truth) / diameter
     return LayoutMeasure(score, score < RECALL, icp_rotation_deg(predicted, truth))
-
-
-def add(model: Points, predicted: Matrix4, truth: Matrix4) -> float:
-    """Return ADD: the mean distance between a model's points at two poses [m]."""
-    return float(np.linalg.norm(_posed(model, predicted) - _posed(model, truth), axis=1).mean())
-
-
-def adi(model: Points, predicted: Matrix4, truth: Matrix4) -> float:
-    """Return ADD-S of a model at two poses [m], for objects with indistinguishable views.
-
-    It is the mean distance from the points at the true pose to the nearest point at the predicted
-    pose.
-    """
-    return float(KDTree(_posed(model, predicted)).query(_posed(model, truth))[0].mean())
 
 
 def add_s(predicted: Points, truth: TruePoints) -> float:
@@ -101,7 +83,3 @@ def axis_box_iou(a: Points, b: TruePoints) -> float:
     common = float(np.prod(np.maximum(high - low, 0.0)))
     union = float(np.prod(np.ptp(a, axis=0)) + np.prod(np.ptp(b, axis=0))) - common
     return common / union if union > 0 else 0.0
-
-
-def _posed(points: Points, pose: Matrix4) -> Points:
-    return points @ pose[:3, :3].T + pose[:3, 3]

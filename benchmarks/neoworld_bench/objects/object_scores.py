@@ -1,7 +1,10 @@
-"""Scores of reconstructed objects, and their totals."""
+"""Scores of reconstructed objects against ground-truth objects of the same name, and their totals.
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+Both are files of objects: programs, spec.json, URDF or MJCF, such as ID/mobility.urdf of
+PartNet-Mobility.
+"""
+
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +12,32 @@ import numpy as np
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import SpecError, choices
-from neoworld_mjx.io import read_arrays
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.checking import object_of_file
 
-from ..measures import canonical_points, geometry_measure, joint_measure, read_truth
+from ..measures.joint_measure import joint_measure
 from ..measures.mean import Mean
-from ..measures.object_truth import Front, ObjectTruth
-from ..measures.surface_measure import SAMPLES
-from ..rows import ROWS, Row, RowStore
-from .made_objects import object_files
-from .partnet import TrueObject, partnet_folders, partnet_object
+from ..measures.object_truth import Front, ObjectTruth, canonical_points, truth_of
+from ..measures.surface_measure import SAMPLES, geometry_measure, surface_points
+from ..rows import Row
 
+OBJECT_FILES = (
+    *("resized.json", "verified.json", "spec.json", "program.py", "object.urdf", "object.xml"),
+    "mobility.urdf",
+)
+"""Names of an object's file in its folder, by priority."""
+SUFFIXES = (".py", ".urdf", ".xml", ".mjcf")
+"""Suffixes of an object's file without a folder."""
 SURFACE = ("chamfer_x10", "f_01", "f_05")
 """Measures of surfaces after the fit."""
+TRUE_SEED = 1
+"""Seed of the samples of the ground truth; that of reconstructed objects is 0."""
 
 
 class ObjectScoreRow(Row):
     """Scores of one reconstructed object."""
 
     object: str
-    category: str
     total: int
     """Ground-truth joints."""
     predicted: int
@@ -47,12 +55,11 @@ class ObjectScoreRow(Row):
     limits: float | None
     limits_n: int
     chamfer_x10: float | None
-    """Chamfer distance after the fit; None without samples of the ground truth or without an
-    object."""
+    """Chamfer distance after the fit; None without an object."""
     f_01: float | None
     f_05: float | None
     raw_chamfer_x10: float | None
-    """Without the fit, for ground truth in metres; so is raw_f_05."""
+    """Without the fit; so is raw_f_05."""
     raw_f_05: float | None
     scale: float | None
     """Scale factor of the fit."""
@@ -62,103 +69,83 @@ class ObjectScoreRow(Row):
     """Reason why there is no object; all its joints then count as missed."""
 
 
-def true_folder(path: Path) -> Mapping[str, Path]:
-    """Return the ground-truth files of a folder by object.
+def object_files(folder: Path) -> dict[str, Path]:
+    """Return the files of the objects of a folder by name: files, or folders of one object each.
 
     Raises:
-        SpecError: there are none.
+        SpecError: there is no such folder, or it holds no object.
     """
-    files = {file.stem: file for file in sorted(path.glob("*.json"))}
+    if not folder.is_dir():
+        raise SpecError(f"there is no folder {folder}")
+    files: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        file = path
+        if path.is_dir():
+            file = next((path / name for name in OBJECT_FILES if (path / name).is_file()), None)
+        if file is not None and (path.is_dir() or path.suffix.lower() in SUFFIXES):
+            files[path.name if path.is_dir() else path.stem] = file
     if not files:
-        raise SpecError(f"{path} holds no truth: expected NAME.json, with NAME.npz where sampled")
+        raise SpecError(
+            f"{folder} holds no object: expected is NAME with one of {', '.join(SUFFIXES)}, or "
+            f"NAME/ with one of {', '.join(OBJECT_FILES)}"
+        )
     return files
 
 
-def read_true(file: Path, front: Front, samples: int = SAMPLES) -> TrueObject:
-    """Read an object of PartNet-Mobility (a folder) or a ground-truth file with its samples.
+def object_names(made: Path, truth: Path, objects: Sequence[str] = ()) -> list[str]:
+    """Return the named ground-truth objects, or those that were reconstructed.
 
     Raises:
-        SpecError: a file cannot be read.
+        SpecError: a folder holds no object, a name is unknown, or no object is in both.
     """
-    if file.is_dir():
-        return partnet_object(file, front=front, samples=samples)
-    truth, beside = read_truth(file), file.with_suffix(".npz")
-    if not beside.exists():
-        return TrueObject(truth, None)
-    arrays = read_arrays(beside, SpecError)
-    if "points" not in arrays or arrays["points"].ndim != 2 or arrays["points"].shape[1] != 3:
-        raise SpecError(f"{beside} must hold points [n, 3]")
-    return TrueObject(truth, canonical_points(arrays["points"], truth))
-
-
-def score_objects(
-    made: Path,
-    *,
-    partnet: Path | None = None,
-    truth: Path | None = None,
-    objects: Sequence[str] = (),
-    front: Front = "-x",
-    options: ProgramOptions | None = None,
-    out: Path | None = None,
-    kept: RowStore | None = None,
-    samples: int = SAMPLES,
-) -> Iterator[ObjectScoreRow]:
-    """Yield a row for each ground-truth object that was reconstructed, or for all named ones.
-
-    Args:
-        made: folder of reconstructed objects, by the names of the ground-truth ones.
-        partnet: folder of PartNet-Mobility.
-        truth: folder of truth files instead.
-        objects: names of ground-truth objects; one that was not made is missed whole.
-        front: direction in which objects of PartNet-Mobility face.
-        options: of made programs.
-        out: folder of results, in which rows replace those of the same objects.
-        kept: rows of an interrupted run.
-        samples: of each surface.
-
-    Raises:
-        SpecError: there is no truth, or none of a reconstructed object.
-    """
-    if (partnet is None) == (truth is None):
-        raise SpecError("name the truth: --partnet PATH, or --truth DIR")
-    files = object_files(made)
-    known = partnet_folders(partnet) if partnet is not None else true_folder(truth or Path())
+    files, known = object_files(made), object_files(truth)
     for name in objects:
         if name not in known:
             raise SpecError(f"object: {choices(name, known)}")
     names = list(objects) or [name for name in known if name in files]
     if not names:
         raise SpecError(
-            f"{made} has no object of {partnet or truth}: it has {', '.join(list(files)[:8])}, "
-            f"which has {', '.join(list(known)[:8])}"
+            f"{made} has no object of {truth}: it has {', '.join(list(files)[:8])}, which has "
+            f"{', '.join(list(known)[:8])}"
         )
-    stored = RowStore(None if out is None else out / ROWS)
-
-    def scored(name: str) -> list[ObjectScoreRow]:
-        true = read_true(known[name], front, samples)
-        return [_scored(name, files.get(name), true, options or ProgramOptions(), samples)]
-
-    for name in names:
-        rows = (kept or RowStore(None)).rows(name, partial(scored, name))
-        stored.put(f"joints {name}", rows)
-        yield from rows
+    return names
 
 
-def _scored(
-    name: str, file: Path | None, true: TrueObject, options: ProgramOptions, samples: int
-) -> ObjectScoreRow:
-    spec, reason = None, "not made"
+def score_object(
+    name: str,
+    made: Path,
+    truth: Path,
+    *,
+    front: Front = "+x",
+    options: ProgramOptions | None = None,
+    samples: int = SAMPLES,
+) -> Iterator[ObjectScoreRow]:
+    """Yield the row of a ground-truth object.
+
+    Args:
+        name: of the object in both folders; if it was not made, all its joints are missed.
+        made: folder of reconstructed objects.
+        truth: folder of ground-truth objects.
+        front: direction in which ground-truth objects face.
+        options: of made programs.
+        samples: of each surface.
+
+    Raises:
+        SpecError: the ground-truth object cannot be read.
+    """
+    o = options or ProgramOptions()
+    true_spec = object_of_file(object_files(truth)[name], o)
+    true = truth_of(true_spec).model_copy(update={"front": front})
+    file, spec, reason = object_files(made).get(name), None, "not made"
     if file is not None:
         try:
-            spec, reason = object_of_file(file, options), ""
+            spec, reason = object_of_file(file, o), ""
         except SpecError as error:
             reason = str(error)[:300]
-    predicted = ObjectTruth(name=name, box=true.truth.box) if spec is None else spec
-    joints = joint_measure(predicted, true.truth)
-    parts = {joint.name: joint.child for joint in true.truth.joints}
-    return ObjectScoreRow(
+    joints = joint_measure(ObjectTruth(name=name, box=true.box) if spec is None else spec, true)
+    parts = {joint.name: joint.child for joint in true.joints}
+    yield ObjectScoreRow(
         object=name,
-        category=true.category,
         total=joints.total,
         predicted=joints.predicted,
         hits=joints.hits,
@@ -170,16 +157,18 @@ def _scored(
         pivot_n=joints.pivot.n,
         limits=joints.limits.value,
         limits_n=joints.limits.n,
-        **_surface(spec, true, samples),
+        **_surface(spec, true, surface_points(true_spec, samples, TRUE_SEED)),
         missed=", ".join(f"{joint} ({parts[joint]})" for joint in joints.missed),
         reason=reason,
     )
 
 
-def _surface(spec: ObjectSpec | None, true: TrueObject, samples: int) -> dict[str, float | None]:
-    if spec is None or true.points is None:
+def _surface(
+    spec: ObjectSpec | None, true: ObjectTruth, points: np.ndarray
+) -> dict[str, float | None]:
+    if spec is None:
         return dict.fromkeys((*SURFACE, "raw_chamfer_x10", "raw_f_05", "scale"))
-    geometry = geometry_measure(spec, true.points, samples=samples)
+    geometry = geometry_measure(spec, canonical_points(points, true), samples=len(points))
     plain = geometry.unaligned
     raw = {"raw_chamfer_x10": plain.chamfer_x10, "raw_f_05": plain.f_05, "scale": geometry.scale}
     return {name: getattr(geometry.aligned, name) for name in SURFACE} | raw

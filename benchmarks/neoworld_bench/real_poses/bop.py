@@ -2,15 +2,14 @@
 
     DATA/models_eval/obj_000001.ply, models_info.json      or models, models_cad [mm]
     DATA/SPLIT/SCENE/scene_camera.json, scene_gt.json, scene_gt_info.json, depth/IMAGE.png
-    DATA/test_targets_bop19.json
 
 Compared field by field with docs/bop_datasets_format.md of thodan/bop_toolkit (commit a3b3256):
 `cam_K` and `cam_R_m2c` row by row; poses map the model's frame to the camera's (OpenCV, z ahead);
 models and translations in millimeters; depth times `depth_scale` is millimeters; `visib_fract` is
 the visible share of the silhouette; the diameter is the largest distance of two vertices of the
 evaluation model. Not read: `models_info.json` (diameters are computed, and ADD-S needs no
-symmetries), masks, `cam_R_w2c`, and files of several sensors (`scene_gt_CAMTYPE.json`).
-GraspClutter6D has the same files below `scenes`, with models in meters in `models_m`.
+symmetries), the list of targets, masks, `cam_R_w2c`, and files of several sensors
+(`scene_gt_CAMTYPE.json`).
 """
 
 import re
@@ -23,22 +22,13 @@ import numpy as np
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.load_mesh import load_mesh
-from neoworld_mjx.io import read_json, read_object
+from neoworld_mjx.io import read_object
 
 from ..measures.depth_measure import Intrinsics
 from .true_views import PosedObject, TrueView, diameter_of, numbers, read_depth, rigid
 
-MODELS = {
-    "models_eval": 1e-3,
-    "models": 1e-3,
-    "models_cad": 1e-3,
-    "models_reconst": 1e-3,
-    "models_fine": 1e-3,
-    "models_m": 1.0,
-}
-"""Folders of meshes in the order of preference, and meters of a unit; models_m is
-GraspClutter6D's."""
-TARGETS = "test_targets_bop19.json"
+MODELS = ("models_eval", "models", "models_cad", "models_reconst", "models_fine")
+"""Folders of meshes in millimeters, in the order of preference."""
 CAMERA, POSES, INFO = "scene_camera.json", "scene_gt.json", "scene_gt_info.json"
 LEAST_VISIBLE = 0.1
 """Least visible share of an object; BOP's targets have the same bound."""
@@ -79,28 +69,6 @@ def bop_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
                 yield _view(name, folder, image, cameras, poses[image], info.get(image), models)
 
 
-def bop_targets(path: Path) -> dict[str, set[str]]:
-    """Return the models to find in each view of BOP's evaluation; empty without its list.
-
-    Args:
-        path: the data set, a split, or a scene.
-
-    Raises:
-        SpecError: the list is broken.
-    """
-    files = (root / TARGETS for root in (path, path.parent, path.parent.parent))
-    file = next((file for file in files if file.is_file()), None)
-    targets: dict[str, set[str]] = {}
-    entries = [] if file is None else read_json(file, SpecError)
-    for index, entry in enumerate(entries if isinstance(entries, list) else [None]):
-        where = f"{file}, target {index}"
-        scene, image, model = (
-            int(numbers(entry, key, 1, where)[0]) for key in ("scene_id", "im_id", "obj_id")
-        )
-        targets.setdefault(f"{scene:06d}_{image:06d}", set()).add(f"obj_{model:06d}")
-    return targets
-
-
 def _view(
     name: str,
     folder: Path,
@@ -108,7 +76,7 @@ def _view(
     cameras: Mapping[str, Any],
     poses: Any,
     info: Any,
-    models: tuple[Path, float],
+    models: Path,
 ) -> TrueView:
     where = f"{folder / CAMERA}, image {image}"
     camera = cameras.get(image)
@@ -129,7 +97,7 @@ def _view(
         pose = rigid(numbers(entry, "cam_R_m2c", 9, here), shift, here)
         if _visible(info, index) < LEAST_VISIBLE:
             continue
-        vertices, faces, diameter = _model(*models, number)
+        vertices, faces, diameter = _model(models, number)
         stem = f"obj_{number:06d}"
         copies = sum(item.name.rpartition("_")[0] == stem or item.name == stem for item in objects)
         label = stem if not copies else f"{stem}_{copies + 1}"
@@ -147,18 +115,18 @@ def _visible(info: Any, index: int) -> float:
 
 
 @lru_cache(maxsize=256)
-def _model(folder: Path, unit: float, number: int) -> tuple[np.ndarray, np.ndarray, float]:
+def _model(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray, float]:
     vertices, faces = load_mesh(folder / f"obj_{number:06d}.ply")
-    vertices = unit * vertices
+    vertices = 1e-3 * vertices
     return vertices, faces, diameter_of(vertices)
 
 
-def _models(path: Path) -> tuple[Path, float]:
+def _models(path: Path) -> Path:
     """Return the folder of meshes of a data set, of which the path may be a part."""
     for root in (path, path.parent, path.parent.parent):
-        for name, unit in MODELS.items():
+        for name in MODELS:
             if any((root / name).glob("obj_*.ply")):
-                return root / name, unit
+                return root / name
     raise SpecError(
         f"{path}: no folder with obj_000001.ply and so on; expected next to the scenes is one of "
         f"{', '.join(MODELS)}"

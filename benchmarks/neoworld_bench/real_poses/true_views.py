@@ -28,14 +28,12 @@ class PosedObject:
 
     name: str
     vertices: Float[np.ndarray, "v 3"]
-    """In the model's frame [m]; the corners of its box if the data set has no mesh."""
+    """In the model's frame [m]."""
     faces: Int[np.ndarray, "f 3"]
     pose: Float[np.ndarray, "4 4"]
     """Pose of the model in the frame of the view [m]."""
     diameter: float
     """Largest distance of two vertices [m]."""
-    meshed: bool = True
-    """False if the vertices are only the corners of a box."""
 
     @property
     def posed(self) -> Float[np.ndarray, "v 3"]:
@@ -45,14 +43,14 @@ class PosedObject:
 
 @dataclass(frozen=True)
 class TrueView:
-    """One photograph, or one scene if the data set gives no camera."""
+    """One photograph."""
 
     name: str
-    objects: tuple[PosedObject, ...] = ()
-    """In the camera's frame (OpenCV: x right, y down, z ahead), or the scene's without a camera."""
-    camera: Intrinsics | None = None
+    objects: tuple[PosedObject, ...]
+    """In the camera's frame (OpenCV: x right, y down, z ahead)."""
+    camera: Intrinsics
     size: tuple[int, int] | None = None
-    """Width and height of the image [px]."""
+    """Width and height of the image [px]; None without a depth image."""
     depth: Float[np.ndarray, "h w"] | None = None
     """Depth along the optical axis [m]; 0 where the sensor measured none."""
 

@@ -1,4 +1,4 @@
-"""Tables of the rows in a folder: scenes, tasks, objects, real photographs."""
+"""Tables of the rows in a folder: scenes and tasks."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,20 +8,14 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.io.files import write_output
 
 from ..methods.scene_runs import SceneRow
-from ..objects.object_scores import ObjectScoreRow
-from ..real_poses.pose_rows import RealObjectRow
 from ..rows import ROWS, RowStore
 from ..tasks.success_runs import SuccessRow
-from .joint_table import joint_table
-from .real_table import real_table
 from .scene_table import scene_table
 from .task_table import task_table
 
 TABLES: dict[str, tuple[type[Any], Callable[..., Any]]] = {
     "scenes": (SceneRow, scene_table),
     "tasks": (SuccessRow, task_table),
-    "joints": (ObjectScoreRow, joint_table),
-    "real": (RealObjectRow, real_table),
 }
 """Kind of row and function of each table, by the name of its files."""
 
@@ -43,7 +37,7 @@ def write_tables(folder: Path) -> dict[str, Any]:
             files.append(str(folder / f"{name}.{suffix}"))
     if not files:
         raise RunError(
-            f"{folder} has no rows yet, no {ROWS}; `neoworld bench run` with scenes, tasks, joints "
-            "or real-poses and --out makes them"
+            f"{folder} has no rows yet, no {ROWS}; `neoworld bench run` with scenes or tasks "
+            "and --out makes them"
         )
     return {"files": files}
