@@ -111,7 +111,7 @@ def run_rescue(o: suites.Rescues) -> dict[str, Any]:
 
 def run_engines(o: suites.Engines) -> dict[str, Any]:
     """Time engines, and compare their verdicts with C MuJoCo."""
-    from neoworld_mjx.sweeps.cases import case
+    from neoworld_mjx.sweeps import case
 
     from .engines.throughput import EngineTask, engine_rows
 

@@ -36,7 +36,8 @@ class RescueRow(Row):
     passed: bool
     """True if the rescued scene does."""
     position_mm: float
-    """Distance of the origins of the rescued and the undisturbed object."""
+    """Horizontal distance of the origins of the rescued and the undisturbed object. Heights follow
+    from the supports, which may have wrong sizes."""
     turn_deg: float
     given_size: float
     """Size over that of the undisturbed object, minus 1."""
@@ -64,8 +65,6 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
     began = time.perf_counter()
     rescued = rescue(given, photo=picture)
     seconds = time.perf_counter() - began
-    # With a photograph the table's top is at z = 0.
-    up = np.array([0.0, 0.0, TABLE_Z if photo else 0.0])
     fixed = tuple(
         item.model_copy(update={"environment": item.name == "table"}) for item in given.spec.objects
     )
@@ -79,7 +78,7 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
             object=name,
             given_passed=passes(given_measure, o),
             passed=rescued.passed,
-            position_mm=1e3 * float(np.linalg.norm(end.pos + up - start.pos)),
+            position_mm=1e3 * float(np.linalg.norm((end.pos - start.pos)[:2])),
             turn_deg=float(np.degrees(angle_between(start.quat, end.quat))),
             given_size=_size(given.spec, name) / _size(original, name) - 1,
             size=_size(rescued.scene, name) / _size(original, name) - 1,
