@@ -15,6 +15,7 @@ from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.io.validation_message import validation_message
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
+from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -183,6 +184,8 @@ def read_methods(
             if name in METHODS or name in options or not name.replace("_", "").isalnum():
                 raise ConfigError(f"--method {text}: take another name, of letters, digits and _")
             options[name] = _refine_options(Path(file), config)
+            # Before anything runs: the optimizer may need a package that is not installed.
+            optimizer_factory(options[name].optimizer)
         methods.append(name)
     return tuple(dict.fromkeys(methods)), tuple(options.items())
 
