@@ -90,7 +90,8 @@ def test_reference_plan_succeeds_and_fails_for_a_displaced_object():
     assert outcome.success and outcome.held == 1 and outcome.progress == 1
     waiting = wait(TASK.scene, TASK.predicate)
     assert not waiting.success and waiting.drift_m < 0.001
-    outcome = execute(TASK.displaced(1.0), TASK.plan, TASK.predicate)
+    beside = with_moved(TASK, ("upper",), (0.02, 0.03))
+    outcome = execute(beside, TASK.plan, TASK.predicate)
     assert not outcome.success and outcome.held == 0 and "upper within" in outcome.reason
     held = TASK.plan.model_copy(update={"moves": TASK.plan.moves[:5]})
     outcome = execute(TASK.scene, held, TASK.predicate)
