@@ -9,10 +9,9 @@ Scenes, one set for each purpose:
 
 Packages that run on them:
 
-- `measures`: comparisons with ground truth: joints, surfaces, parses, images.
+- `measures`: comparisons with ground truth: objects, joints, surfaces, parses, images.
 - `noise`: errors of responses and programs with measured rates; initial scenes made with them.
 - `methods`: the search, its ablations and baselines on the thirty scenes; submissions; calibration.
-- `objects`: reconstructed objects compared with ground-truth objects.
 - `real_poses`: reconstructions of real photographs compared with depth images and BOP data.
 - `judge`: rendered images compared with photographs, and a model as judge.
 - `rescues`: scenes of meshes with known errors, repaired.

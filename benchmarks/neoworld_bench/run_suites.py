@@ -183,24 +183,16 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     """Score reconstructions of real photographs."""
     from .real_poses.real_views import real_figures, score_real_views
 
-    if o.data is None:
-        raise ConfigError("real-poses needs DATA, the folder of the data set")
+    if o.data is None or o.runs is None:
+        raise ConfigError("real-poses needs DATA, the folder of the data set, and --runs DIR")
     with kept_rows(o, config) as store:
-        views, objects = score_real_views(
-            o.data,
-            o.runs,
-            views=o.view,
-            intrinsics=o.intrinsics,
-            depth_scale=o.depth_scale,
-            options=config.refine,
-            kept=store,
-        )
+        views, objects = score_real_views(o.data, o.runs, config.refine, store)
     return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 
 def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score reconstructed objects."""
-    from .objects.object_scores import object_names, score_figures, score_object
+    from .measures.object_scores import object_names, score_figures, score_object
     from .paper_figures import PAPER_JOINTS, PAPER_SURFACES
 
     if o.made is None or o.truth is None:

@@ -247,15 +247,9 @@ class RealPoses:
     data: Positional[Path | None] = None
     """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
     T-LESS, HOPE, HomebrewedDB)."""
-    runs: tuple[Path, ...] = ()
-    """Run folders named after the views, or folders of such folders. A row is written for each of
-    their scenes: composed, aligned and refined."""
-    view: tuple[str, ...] = ()
-    """Names of views; all that have a reconstruction by default."""
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx, fy, cx and cy [px] of depth images without a camera.json."""
-    depth_scale: float | None = None
-    """Millimeters of a unit of these depth images."""
+    runs: Path | None = None
+    """Folder of run folders named after the views. A row is written for each of their scenes:
+    composed, aligned and refined."""
 
 
 @dataclass(frozen=True, kw_only=True)

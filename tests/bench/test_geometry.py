@@ -44,15 +44,6 @@ def test_f_score_is_the_harmonic_mean_of_precision_and_recall():
     assert swapped.chamfer_x10 == pytest.approx(result.chamfer_x10)
 
 
-def test_samples_are_uniform_by_area_and_deterministic():
-    spec = thing(block((0.2, 0.4, 0.8)))
-    points = surface_points(spec, 20_000, seed=3)
-    on_top = np.isclose(points[:, 2], 0.4).mean()
-    assert on_top == pytest.approx(0.08 / (2 * (0.08 + 0.16 + 0.32)), rel=0.05)
-    np.testing.assert_array_equal(points, surface_points(spec, 20_000, seed=3))
-    assert np.any(points != surface_points(spec, 20_000, seed=4))
-
-
 def chair(at=(0, 0, 0)):
     """A lopsided thing, so that no turn is as good as another."""
     x, y, z = at
@@ -63,9 +54,8 @@ def chair(at=(0, 0, 0)):
     )
 
 
-@pytest.mark.parametrize(("turn", "factor"), [(-83, 0.6)])
-def test_fit_recovers_rotation_translation_and_scale(turn, factor):
-    spec = chair()
+def test_fit_recovers_rotation_translation_and_scale():
+    spec, turn, factor = chair(), -83, 0.6
     true = turned(surface_points(spec, 3000, seed=1), turn) * factor + [0.3, -0.2, 0.1]
     result = geometry_measure(spec, true, samples=3000)
     same = geometry_measure(spec, surface_points(spec, 3000, seed=1), samples=3000)
@@ -90,9 +80,3 @@ def test_unaligned_chamfer_of_a_translated_box_is_its_translation():
     noise = 10 * 4 / 6 * 0.5 * math.sqrt(6 / count) / math.sqrt(3)
     assert expected < result.unaligned.chamfer_x10 < expected + noise
     assert result.aligned.f_01 > 99
-
-
-def test_fit_does_not_correct_wrong_proportions():
-    built = surface_points(thing(block((0.4, 0.4, 1.0))), 3000)
-    true = surface_points(thing(block((0.4, 0.4, 0.5))), 3000)
-    assert geometry_measure(built, true).aligned.chamfer_x10 > 0.3

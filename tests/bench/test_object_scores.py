@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from neoworld_bench.objects.object_scores import (
+from neoworld_bench.measures.object_scores import (
     object_files,
     object_names,
     score_figures,

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from neoworld_bench.measures.depth_measure import Intrinsics
 from neoworld_bench.real_poses.bop import bop_views
-from neoworld_bench.real_poses.depth_folder import depth_views
 from neoworld_bench.real_poses.pose_rows import MadeView, posed_meshes, real_rows
 from neoworld_bench.real_poses.real_views import score_real_views
 from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
+from neoworld_bench.real_poses.true_views import depth_views
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Camera
 from neoworld_mjx.spec.scale import scale
 from tests.support.bop_sample import (
@@ -182,11 +182,8 @@ def test_depth_folder_and_its_camera(tmp_path):
     (view,) = depth_views(tmp_path / "depth", ["desk", "other"])
     assert view.camera == camera and view.size == SIZE and view.objects == ()
     (tmp_path / "depth" / "camera.json").unlink()
-    with pytest.raises(SpecError, match="--intrinsics"):
+    with pytest.raises(SpecError, match=r"camera\.json"):
         list(depth_views(tmp_path / "depth", ["desk"]))
-    given = {"intrinsics": tuple(camera), "depth_scale": 2 * TENTH_MM}
-    (other,) = depth_views(tmp_path / "depth", ["desk"], **given)
-    assert np.allclose(other.depth, 2 * view.depth)
 
 
 def write_run(folder: Path, scene, composed) -> Path:
@@ -214,24 +211,22 @@ def test_command_scores_every_stage(tmp_path, capfd):
     assert "add_s" not in result["figures"]["refined"]
     # Aligned is what compose/align.json says.
     (run / "compose" / "align.json").write_text("{}")
-    views, rows = score_real_views(tmp_path / "data", [run], options=QUICK)
+    views, rows = score_real_views(tmp_path / "data", run.parent, QUICK)
     assert [row.stage for row in views] == ["aligned", "refined"] and len(rows) == 8
 
 
-def test_command_refuses_what_it_cannot_score(tmp_path):
-    with pytest.raises(ConfigError, match="--runs"):
-        score_real_views(tmp_path, [])
+def test_what_cannot_be_scored_is_refused(tmp_path):
     data, runs = tmp_path / "data", tmp_path / "runs"
     data.mkdir()
+    with pytest.raises(SpecError, match="is no folder"):
+        score_real_views(data, runs)
     (runs / "office").mkdir(parents=True)
     with pytest.raises(SpecError, match=r"neither scene_gt\.json"):
-        score_real_views(data, [runs])
+        score_real_views(data, runs)
     write_depth_folder(data, desk())
-    with pytest.raises(SpecError, match="no view with a reconstruction is named runs, office"):
-        score_real_views(data, [runs])
-    with pytest.raises(SpecError, match="is no folder"):
-        score_real_views(data, [tmp_path / "absent"])
+    with pytest.raises(SpecError, match="no view with a reconstruction is named office"):
+        score_real_views(data, runs)
     wide = desk(Camera(width=320, height_px=120, fovy=0.7, height=0.5, pitch=0.6))
     write_run(runs / "desk", wide, wide)
     with pytest.raises(SpecError, match="expected is the same aspect"):
-        score_real_views(data, [runs])
+        score_real_views(data, runs)

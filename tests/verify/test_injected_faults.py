@@ -48,4 +48,4 @@ def test_a_fault_is_detected_named_and_repaired(kind):
 @pytest.mark.slow
 @KIND
 def test_faults_of_all_magnitudes_are_detected_named_and_repaired(kind):
-    check_faults(kind, faulty_objects(kind, 4))
+    check_faults(kind, faulty_objects(kind, 8))

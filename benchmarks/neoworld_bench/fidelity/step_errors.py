@@ -65,7 +65,6 @@ class PhotoRow(Row):
 
     scene: int
     name: str
-    occluded: bool
     unsound: dict[str, bool]
     """True if it overlapped another object or moved in free fall, in the scene composed from the
     response and in the one that the search starts from; it may then move far."""
@@ -146,7 +145,6 @@ def photo_rows(
             yield PhotoRow(
                 scene=number,
                 name=item.name,
-                occluded=item.occluded,
                 unsound={step: item.name in names for step, names in unsound.items()},
                 valid={step: passes(check, o) for step, check in checks.items()},
                 box_iou={step: round(of[item.name], 4) for step, of in ious.items()},

@@ -75,12 +75,6 @@ class JointMeasure(Spec):
     correct: int
     """Number of hits with the true type, with an error of the axis of at most 10 degrees, and with
     an error of the pivot of at most a tenth of the diagonal."""
-    miss: float | None
-    """1 - hits / total. This and other fractions are None if there are no ground-truth joints."""
-    type_error: float | None
-    """Fraction of all ground-truth joints that are missed or have another type, as in the paper."""
-    type_error_hits: float | None
-    """Fraction of the hits that have another type."""
     axis_deg: Mean
     """Mean of `JointPair.axis_deg` over hits in which both joints have an axis."""
     pivot: Mean
@@ -113,19 +107,14 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
     missed = tuple(joint.name for joint in true_joints if joint.name not in matched)
     extra = tuple(joint.name for joint in estimated_joints if joint.name not in used)
-    hits, total = len(pairs), len(true_joints)
-    wrong = sum(pair.true_type != pair.predicted_type for pair in pairs)
     return JointMeasure(
         name=truth.name,
-        total=total,
+        total=len(true_joints),
         predicted=len(estimated_joints),
-        hits=hits,
+        hits=len(pairs),
         missed=missed,
         extra=extra,
         correct=sum(pair.correct for pair in pairs),
-        miss=1 - hits / total if total else None,
-        type_error=(wrong + len(missed)) / total if total else None,
-        type_error_hits=wrong / hits if hits else None,
         axis_deg=mean_of_known([pair.axis_deg for pair in pairs]),
         pivot=mean_of_known([pair.pivot for pair in pairs]),
         limits=mean_of_known([pair.limits for pair in pairs]),

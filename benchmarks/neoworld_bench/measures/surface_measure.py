@@ -51,10 +51,6 @@ class GeometryMeasure(Spec):
     """Rotation of the fit about the vertical [deg]."""
     scale: float
     """Scale factor of the fit."""
-    samples: int
-    """Number of samples of the predicted object."""
-    true_samples: int
-    """Number of samples of the ground truth."""
 
 
 def geometry_measure(
@@ -94,8 +90,6 @@ def geometry_measure(
         aligned=best[0],
         turn_deg=best[1],
         scale=best[2],
-        samples=len(points),
-        true_samples=len(true),
     )
 
 

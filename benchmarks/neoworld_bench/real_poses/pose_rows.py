@@ -17,8 +17,7 @@ from ..measures.depth_measure import measured_points as sensor_points
 from ..measures.pose_measure import axis_box_iou, layout_measure
 from ..measures.surface_measure import sampled
 from ..rows import Row
-from .object_matching import PosedMesh, matched, scale_of
-from .scene_depth import in_camera, intrinsics_of, scene_points
+from .scene_depth import PosedMesh, in_camera, intrinsics_of, matched, scale_of, scene_points
 from .true_views import PosedObject, TrueView
 
 POINTS = 10_000

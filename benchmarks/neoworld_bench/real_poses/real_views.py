@@ -5,22 +5,22 @@ RUNS/NAME/aligned.json, RUNS/NAME/scene.json     aligned, and refined
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import read_scene
 
 from ..measures.mean import mean_of_known
 from ..measures.pose_measure import RECALL, recall
 from ..rows import RowStore
 from .bop import bop_views, is_bop
-from .depth_folder import depth_views, is_depth_folder
 from .pose_rows import MadeView, RealObjectRow, RealViewRow, real_rows
-from .true_views import TrueView
+from .true_views import TrueView, depth_views, is_depth_folder
 
 STAGES = (
     ("composed", "composed.json"),
@@ -33,33 +33,20 @@ ALIGNED = "compose/align.json"
 MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou")
 
 
-def true_views(
-    data: Path,
-    names: Collection[str],
-    *,
-    intrinsics: tuple[float, float, float, float] | None = None,
-    depth_scale: float | None = None,
-) -> Iterator[TrueView]:
+def true_views(data: Path, names: Collection[str]) -> Iterator[TrueView]:
     """Read views of a data set in the BOP format, or of a folder of depth images.
 
     Args:
         data: its folder.
         names: of the views to read, as far as there are any.
-        intrinsics: fx, fy, cx and cy [px] of a folder of depth images without a camera.json.
-        depth_scale: millimeters of a unit of its depth images.
 
     Raises:
         SpecError: the folder has neither format, or a file is missing or broken.
-        ConfigError: intrinsics are given for data that has its own.
     """
-    if not data.is_dir():
-        raise SpecError(f"{data} is no folder")
     if is_bop(data):
-        if intrinsics is not None or depth_scale is not None:
-            raise ConfigError("--intrinsics and --depth-scale are for folders of depth images")
         return bop_views(data, names)
     if is_depth_folder(data):
-        return depth_views(data, names, intrinsics=intrinsics, depth_scale=depth_scale)
+        return depth_views(data, names)
     raise SpecError(
         f"{data} has neither scene_gt.json (BOP) nor NAME-depth.png; docs/real-poses.md has the "
         "layouts"
@@ -68,11 +55,7 @@ def true_views(
 
 def score_real_views(
     data: Path,
-    runs: Sequence[Path],
-    *,
-    views: Sequence[str] = (),
-    intrinsics: tuple[float, float, float, float] | None = None,
-    depth_scale: float | None = None,
+    runs: Path,
     options: RefineOptions | None = None,
     kept: RowStore | None = None,
 ) -> tuple[list[RealViewRow], list[RealObjectRow]]:
@@ -80,30 +63,24 @@ def score_real_views(
 
     Args:
         data: folder of the data set.
-        runs: run folders named after views, or folders of such folders.
-        views: names of views; all that have a reconstruction by default.
-        intrinsics: as for `true_views`, as depth_scale.
-        depth_scale: millimeters of a unit.
+        runs: folder of run folders that are named after views.
         options: of the final check.
         kept: rows of an interrupted run.
 
     Raises:
-        ConfigError: there is nothing to score.
-        SpecError: a file cannot be read, or no reconstruction has the name of a view.
+        SpecError: a file cannot be read, or no run folder has the name of a view.
     """
-    if not runs:
-        raise ConfigError("real-poses needs --runs DIR, run folders named after the views")
-    names = list(views) or _folder_names(runs)
+    if not runs.is_dir():
+        raise SpecError(f"{runs} is no folder")
+    names = sorted(folder.name for folder in runs.iterdir() if folder.is_dir())
     rows: list[RealViewRow | RealObjectRow] = []
-    for view in true_views(data, names, intrinsics=intrinsics, depth_scale=depth_scale):
-        o = options or RefineOptions()
-        score = lambda view=view, o=o: list(_scored(view, runs, o))
+    for view in true_views(data, names):
+        score = partial(_scored, view, runs / view.name, options or RefineOptions())
         rows += (kept or RowStore(None)).rows(view.name, score)
-    missing = [name for name in views if name not in {row.view for row in rows}]
-    if missing or not rows:
+    if not rows:
         raise SpecError(
-            f"{data}: no view with a reconstruction is named {', '.join((missing or names)[:8])}; "
-            "run folders are named after the views (docs/real-poses.md)"
+            f"{data}: no view with a reconstruction is named {', '.join(names[:8])}; run folders "
+            "are named after the views (docs/real-poses.md)"
         )
     return (
         [row for row in rows if isinstance(row, RealViewRow)],
@@ -111,45 +88,26 @@ def score_real_views(
     )
 
 
-def _scored(
-    view: TrueView, runs: Sequence[Path], o: RefineOptions
-) -> Iterator[RealViewRow | RealObjectRow]:
-    for made in run_views(runs, view.name):
+def _scored(view: TrueView, run: Path, o: RefineOptions) -> Iterator[RealViewRow | RealObjectRow]:
+    for made in run_stages(run):
         row, object_rows = real_rows(view, made, o)
         yield row
         yield from object_rows
 
 
-def run_views(runs: Sequence[Path], name: str) -> Iterator[MadeView]:
-    """Read the stages of the run of a view; none where no folder has it.
-
-    Args:
-        runs: run folders named after their views, or folders of such folders.
-        name: of the view.
+def run_stages(folder: Path) -> Iterator[MadeView]:
+    """Read the stages of a run folder.
 
     Raises:
         SpecError: a scene cannot be read.
     """
-    for root in runs:
-        folder = root if root.resolve().name == name else root / name
-        stages = set()
-        for stage, file in STAGES:
-            if file.startswith("compose/") and (folder / ALIGNED).is_file():
-                stage = "aligned"
-            if stage not in stages and (folder / file).is_file():
-                stages.add(stage)
-                yield MadeView(stage, read_scene(folder / file))
-
-
-def _folder_names(roots: Sequence[Path]) -> list[str]:
-    """Return the names that views may have: of the folders, and of those within them."""
-    names = []
-    for root in roots:
-        if not root.is_dir():
-            raise SpecError(f"{root} is no folder")
-        names += [root.resolve().name]
-        names += sorted(folder.name for folder in root.iterdir() if folder.is_dir())
-    return list(dict.fromkeys(names))
+    stages = set()
+    for stage, file in STAGES:
+        if file.startswith("compose/") and (folder / ALIGNED).is_file():
+            stage = "aligned"
+        if stage not in stages and (folder / file).is_file():
+            stages.add(stage)
+            yield MadeView(stage, read_scene(folder / file))
 
 
 def real_figures(

@@ -1,9 +1,14 @@
 """Ground truth of a real photograph: camera, depth, and objects with meshes and poses.
 
-Readers of data sets return these views; files are a stranger's and are read within bounds.
+Readers of data sets return these views; files are a stranger's and are read within bounds. The
+views of a folder of depth images, registered to the photographs, have no objects:
+
+    DATA/NAME-depth.png       16 bits
+    DATA/camera.json          {"fx": 1066.778, "fy": 1067.487, "cx": 312.987, "cy": 241.311,
+                               "depth_scale": 0.1}, as BOP's camera.json
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +18,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.io import file_bounds, open_image
+from neoworld_mjx.io import file_bounds, open_image, read_object
 from neoworld_mjx.io.files import MIB, read_bytes
 
 from ..measures.depth_measure import Intrinsics
 
+ENDING = "-depth.png"
+CAMERA = "camera.json"
 NOT_ROTATION = 1e-2
 """Largest deviation of R R^T from the identity; data sets round to few digits."""
 
@@ -117,3 +124,33 @@ def diameter_of(vertices: Float[np.ndarray, "v 3"]) -> float:
     with suppress(QhullError, ValueError):  # Flat or few points have no hull.
         vertices = vertices[ConvexHull(vertices).vertices]
     return float(pdist(vertices).max()) if len(vertices) > 1 else 0.0
+
+
+def is_depth_folder(path: Path) -> bool:
+    """Return True if a folder has depth images."""
+    return any(path.glob(f"*{ENDING}"))
+
+
+def depth_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
+    """Read the depth images of a folder.
+
+    Args:
+        path: the folder.
+        names: of the photographs to read, as far as there are any.
+
+    Raises:
+        SpecError: a file is missing or broken.
+    """
+    stated = read_object(path / CAMERA, SpecError)
+    fx, fy, cx, cy, mm = (
+        float(numbers(stated, key, 1, str(path / CAMERA))[0])
+        for key in ("fx", "fy", "cx", "cy", "depth_scale")
+    )
+    if min(fx, fy, mm) <= 0:
+        raise SpecError(f"{path / CAMERA}: focal lengths and the depth scale must be above 0")
+    for file in sorted(path.glob(f"*{ENDING}")):
+        name = file.name.removesuffix(ENDING)
+        if name in names:
+            depth = read_depth(file, mm)
+            size = depth.shape[1], depth.shape[0]
+            yield TrueView(name, (), Intrinsics(fx, fy, cx, cy), size, depth)

@@ -15,11 +15,11 @@ from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.checking import object_of_file
 
-from ..measures.joint_measure import joint_measure
-from ..measures.mean import Mean
-from ..measures.object_truth import Front, ObjectTruth, canonical_points, truth_of
-from ..measures.surface_measure import SAMPLES, geometry_measure, surface_points
 from ..rows import Row
+from .joint_measure import joint_measure
+from .mean import Mean
+from .object_truth import Front, ObjectTruth, canonical_points, truth_of
+from .surface_measure import SAMPLES, geometry_measure, surface_points
 
 OBJECT_FILES = (
     *("resized.json", "verified.json", "spec.json", "program.py", "object.urdf", "object.xml"),

@@ -1,1 +1,0 @@
-"""Reconstructed objects compared with ground truth: joints and surfaces."""
