@@ -9,15 +9,17 @@ Scenes, one set for each purpose:
 
 Packages that run on them:
 
-- `measures`: comparisons with ground truth: objects' joints and surfaces, poses, images.
+- `measures`: comparisons with ground truth: objects, joints, surfaces, parses, images.
 - `noise`: errors of responses and programs with measured rates; initial scenes made with them.
-- `methods`: the search, its ablations and baselines, run on the thirty scenes; submissions.
+- `methods`: the search, its ablations and baselines on the thirty scenes; submissions; calibration.
 - `real_poses`: reconstructions of real photographs compared with depth images and BOP data.
 - `judge`: rendered images compared with photographs, and a model as judge.
+- `rescues`: scenes of meshes with known errors, repaired.
 - `tasks`: 84 manipulation tasks, plans and their execution, task success.
-- `engines`: timings of rollouts and kernels, agreement of engines with MuJoCo.
-- `tables`: result tables in Markdown, CSV and LaTeX.
+- `engines`: rates of engines, and agreement of their verdicts with C MuJoCo.
+- `tables`: result tables in Markdown and CSV.
 
-`suites` lists the suites of `neoworld bench run`, `run_suites` runs them. neoworld_mjx imports this
-package only by name, for the `bench` command and the named scenes of sweeps.
+`suites` lists the suites of `neoworld bench run`, `run_suites` runs them, `rows` keeps their rows.
+neoworld_mjx imports this package only by name, for the `bench` command and the named scenes of
+sweeps.
 """

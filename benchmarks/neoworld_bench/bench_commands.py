@@ -1,10 +1,9 @@
-"""The `bench` command: run suites, write the data set, tables and charts."""
+"""The `bench` command: run suites, write the data set and tables."""
 
 import dataclasses
-import datetime
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
@@ -15,11 +14,7 @@ from neoworld_mjx.commands.base_command import Command, CommandResult, Configure
 from neoworld_mjx.commands.result_lines import bench_lines
 from neoworld_mjx.errors import ConfigError
 
-from .machine import machine
 from .suites import SUITES, Suite
-
-MAY_BE_ZERO = ("delay_s", "directions", "failing", "pairs", "rounds", "scenes")
-"""Options that may be zero although their default is not."""
 
 
 def check_numbers(options: Any) -> None:
@@ -30,7 +25,7 @@ def check_numbers(options: Any) -> None:
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
-        zero = field.name in MAY_BE_ZERO or field.default in (0, None)
+        zero = field.default in (0, None)
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, bool) or not isinstance(number, int | float):
                 continue
@@ -39,26 +34,6 @@ def check_numbers(options: Any) -> None:
                 least = "0 or more" if zero else whole
                 name = field.name.replace("_", "-")
                 raise ConfigError(f"--{name} must be {least}, got {number}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchChartCommand(Command):
-    """Draw the growth of cost from the JSON that `bench run physics` prints."""
-
-    rows: Positional[Path]
-    """File with the output of `bench run physics --json`."""
-    out: Path
-    """SVG file to write."""
-    core: bool = False
-    """Draw processor time, which other processes do not change."""
-
-    def run(self) -> CommandResult:
-        """Draw the chart."""
-        from .engines.growth import growth, growth_json, read_rows, write_chart
-
-        curves = growth(read_rows(self.rows), core=self.core)
-        write_chart(self.out, curves, core=self.core)
-        return {"chart": str(self.out), "growth": growth_json(curves)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +63,12 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables of the results of `bench run` scenes and task-success with --out, in Markdown,
-    CSV and LaTeX: table.* and tasks.*, and curves over thresholds of scenes.
+    """Write the tables of the results of `bench run` scenes and tasks with --out, in Markdown and
+    CSV: scenes.* and tasks.*.
     """
 
     folder: Positional[Path]
-    """Folder with results.parquet or tasks.parquet."""
+    """Folder of the rows."""
 
     def run(self) -> CommandResult:
         """Write the tables."""
@@ -109,10 +84,11 @@ class SuiteCommand:
     suite_name: ClassVar[str]
 
     def run(self) -> CommandResult:
-        """Run the suite, and add its name, command, date, commit, machine and n to the result."""
+        """Run the suite, and add its name, the command and `provenance` to the result."""
         from neoworld_mjx.cache import keep_compilations
         from neoworld_mjx.refinement.optimizer import optimizer_factory
-        from neoworld_mjx.sweeps.result import commit
+
+        from .machine import provenance
 
         check_numbers(self)
         keep_compilations()
@@ -125,14 +101,11 @@ class SuiteCommand:
             result = function(self, config)
         else:
             result = function(self)
-        rows = result.get("rows")
         return {
             "suite": self.suite_name,
             "command": " ".join(["neoworld bench run", self.suite_name, *self._changed_options()]),
-            "date": datetime.date.today().isoformat(),
-            "commit": commit() or "",
-            "machine": machine(),
-            **({} if rows is None else {"n": len(rows)}),
+            **provenance(),
+            "n": len(result.get("rows", [])),
             **result,
         }
 
@@ -149,10 +122,10 @@ class SuiteCommand:
                 yield from map(str, value if isinstance(value, tuple) else (value,))
 
 
-def suite_commands(suites: Mapping[str, Suite]) -> Any:
-    """Return the union of the commands of a table of suites, for tyro."""
+def _suite_commands() -> Any:
+    """Return the union of the commands of the suites, for tyro."""
     commands = []
-    for name, suite in suites.items():
+    for name, suite in SUITES.items():
         bases = (SuiteCommand, suite.options, ConfiguredCommand if suite.configured else Command)
         fields = {
             "__doc__": suite.options.__doc__,
@@ -168,7 +141,7 @@ def suite_commands(suites: Mapping[str, Suite]) -> Any:
 if TYPE_CHECKING:
     SuiteChoice = Any
 else:
-    SuiteChoice = suite_commands(SUITES)
+    SuiteChoice = _suite_commands()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +161,6 @@ class BenchCommand:
         Annotated[BenchRunCommand, subcommand("run")]
         | Annotated[BenchMakeCommand, subcommand("make")]
         | Annotated[BenchTableCommand, subcommand("table")]
-        | Annotated[BenchChartCommand, subcommand("chart")]
     )
 
     @property

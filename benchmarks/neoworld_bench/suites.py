@@ -12,33 +12,9 @@ from typing import Any, Literal, NamedTuple
 
 from tyro.conf import Positional
 
-from neoworld_mjx.engines import EngineChoice
+from neoworld_mjx.engines import ENGINES, EngineChoice, EngineName
 from neoworld_mjx.places import Place
 
-from .engine_suites import Agreement, Devices, Kernels, Physics
-
-MethodName = Literal[
-    "ours",
-    "open_loop",
-    "gravity",
-    "guided",
-    "no_simulation",
-    "without_s_sem",
-    "without_d_pen",
-    "without_d_drift",
-    "aligned",
-    "aligned_dimensions",
-    "without_photo",
-    "without_contours",
-    "without_edges",
-    "without_contacts",
-    "without_camera",
-    "without_final",
-    "algorithm1",
-    "random",
-    "cma_es",
-]
-"""Methods of `methods.scene_methods.METHODS`."""
 NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
@@ -142,10 +118,68 @@ class Photos:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SceneSet(NoisyRuns):
+    """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes."""
+
+    scenes: tuple[str, ...] = ()
+    """Names of scenes, or a single number of scenes; all by default."""
+    method: tuple[str, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
+    """Methods: ours; without a search open_loop, gravity, guided, aligned and aligned_dimensions;
+    algorithm1; ablations no_simulation, without_s_sem, without_d_pen, without_d_drift,
+    without_photo, without_contours, without_edges, without_contacts, without_camera and
+    without_final; and NAME=FILE, the search with the options of a YAML file."""
+    noise: NoiseName = "all"
+    """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
+    boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
+    joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
+    programs."""
+    out: Path | None = None
+    """Folder of the rows; rows that it already contains are not run again."""
+    submission: Path | None = None
+    """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
+    scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tasks(NoisyRuns):
+    """Photograph each of the 84 manipulation tasks, let methods reconstruct it from a noisy
+    response, plan the task there, and execute the plan there and in the ground truth.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; all by default."""
+    method: tuple[str, ...] = ("truth", "ours", "open_loop", "gravity", "guided", "no_simulation")
+    """Methods, as in `bench run scenes`; truth executes the reference plans in the ground truth."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
+    """
+    out: Path | None = None
+    """Folder of the rows; rows that it already contains are not run again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plans(ModelRequests):
+    """Request plans of the manipulation tasks from a model, and execute them in the scene that it
+    sees and in the ground truth; a plan that fails refines the layout, as in Section 4.4 of the
+    paper.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; all by default."""
+    method: tuple[str, ...] = ("truth", "ours", "open_loop")
+    """Methods that reconstruct the scene that the model sees, as in `bench run tasks`."""
+    starts: int = 1
+    """Initial scenes of each task and method."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes."""
+    seed: int = 0
+    """Seed of the noise, the searches and the refinement."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Openings:
     """Open the joints of the thirty scenes' objects one by one, align initial scenes with errors
-    with and without `compose.align.joints`, and report the errors of openings and places; needs
-    no model.
+    with and without `compose.align.joints`, and report the errors of openings and places.
     """
 
     scenes: tuple[str, ...] = ()
@@ -169,40 +203,39 @@ class Coverage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSet(NoisyRuns):
-    """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes:
-    the search, gravity alone, settling under guidance alone, no simulation, Algorithm 1.
+class Rescues:
+    """Rescue generated scenes of meshes whose objects have wrong sizes (up to 10 %), are 2 cm too
+    low and tilted by 5 degrees, and compare the results with the undisturbed scenes.
     """
 
-    scenes: tuple[str, ...] = ()
-    """Names of scenes, or a single number of scenes; all by default."""
-    method: tuple[str, ...] = (
-        "ours",
-        "open_loop",
-        "gravity",
-        "guided",
-        "no_simulation",
-        "algorithm1",
-    )
-    """Methods: also random, cma_es, evosax:STRATEGY or package.module:function, which get as many
-    rollouts as ours; without_s_sem, without_d_pen, without_d_drift, without_photo,
-    without_contours, without_edges, without_contacts, without_camera and without_final; aligned and
-    aligned_dimensions, the alignment without a search; and NAME=FILE, the search with the options
-    of a YAML file.
+    scenes: int = 60
+    """Number of scenes."""
+    photo: bool = False
+    """Give each rescue a rendered photograph of the undisturbed scene, with its exact camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engines:
+    """Time rollouts of noisy layouts by engine and population, and compare verdicts with C MuJoCo
+    on recompiled scenes.
     """
-    label: str | None = None
-    """Name of the row of ours, to compare runs with different options."""
-    noise: NoiseName = "all"
-    """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
-    boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
-    joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
-    programs."""
-    out: Path | None = None
-    """Folder of results.parquet; rows that it already contains are not run again."""
-    submission: Path | None = None
-    """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
-    scene.xml, scene.usda, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md).
-    """
+
+    scenes: tuple[str, ...] = ("crowded:3", "crowded:10", "crowded:40")
+    """Scenes, named as in sweeps; candidates are noisy layouts about them."""
+    engine: tuple[EngineName, ...] = tuple(ENGINES)
+    """Engines; the row of an engine that cannot run here gives the reason."""
+    population: tuple[int, ...] = (1024,)
+    """Numbers of candidates."""
+    devices: tuple[int, ...] = ()
+    """Numbers of devices of engine mjx; all by default. On a CPU they are simulated."""
+    early_stop: bool = False
+    """Stop candidates that have moved too far, as the search does."""
+    duration: float = 1.0
+    """Simulated time [s], in steps of 4 ms."""
+    budget: float = 60.0
+    """Time limit of a row [s]; a row that needs longer is skipped."""
+    seed: int = 0
+    """Seed of the layouts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,18 +250,6 @@ class RealPoses:
     runs: Path | None = None
     """Folder of run folders named after the views. A row is written for each of their scenes:
     composed, aligned and refined."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rescues:
-    """Rescue generated scenes of meshes whose objects have wrong sizes (up to 10 %), are 2 cm too
-    low and tilted by 5 degrees, and compare the results with the undisturbed scenes.
-    """
-
-    scenes: int = 60
-    """Number of scenes."""
-    photo: bool = False
-    """Give each rescue a rendered photograph of the undisturbed scene, with its exact camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,62 +270,6 @@ class ObjectSuite:
     have one."""
     front: FrontName = "-x"
     """Direction in which the ground-truth objects face; -x in PartNet-Mobility."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tasks:
-    """Check the manipulation tasks on the ground truth: reference plans succeed, no task succeeds
-    without a plan, and plans fail if the object concerned is elsewhere.
-    """
-
-    task: tuple[str, ...] = ()
-    """Names of tasks; all by default."""
-    directions: int = 4
-    """Directions in which the object concerned is displaced by half its size; 0 for none."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskSuccess(NoisyRuns):
-    """Photograph each manipulation task, let methods reconstruct it from a noisy response, plan the
-    task there, and execute the plan there and in the ground truth: task success.
-    """
-
-    task: tuple[str, ...] = ()
-    """Names of tasks; all 84 by default."""
-    method: tuple[MethodName, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
-    """Methods, as in `bench run scenes`."""
-    noise: Literal["exact", "layout", "parse"] = "parse"
-    """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
-    """
-    out: Path | None = None
-    """Folder of tasks.parquet; rows that it already contains are not run again."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plans(ModelRequests):
-    """Request plans of the manipulation tasks from a model, and execute them; failures are fed
-    back, and can refine the layout, as in Section 4.4 of the paper.
-    """
-
-    task: tuple[str, ...] = ()
-    """Names of tasks; all by default."""
-    method: tuple[MethodName, ...] = ()
-    """Methods that reconstruct the scene that the model sees, as in `bench run task-success`; by
-    default it sees the true scene, or a displaced one."""
-    starts: int = 1
-    """Initial scenes of each task and method."""
-    noise: Literal["exact", "layout", "parse"] = "parse"
-    """Noise of the initial scenes."""
-    sees: Literal["numbers", "picture", "both"] = "both"
-    """View of the scene for the model: poses and boxes as numbers, a rendered picture, or both."""
-    rounds: int = 2
-    """Maximum number of revisions of a plan."""
-    offset: float = 0.0
-    """Without --method: displacement of the named objects in the scene that the model sees [m]."""
-    feedback: bool = False
-    """Add a row METHOD+feedback: a plan that fails refines the layout that it was made for."""
-    seed: int = 0
-    """Seed of the noise, the displacements, the searches and the refinement."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -337,23 +302,19 @@ SUITES = {
     name: Suite(options, f"neoworld_bench.run_suites:run_{name.replace('-', '_')}", configured)
     for name, options, configured in (
         ("scenes", SceneSet, True),
-        ("physics", Physics, False),
-        ("kernels", Kernels, False),
-        ("devices", Devices, False),
-        ("agreement", Agreement, False),
-        ("examples", Examples, True),
-        ("refine", Refine, True),
-        ("real-poses", RealPoses, True),
-        ("rescue", Rescues, False),
-        ("joints", ObjectSuite, True),
-        ("tasks", Tasks, False),
-        ("task-success", TaskSuccess, True),
+        ("tasks", Tasks, True),
         ("plans", Plans, True),
-        ("pictures", PictureSuite, False),
-        ("judge", Judge, True),
-        ("photos", Photos, True),
         ("openings", Openings, False),
         ("coverage", Coverage, False),
+        ("rescue", Rescues, False),
+        ("engines", Engines, False),
+        ("examples", Examples, True),
+        ("refine", Refine, True),
+        ("photos", Photos, True),
+        ("real-poses", RealPoses, True),
+        ("joints", ObjectSuite, True),
+        ("pictures", PictureSuite, False),
+        ("judge", Judge, True),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""

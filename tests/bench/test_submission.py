@@ -1,6 +1,5 @@
 """Scenes of other methods: reading, scores and errors."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +10,11 @@ from neoworld_bench.dataset.declaration import declarations
 from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
-from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
+from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched, validity
 from neoworld_bench.methods.method_runs import RunSettings
-from neoworld_bench.methods.scene_runs import known_rows, run_scenes
+from neoworld_bench.methods.scene_runs import run_scenes
 from neoworld_bench.methods.submission import submission_name, submitted, submitted_starts
-from neoworld_bench.methods.validity import validity
+from neoworld_bench.rows import RowStore
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
@@ -89,25 +88,13 @@ def test_ground_truth_as_meshes_scores_perfectly(tmp_path):
         assert validity(read.scene, read.measure, truth, QUICK).valid
 
 
-def test_reader_says_that_it_made_colliders(tmp_path, caplog):
-    write_glb(tmp_path / "desk" / "scene.glb", desk())
-    with caplog.at_level("INFO"):
-        submitted(tmp_path, 0, desk(), QUICK)
-    assert "desk: block: link body has no colliders: derived from its visuals" in caplog.text
-
-
-def test_each_kind_of_error_affects_its_own_figure(tmp_path, truth: SceneSpec):
-    movable = [item for item in truth.objects if not item.static]
-    first = movable[0]
-    pushed = changed(truth, first.name, xy=(first.xy[0], first.xy[1] + 0.5))
-    scene = submitted(write(tmp_path, pushed), 0, truth, QUICK).scene
-    assert layout_errors(scene, truth)["xy_error_m"] == pytest.approx(0.5 / len(movable))
-    assert layout_errors(scene, truth)["yaw_error_deg"] == 0.0
+def test_missing_renamed_and_fixed_objects_are_missed(tmp_path, truth: SceneSpec):
+    first = next(item for item in truth.objects if not item.static)
     scene = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK).scene
     assert unmatched(scene, truth) == ([first.name], [])
     scene = submitted(write(tmp_path, changed(truth, first.name, name="odd")), 0, truth, QUICK)
     assert unmatched(scene.scene, truth) == ([first.name], ["odd"])
-    # Whatever is nailed down is stable, and no reconstruction of a thing that moves.
+    # An object that is fixed is stable, and no reconstruction of one that moves.
     nailed = changed(truth, first.name, fixed_base=True)
     scene = submitted(write(tmp_path, nailed), 0, truth, QUICK).scene
     assert unmatched(scene, truth) == ([first.name], [])
@@ -176,27 +163,21 @@ def test_documented_submission_program_needs_no_package(tmp_path, truth: SceneSp
 
 
 @pytest.mark.slow
-def test_submissions_add_rows_to_a_results_folder(tmp_path, truth: SceneSpec):
+def test_submissions_are_rows_of_a_method(tmp_path, truth: SceneSpec):
     first = next(item.name for item in truth.objects if not item.static)
+    store = RowStore(tmp_path / "rows.jsonl")
 
     def row(name: str, scene: SceneSpec):
         write(tmp_path / name, scene)
+        settings = RunSettings(0, RefineOptions(), ComposeOptions(), "layout")
         (one,) = run_scenes(
-            ["dominoes"],
-            ("ours",),
-            RunSettings(0, RefineOptions(), ComposeOptions(), "layout"),
-            starts=3,
-            out=tmp_path / "results",
-            submission=tmp_path / name,
+            ["dominoes"], (), settings, starts=3, store=store, submission=tmp_path / name
         )
         return one
 
-    perfect = row("perfect", truth)
+    perfect, lacking = row("perfect", truth), row("lacking", without(truth, first))
     assert perfect.valid and perfect.missed == 0 and perfect.o_stab == 1.0
     assert perfect.xy_error_m < 1e-9 and perfect.box_iou > 0.95 and perfect.seconds is None
-    lacking = row("lacking", without(truth, first))
-    # All of it is stable, but it is not all.
+    assert perfect.method == "submission:perfect" and perfect.accepted is None
+    # All of it is stable, but an object is missing.
     assert lacking.missed == 1 and lacking.check_passed and not lacking.valid
-    assert lacking.accepted is None
-    names = {json.dumps(r.method) for r in known_rows(tmp_path / "results")}
-    assert names == {'"submission:perfect"', '"submission:lacking"'}

@@ -28,12 +28,11 @@ def test_packages_do_not_import_tests_or_benchmarks():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("physics --population 64 0", "--population must be 1 or more, got 0"),
-        ("physics --duration 0", "--duration must be above 0, got 0.0"),
-        ("physics --budget nan", "--budget must be above 0, got nan"),
+        ("engines --population 64 0", "--population must be 1 or more, got 0"),
+        ("engines --duration 0", "--duration must be above 0, got 0.0"),
+        ("engines --budget nan", "--budget must be above 0, got nan"),
         ("scenes --starts 0", "--starts must be 1 or more, got 0"),
         ("scenes --workers -1", "--workers must be 0 or more, got -1"),
-        ("tasks --directions -1", "--directions must be 0 or more, got -1"),
     ],
 )
 def test_options_out_of_range_are_refused(words, message, capfd):

@@ -1,91 +1,127 @@
-"""Manipulation tasks: plans, the gripper, success conditions, and the page."""
+"""Manipulation tasks: plans and their execution, success in reconstructions, plans of a model."""
 
 import json
 import math
 
 import numpy as np
 import pytest
+from neoworld_bench.dataset.settle_scene import failures
+from neoworld_bench.methods.method_runs import RunSettings
+from neoworld_bench.rows import RowStore
+from neoworld_bench.tables.task_table import success_interval, task_summary
 from neoworld_bench.tasks import (
     TaskPlan,
     ToolMove,
     all_tasks,
     execute,
     find_task,
-    task_names,
+    model_plans,
     wait,
 )
 from neoworld_bench.tasks.execution import moved
-from neoworld_bench.tasks.predicates import JointBetween, Leaning
-from neoworld_bench.tasks.task_checks import TaskRow, summarised
-from neoworld_bench.tasks.task_page import PAGE, page
+from neoworld_bench.tasks.model_plans import plan_figures, plan_rows, scene_of_method
+from neoworld_bench.tasks.outcome_feedback import FeedbackResult, refine_by_outcome
+from neoworld_bench.tasks.plan_requests import plan_request
+from neoworld_bench.tasks.predicates import JointBetween, Leaning, named_objects
+from neoworld_bench.tasks.reconstructed_plans import planned_there
+from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
+from neoworld_bench.tasks.task_photo import photographed_task
 from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
 from neoworld_bench.tasks.world import World
 from pydantic import ValidationError
 
 from neoworld_mjx import cli
-from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.config import CEMOptions, ComposeOptions, MLLMOptions, RefineOptions
+from neoworld_mjx.errors import ConfigError, MissingResponseError, SpecError
+from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm.replay import Replay, Tape
 from neoworld_mjx.program import build
+from neoworld_mjx.spec import scale
+from neoworld_mjx.spec.pose import from_yaw, pose, rotate
+from neoworld_mjx.spec.scene import transformed_scene
 
-STAY = ToolMove(opening=0.05, seconds=0.2)
+TASK = find_task("cube_on_cube")
+EXACT = RunSettings(0, RefineOptions(), ComposeOptions(), "exact")
+ONE_OF_EACH = (
+    *("cup_on_plate", "tight_peg", "third_cube", "push_block", "ball_through_gate", "tip_book"),
+    *("dominoes_curved", "push_off_the_edge", "open_till", "close_laptop", "turn_faucet", "bridge"),
+)
+EVERY = [
+    pytest.param(task.name, marks=() if task.name in ONE_OF_EACH else pytest.mark.slow)
+    for task in all_tasks()
+]
 
 
 def plan(**changes):
-    given = {"position": (0, 0, 0.5), "opening": 0.05, "moves": (STAY,)}
-    return TaskPlan(**(given | changes))
+    stay = ToolMove(opening=0.05, seconds=0.2)
+    return TaskPlan(**({"position": (0, 0, 0.5), "opening": 0.05, "moves": (stay,)} | changes))
 
 
-@pytest.fixture(scope="module")
-def cubes():
-    return find_task("cube_on_cube")
+def with_moved(task, names, by):
+    objects = []
+    for item in task.scene.objects:
+        if item.name in names:
+            item = item.model_copy(update={"xy": (item.xy[0] + by[0], item.xy[1] + by[1])})
+        objects.append(item)
+    return task.scene.model_copy(update={"objects": tuple(objects)})
 
 
-def test_reference_plan_succeeds_and_waiting_fails(cubes):
-    outcome = execute(cubes.scene, cubes.plan, cubes.predicate)
+def lacking(name):
+    objects = tuple(item for item in TASK.scene.objects if item.name != name)
+    return TASK.scene.model_copy(update={"objects": objects})
+
+
+def test_there_are_84_tasks_of_eight_kinds():
+    tasks = all_tasks()
+    assert len({task.name for task in tasks}) == len(tasks) == 84
+    assert len({task.kind for task in tasks}) == 8
+    with pytest.raises(ConfigError, match="cube_on_cube"):
+        find_task("cube_on_cub")
+
+
+def test_programs_of_tasks_pass_the_checks():
+    for name, program in task_programs().items():
+        built = build(program.program({}))
+        assert built.ok, (name, built.signals)
+
+
+def test_reference_plan_succeeds_and_fails_for_a_displaced_object():
+    outcome = execute(TASK.scene, TASK.plan, TASK.predicate)
     assert outcome.success and outcome.held == 1 and outcome.progress == 1
-    assert outcome.seconds == pytest.approx(cubes.plan.seconds + 2.0, abs=0.05)
-    waiting = wait(cubes.scene, cubes.predicate)
+    waiting = wait(TASK.scene, TASK.predicate)
     assert not waiting.success and waiting.drift_m < 0.001
-
-
-def test_reference_plan_fails_for_a_displaced_object(cubes):
-    outcome = execute(cubes.displaced(1.0), cubes.plan, cubes.predicate)
-    assert not outcome.success and outcome.held == 0 and outcome.progress < 0.9
-    assert "upper within" in outcome.reason
-
-
-def test_held_object_does_not_count_as_placed(cubes):
-    held = cubes.plan.model_copy(update={"moves": cubes.plan.moves[:5]})
-    outcome = execute(cubes.scene, held, cubes.predicate)
-    assert not outcome.success and outcome.progress == 1
-
-
-def test_plan_that_starts_inside_an_object_fails_and_names_it(cubes):
+    beside = with_moved(TASK, ("upper",), (0.02, 0.03))
+    outcome = execute(beside, TASK.plan, TASK.predicate)
+    assert not outcome.success and outcome.held == 0 and "upper within" in outcome.reason
+    held = TASK.plan.model_copy(update={"moves": TASK.plan.moves[:5]})
+    outcome = execute(TASK.scene, held, TASK.predicate)
+    assert not outcome.success and outcome.progress == 1, "what is held is not placed"
     inside = plan(position=(0.15, 0.05, 0.03), opening=0.0)
-    outcome = execute(cubes.scene, inside, cubes.predicate)
-    assert not outcome.success and "deep in lower" in outcome.reason and outcome.seconds == 0
+    outcome = execute(TASK.scene, inside, TASK.predicate)
+    assert not outcome.success and "deep in lower" in outcome.reason
 
 
-def test_drawer_is_pushed_shut():
-    task = find_task("close_cabinet_drawer")
-    value = World(task.scene, None).joint("drawer_cabinet", "drawer_2_slide", fraction=True)[0]
-    assert value == pytest.approx(0.6)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [task.name for task in all_tasks()])
+def test_every_task_on_its_ground_truth(name):
+    task = find_task(name)
+    assert failures(task.scene) == []
+    outcome = execute(task.scene, task.plan, task.predicate)
+    assert outcome.success, outcome
     assert not wait(task.scene, task.predicate).success
-    assert execute(task.scene, task.plan, task.predicate).success
 
 
 def test_gripper_tracks_opening_and_pose():
-    scene = scene_of("cup", put("mug"))
     way = ToolMove(displacement=(0.1, -0.05, 0.05), turn=(0, 0, 0.8), opening=0.03, seconds=1)
     seen = {}
 
     def watch(world, _):
-        left, right = (
-            world.data.joint(f"end_effector-{side}").qpos[0] for side in ("left", "right")
-        )
-        seen["opening"], seen["tool"] = left + right, world.tool()
+        sides = [world.data.joint(f"end_effector-{side}").qpos[0] for side in ("left", "right")]
+        seen["opening"], seen["tool"] = sum(sides), world.tool()
 
     given = plan(position=(0.3, 0.3, 0.4), moves=(way,))
-    execute(scene, given, Leaning(object="mug", tilt=(0, 1), source="test"), watch=watch)
+    goal = Leaning(object="mug", tilt=(0, 1), source="test")
+    execute(scene_of("cup", put("mug")), given, goal, watch=watch)
     assert seen["opening"] == pytest.approx(0.03, abs=1e-3)
     np.testing.assert_allclose(seen["tool"].pos, (0.4, 0.25, 0.45), atol=1e-3)
     closing = seen["tool"].apply((0, 1, 0)) - seen["tool"].pos
@@ -103,14 +139,10 @@ def test_move_about_a_point_follows_an_arc():
     ("changes", "message"),
     [
         ({"closing": (0, 0, 1)}, "nor parallel"),
-        ({"approach": (0, 0, 0)}, "not be zero"),
         ({"opening": 0.5}, "0.12"),
         ({"position": (0, 0, 9)}, "less than or equal to 3"),
         ({"moves": ()}, "at least 1"),
-        (
-            {"moves": (ToolMove(turn=(0, 0, 2), opening=0), ToolMove(turn=(0, 0, 1), opening=0))},
-            "2.9 rad",
-        ),
+        ({"moves": [ToolMove(turn=(0, 0, turn), opening=0) for turn in (2, 1)]}, "2.9 rad"),
         ({"moves": ({"opening": 0, "displacement": (math.nan, 0, 0)},)}, "finite"),
     ],
 )
@@ -119,94 +151,175 @@ def test_plans_have_bounds(changes, message):
         plan(**changes)
 
 
-def test_joint_fraction_requires_a_range():
-    scene = scene_of("globe", put("desk_globe", fixed=True))
+def test_scenes_that_a_task_cannot_use_are_refused():
     goal = JointBetween(object="desk_globe", joint="spin", low=0, high=1, source="test")
     with pytest.raises(SpecError, match="desk_globe/spin has no range"):
-        wait(scene, goal, 1.0)
-
-
-def test_object_named_like_the_gripper_is_refused():
-    scene = scene_of("cup", put("mug", name="end_effector"))
+        wait(scene_of("globe", put("desk_globe", fixed=True)), goal, 1.0)
     with pytest.raises(SpecError, match="gripper's name"):
-        World(scene, plan())
+        World(scene_of("cup", put("mug", name="end_effector")), plan())
 
 
-def test_there_are_84_tasks_of_eight_kinds():
-    tasks = all_tasks()
-    assert len({task.name for task in tasks}) == len(tasks) == 84
-    assert len({task.kind for task in tasks}) == 8
-    assert task_names() == tuple(task.name for task in tasks)
-    assert len({task.instruction for task in tasks}) > 80
-    with pytest.raises(ConfigError, match="cube_on_cube"):
-        find_task("cube_on_cub")
+@pytest.mark.parametrize("name", EVERY)
+def test_plans_transform_with_the_scene(name):
+    """Planned in the scene, moved as a whole, it is the reference plan, moved as a whole."""
+    task, by = find_task(name), pose((0.4, -0.3, 0.0), from_yaw(0.9))
+    plan, there = task.plan, task.plan_in(transformed_scene(task.scene, by))
+    near = {"atol": 3e-6}
+    np.testing.assert_allclose(there.position, by.apply(plan.position), **near)
+    # Closed fingers that poke from above may close along any line.
+    for field in ("approach", "closing") if plan.opening else ("approach",):
+        a, b = getattr(there, field), rotate(by.quat, getattr(plan, field))
+        np.testing.assert_allclose(a, b, **near)
+    for a, b in zip(there.moves, plan.moves, strict=True):
+        np.testing.assert_allclose(a.displacement, rotate(by.quat, b.displacement), **near)
+        np.testing.assert_allclose(a.turn, rotate(by.quat, b.turn), **near)
+        if b.about is not None:
+            np.testing.assert_allclose(a.about, by.apply(b.about), **near)
+    assert task.predicate_in(task.scene) == task.predicate or task.prepared.condition is not None
 
 
-def test_programs_of_tasks_pass_the_checks():
-    for name, program in task_programs().items():
-        for values in ({}, program.draw(0)):
-            built = build(program.program(values))
-            assert built.ok, (name, values, built.signals)
+def test_targets_follow_the_layout_and_grips_scale_with_objects():
+    push = find_task("push_block")
+    x, y, z = push.predicate.target
+    marks = with_moved(push, ("mark", "mark_2"), (0.05, 0.0))
+    assert push.predicate_in(marks).target == pytest.approx((x + 0.05, y, z))
+    objects = [
+        item.model_copy(update={"spec": scale(item.spec, 1.2), "z": 1.2 * item.z})
+        if item.name in ("upper", "lower")
+        else item
+        for item in TASK.scene.objects
+    ]
+    larger = TASK.scene.model_copy(update={"objects": tuple(objects)})
+    assert TASK.plan_in(larger).opening == pytest.approx(TASK.plan.opening + 0.2 * 0.05)
+    assert TASK.predicate_in(larger).target == pytest.approx((0.0, 0.0, 0.06))
 
 
-def test_summary_of_task_checks():
-    row = TaskRow(
-        task="a",
-        kind="placement",
-        reference=True,
-        reason="",
-        waiting=False,
-        drift_mm=0.1,
-        displaced=0,
-        directions=4,
-        lag_mm=1.0,
-        simulated_s=1.0,
-        wall_s=1.0,
-    )
-    assert summarised([row])["passed"]
-    bad = row.model_copy(update={"reference": False, "reason": "fell"})
-    assert not summarised([row, bad])["passed"]
-    assert summarised([row, bad])["missed"] == ["a: fell"]
-    assert not summarised([row.model_copy(update={"waiting": True})])["passed"]
-    assert not summarised([row.model_copy(update={"displaced": 1})])["passed"]
-    other = {"kind": "pushing", "displaced": 3, "drift_mm": 2.5, "reference": False}
-    first, pushed, whole = summarised([row, row.model_copy(update=other)])["table"]
-    assert (first["kind"], pushed["kind"], whole["kind"]) == ("placement", "pushing", "all")
-    assert first["tasks"] == first["reference_succeeds"] == 1 and first["displaced_succeeds"] == 0
-    assert pushed["reference_succeeds"] == 0 and pushed["largest_drift_mm"] == 2.5
-    assert (whole["tasks"], whole["displaced_succeeds"], whole["displaced_runs"]) == (2, 3, 8)
+def test_plans_from_wrong_layouts():
+    there = planned_there(TASK, with_moved(TASK, ("upper",), (0.03, -0.02)))
+    assert there.in_scene.success and not there.on_truth.success
+    assert there.object_error_m == pytest.approx(math.hypot(0.03, 0.02))
+    # An offset that all objects share is no error.
+    names = [item.name for item in TASK.scene.objects if not item.environment]
+    there = planned_there(TASK, with_moved(TASK, names, (0.04, 0.03)))
+    assert there.shift_m == pytest.approx(0.05) and there.object_error_m == pytest.approx(0.0)
+    assert there.on_truth.success and there.in_scene.success and not there.unaligned.success
+    there = planned_there(TASK, lacking("lower"))
+    assert not (there.on_truth.success or there.in_scene.success)
+    assert there.on_truth.reason.startswith("no plan: ")
+    assert there.on_truth.reason.endswith("; the scene has no lower")
 
 
-def command(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["bench", "run", "tasks", *arguments])
-    return ended.value.code
+def test_task_photos_view_the_scene_from_a_side_without_occlusion():
+    front = photographed_task(TASK.scene)
+    for item in front.scene.objects[1:]:
+        x0, y0, x1, y1 = item.box2d.as_tuple()
+        assert x0 > 0 and y0 > 0 and x1 < 640 and y1 < 480 and (x1 - x0) * (y1 - y0) > 500
+    back = front.back(front.scene).objects[0]
+    assert (*back.xy, back.z, back.yaw) == pytest.approx((0, 0, -0.04, 0), abs=1e-12)
 
 
-def test_tasks_command_prints_one_json_object(capfd):
-    assert command("--task", "cube_on_cube", "--directions", "1", "--json") == 0
-    answer = json.loads(capfd.readouterr().out)
-    assert answer["tasks"] == answer["reference_succeeds"] == answer["displaced_runs"] == 1
-    assert answer["true_without_a_plan"] == answer["displaced_succeeds"] == 0
-    assert command("--task", "cube_on_cub") == 2
-    assert "cube_on_cube" in capfd.readouterr().err
-    assert command("--directions", "-1") == 2
+def test_rows_of_methods_are_kept_and_exceptions_count_as_failures(tmp_path, monkeypatch):
+    def raising(*_, **__):
+        raise ValueError("broken")
+        yield
 
+    def run():
+        store = RowStore(tmp_path / "rows.jsonl")
+        return run_successes([TASK], ["truth", "open_loop"], EXACT, starts=1, store=store)
 
-def test_the_page_lists_every_task():
-    text = PAGE.read_text(encoding="utf-8")
-    for task in all_tasks():
-        assert f"| `{task.name}` | {task.instruction} |" in text
+    with monkeypatch.context() as patch:
+        patch.setattr("neoworld_bench.methods.method_runs.outcomes_of", raising)
+        broken, truth = run()
+    assert truth.on_truth and truth.in_scene and truth.valid and truth.reason == ""
+    assert not (broken.on_truth or broken.in_scene or broken.valid)
+    assert broken.reason == "no layout: ValueError: broken"
+    assert run() == [broken, truth]
+    with pytest.raises(SpecError, match="method: got 'opn_loop'"):
+        run_successes([], ["opn_loop"], EXACT, starts=1)
 
 
 @pytest.mark.slow
-def test_every_reference_plan_succeeds_and_waiting_fails():
-    for task in all_tasks():
-        outcome = execute(task.scene, task.plan, task.predicate)
-        assert outcome.success, (task.name, outcome)
-        assert not wait(task.scene, task.predicate).success, task.name
+def test_exact_response_leads_to_task_success():
+    (row,) = run_successes([TASK], ["open_loop"], EXACT, starts=1)
+    assert row.on_truth and row.in_scene and row.valid and row.missed == 0
+    assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
+
+
+def _row(task, kind, method, on_truth, start=0, **more):
+    given = dict.fromkeys(SuccessRow.model_fields, 0) | {
+        **{"task": task, "kind": kind, "method": method, "on_truth": on_truth, "start": start},
+        **{"in_scene": True, "unaligned": False, "valid": True, "evaluation": start % 2 == 1},
+        **{"noise": "layout", "injected": "", "reason": "", "scene_reason": "", "fingerprint": "x"},
+    }
+    return SuccessRow.model_validate(given | more)
+
+
+def test_success_summary_by_method_and_kind():
+    rows = [_row("a", "stacking", "ours", True), _row("b", "pushing", "ours", False, 1)]
+    rows += [_row("b", "pushing", "gravity", False, reason="no plan: x")]
+    summary = task_summary(rows)
+    ours = summary["methods"]["ours"]
+    assert (ours["n"], ours["success_on_truth"], ours["success_in_scene"]) == (2, 0.5, 1.0)
+    assert summary["kinds"]["pushing"]["gravity"]["no_plan"] == 1
+    assert summary["failures"][-1] == "b start 0 gravity: no plan: x"
+    assert success_interval(rows[:1], "success_on_truth") == (1.0, None, None)
+    # Clopper and Pearson's interval of one of two tasks.
+    assert summary["table"][0]["task success [%]"] == "50.0 (1.3 to 98.7)"
+    assert summary["table"][-1]["method"].endswith("*")
+
+
+def answer(plan):
+    return json.dumps({"reasoning": "by hand", "plan": json.loads(plan.model_dump_json())})
+
+
+def planned(tape, method="truth"):
+    with Panel(Replay(tape, "by hand"), MLLMOptions()) as models:
+        return list(plan_rows(models, TASK, methods=[method], starts=1, settings=EXACT))
+
+
+def test_a_models_plan_is_executed_and_its_failure_refines_the_layout(monkeypatch):
+    scene = scene_of_method(TASK, photographed_task(TASK.scene), "truth", 0, EXACT)
+    request = plan_request(TASK, scene, photographed_task(TASK.scene))
+    assert TASK.instruction in request.prompt and len(request.pictures) == 1
+    assert "- upper (wooden block, carried by table)" in request.prompt
+    assert "(-0.120, -0.100, 0.025)" in request.prompt  # the middle of the upper cube
+    assert "within" not in request.prompt, "the condition of success is not told"
+    tape = Tape(made="written by hand: the reference plan")
+    tape.put(request, answer(TASK.plan), "hand")
+    (row,) = planned(tape)
+    assert row.planned and row.in_scene and row.on_truth and row.executions == 0
+    # A plan that fails; the refinement finds a layout in which it succeeds.
+    x, y, z = TASK.plan.position
+    astray = TASK.plan.model_copy(update={"position": (x + 0.06, y + 0.06, z)})
+    tape = Tape(made="written by hand: the reference plan, displaced")
+    tape.put(request, answer(astray), "hand")
+    outcome = execute(TASK.scene, TASK.plan, TASK.predicate)
+    refined = lambda *_, **__: FeedbackResult(TASK.scene, outcome, 40)
+    monkeypatch.setattr(model_plans, "refine_by_outcome", refined)
+    (row,) = planned(tape)
+    assert not row.in_scene and "upper within" in row.reason and row.executions == 40
+    figures = plan_figures([row])["methods"]["truth"]
+    assert (figures["n"], figures["no_plan"], figures["success_on_truth"]) == (1, 0, 0.0)
+    with pytest.raises(MissingResponseError):
+        planned(Tape(made="none"))
 
 
 @pytest.mark.slow
-def test_page_matches_the_generated_table():
-    assert PAGE.read_text(encoding="utf-8") == page(PAGE.read_text(encoding="utf-8"))
+def test_feedback_moves_the_named_objects_until_the_plan_succeeds():
+    assert named_objects(TASK.predicate) == {"upper", "lower"}
+    wrong = with_moved(TASK, ("lower",), (0.015, -0.015))
+    assert not execute(wrong, TASK.plan, TASK.predicate).success
+    options = CEMOptions(population=10, iterations=5, elite_ratio=0.25, smoothing=0.2)
+    result = refine_by_outcome(wrong, TASK.plan, TASK.predicate, options=options)
+    assert result.outcome.success and 1 < result.executions <= 72
+    assert result.scene.object("peg").xy == pytest.approx(wrong.object("peg").xy)
+
+
+def test_commands_print_one_json_object(capfd):
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["bench", "run", "tasks", "--task", TASK.name, "--method", "truth", "--json"])
+    result = json.loads(capfd.readouterr().out)
+    assert result["methods"]["truth"]["success_on_truth"] == 1.0 and result["n"] == 2
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["bench", "run", "plans", "--task", "bridge", "--provider", "mailbox"])
+    assert "mailbox" in capfd.readouterr().err

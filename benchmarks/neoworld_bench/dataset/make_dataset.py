@@ -1,7 +1,6 @@
 """Write the data set: objects of all categories, and scenes with images and annotations.
 
     DIR/dataset.json                        version, counts and the content hash
-    DIR/scenes.jpg                          the pictures of all scenes on one sheet
     DIR/categories/NAME/program.py, spec.json
     DIR/scenes/NAME/scene.json, scene.usda, objects/, tree.json, joints.json,
                     picture.png, masks.png, depth.npz
@@ -20,10 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
 
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.io import open_image
 from neoworld_mjx.io.files import content_hash, write_atomic
 from neoworld_mjx.places import Place, run_tasks
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
@@ -34,9 +31,7 @@ from ..rows import log
 from .declaration import declaration, declarations
 from .truth_scene import built, photographed, truth_scene
 
-SUMMARY, DONE, SHEET = "dataset.json", "content.json", "scenes.jpg"
-THUMBNAIL, COLUMNS = (320, 240, 14), 5
-"""Width, height and caption height of a thumbnail [px]; thumbnails in a row."""
+SUMMARY, DONE = "dataset.json", "content.json"
 DIGITS = 6
 """Significant digits of numbers in hashes, so that machines agree."""
 TASKS = "neoworld_bench.tasks.catalogue"
@@ -83,37 +78,11 @@ def make_dataset(
         "hash": _hash_of(parts),
     }
     _write(out / SUMMARY, json.dumps(summary | {"seed": seed}, indent=1) + "\n")
-    _write(out / SHEET, contact_sheet(out, list(chosen)))
     return summary | {"seconds": time.perf_counter() - began}
-
-
-def dataset_hash(*, seed: int | None = None) -> str:
-    """Return the content hash of the whole data set without writing it."""
-    parts = [("categories", name) for name in templates()]
-    parts += [("scenes", name) for name in declarations()]
-    parts += [("tasks", name) for name in task_names()]
-    return _hash_of([_part(kind, name, seed) for kind, name in parts])
 
 
 def _hash_of(parts: Iterable[dict[str, Any]]) -> str:
     return content_hash([VERSION, *(f"{p['kind']}/{p['name']}:{p['hash']}" for p in parts)])
-
-
-def contact_sheet(out: Path, names: Sequence[str]) -> bytes:
-    """Return the pictures of a written data set's scenes on one sheet, as JPEG."""
-    width, height, caption = THUMBNAIL
-    rows = -(-len(names) // COLUMNS)
-    sheet = Image.new("RGB", (COLUMNS * width, rows * (height + caption)), "white")
-    text = ImageDraw.Draw(sheet)
-    for k, name in enumerate(names):
-        x, y = (k % COLUMNS) * width, (k // COLUMNS) * (height + caption)
-        data = (out / "scenes" / name / "picture.png").read_bytes()
-        with open_image(data, name, RunError) as picture:
-            sheet.paste(picture.resize((width, height)), (x, y + caption))
-        text.text((x + 3, y + 1), name, fill="black")
-    stream = io.BytesIO()
-    sheet.save(stream, "JPEG", quality=85)
-    return stream.getvalue()
 
 
 def task_names() -> list[str]:
@@ -129,7 +98,7 @@ def _write_part(job: tuple[str, str, str, int | None]) -> Iterator[dict[str, Any
     text = json.dumps(content, indent=1) + "\n"
     done = folder / DONE
     if kind == "tasks":
-        yield content  # Tasks are part of the package: the hash alone is told.
+        yield content  # Tasks are part of the package: only their hash is listed.
         return
     if not done.is_file() or done.read_text(encoding="utf-8") != text:
         for path, data in part["files"]().items():

@@ -28,9 +28,6 @@ from neoworld_mjx.spec import (
     recentred,
 )
 
-COUNTS = (3, 6, 10, 20, 40)
-"""Numbers of objects, without the table, over which cost growth is measured."""
-
 WOOD = Material(name="wood", density=600, friction=0.5)
 CERAMIC = Material(name="ceramic", density=2300, friction=0.4)
 STEEL = Material(name="steel", density=7800, friction=0.3)

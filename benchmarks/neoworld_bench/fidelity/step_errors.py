@@ -13,18 +13,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.align.align import align
 from neoworld_mjx.compose.compose import compose
-from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.fit.fit_tree import fit_tree
-from neoworld_mjx.fit.refit import refit_tree
-from neoworld_mjx.measure import SceneMeasure, measured, passes, shown_sides, visible_box_iou
+from neoworld_mjx.measure import SceneMeasure, measured, passes, visible_box_iou
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.simulate import open_engine
-from neoworld_mjx.refinement.final_alignment import align_final
-from neoworld_mjx.refinement.scene_refinement import refine
+from neoworld_mjx.pipeline.place import Evidence, place, refine_placed
 from neoworld_mjx.spec import Box3D, SceneSpec
 
 from ..measures.symmetry import symmetry
@@ -106,25 +102,20 @@ def photo_rows(
         shapes = {item.name: item.spec for item in scene.objects}
         answer = noisy_response(truth, number)
         fitted, _ = fit_tree(answer)
-        as_answered = compose(answer, shapes, c).scene
-        refitted = fitted
-        if c.refit:
-            refitted, _ = refit_tree(answer, shapes, shown_sides(as_answered))
+        picture = photograph(scene) if c.align.enabled else None
+        placed = place(answer, shapes, Evidence(picture), c)
         stages = {
-            "as_answered": as_answered,
-            "composed": compose(refitted, shapes, c).scene,
+            "as_answered": compose(answer, shapes, c).scene,
+            "composed": placed.composed.scene,
         }
-        start = stages["composed"]
-        if c.align.enabled:
-            aligned = align(start, photograph(scene), c.align).scene
-            start, _ = in_contact(aligned, c, composed=start)
-            stages["aligned"] = start
+        if placed.alignment is not None:
+            stages["aligned"] = placed.scene
         if runner is not None:
-            refined = refine(start, o, seed=seed, engine=runner)
-            stages["refined"] = refined.scene
-            if refined.passed and c.align.aligns_again:
-                final = align_final(start, refined.scene, photograph(scene), o, c.align)
-                stages["refined"] = final.scene
+            again = c.align if placed.alignment is not None else None
+            rested = refine_placed(
+                placed.scene, o, seed=seed, engine=runner, photo=picture, again=again
+            )
+            stages["refined"] = rested.scene
         checks = {
             step: measured(at if step == "refined" else snap_exactly(at), o)
             for step, at in stages.items()

@@ -8,7 +8,7 @@ with odd numbers also have errors of programs.
 
 import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,6 @@ class OpeningRow(Row):
     object: str
     joint: str
     start: int
-    slides: bool
     range: float
     """Range of the joint in the ground truth [rad or m]."""
     truth: float
@@ -65,13 +64,6 @@ class OpeningRow(Row):
     deviation: float | None
     """Standard deviation that the alignment reports [rad or m]; None if the joint was no unknown of
     the alignment."""
-    evidence: str
-    """Evidence from which the alignment placed the object; "none" if it was not placed."""
-    mask_iou: dict[str, float]
-    """Intersection over union of an object's visible pixels and its pixels in the photograph, as a
-    mean over objects, by stage."""
-    own_iou: dict[str, float]
-    """Intersection over union for the object with the joint, by stage."""
     errors: dict[str, dict[str, float]]
     """`layout_errors` by stage."""
 
@@ -147,28 +139,6 @@ def _is_seen(scene: SceneSpec, closed: SceneSpec) -> bool:
     return int((np.abs(depths[0] - depths[1]) > SEEN_M).sum()) >= SEEN_PX
 
 
-def mask_iou(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
-    """Return the intersection over union of each object's visible pixels in two scenes.
-
-    Images have 640 columns. The result has the objects that both scenes contain and that are
-    visible in the ground truth, by name.
-    """
-    assert scene.camera is not None and truth.camera is not None
-    owners, true_owners = (draw_scene(s, s.camera, 640).owner for s in (scene, truth) if s.camera)
-    ious = {}
-    for k, item in enumerate(truth.objects):
-        true_mask = true_owners == k
-        if (
-            item.environment
-            or not true_mask.any()
-            or item.name not in {o.name for o in scene.objects}
-        ):
-            continue
-        mask = owners == scene.index(item.name)
-        ious[item.name] = float((mask & true_mask).sum() / (mask | true_mask).sum())
-    return ious
-
-
 def initial_scene(truth: SceneSpec, number: int, *, programs: bool) -> SceneSpec:
     """Return the ground truth with errors; it is not fitted and composed as in a run.
 
@@ -231,13 +201,11 @@ def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[Openi
             assert alignment is not None
             change = alignment.objects.get(item.name)
             opening = None if change is None else change.joints.get(joint.name)
-            ious = {stage: mask_iou(s, truth) for stage, s in stages.items()}
             yield OpeningRow(
                 scene=name,
                 object=item.name,
                 joint=joint.name,
                 start=start,
-                slides=joint.type == "prismatic",
                 range=joint.upper - joint.lower,
                 truth=item.joint_state[joint.name],
                 value={
@@ -245,58 +213,39 @@ def opening_rows(name: str, *, starts: int = 2, seed: int = 0) -> Iterator[Openi
                     for stage, s in stages.items()
                 },
                 deviation=None if opening is None else opening.deviation,
-                evidence="none" if change is None else change.evidence,
-                mask_iou={stage: float(np.mean([*of.values()])) for stage, of in ious.items()},
-                own_iou={stage: of[item.name] for stage, of in ious.items()},
                 errors={stage: layout_errors(s, truth) for stage, s in stages.items()},
             )
 
 
+MEASURES: dict[str, Callable[[OpeningRow, str], float]] = {
+    "opening_percent": lambda r, stage: 100 * r.error(stage),
+    "position_mm": lambda r, stage: 1e3 * r.errors[stage]["xy_error_m"],
+    "heading_deg": lambda r, stage: r.errors[stage]["yaw_error_deg"],
+    "size_percent": lambda r, stage: 100 * r.errors[stage]["scale_error"],
+}
+"""Errors of a row at a stage."""
+
+
 def opening_summary(rows: Sequence[OpeningRow]) -> dict[str, Any]:
-    """Summarize rows of joints that are unknowns: all, with right and with wrong programs."""
-    parts = {"all": list(rows)}
-    parts["right_programs"] = [row for row in rows if row.start % 2 == 0]
-    parts["wrong_programs"] = [row for row in rows if row.start % 2]
+    """Return the mean errors of joints that are unknowns of the alignment, by stage.
+
+    Returns:
+        "n" and "joints" are the numbers of rows and of their joints, "table" has a row for each
+        stage, and "aligned_minus_without" the differences with intervals, clustered by scene.
+    """
+    known = [row for row in rows if row.deviation is not None]
+    difference = lambda r, of: of(r, "aligned") - of(r, "without")
     return {
-        part: _figures([row for row in part_rows if row.deviation is not None])
-        | {"rows": len(part_rows)}
-        for part, part_rows in parts.items()
-        if any(row.deviation is not None for row in part_rows)
+        "n": len(known),
+        "joints": len({(row.scene, row.object, row.joint) for row in known}),
+        "table": [
+            {"stage": stage}
+            | {name: float(np.mean([of(r, stage) for r in known])) for name, of in MEASURES.items()}
+            for stage in STAGES
+            if known
+        ],
+        "aligned_minus_without": {
+            name: ratio_interval([(r.scene, difference(r, of), 1) for r in known])
+            for name, of in MEASURES.items()
+        },
     }
-
-
-def _figures(rows: Sequence[OpeningRow]) -> dict[str, Any]:
-    measures = {
-        "opening_percent": lambda r, s: 100 * r.error(s),
-        "position_mm": lambda r, s: 1e3 * r.errors[s]["xy_error_m"],
-        "heading_deg": lambda r, s: r.errors[s]["yaw_error_deg"],
-        "size_percent": lambda r, s: 100 * r.errors[s]["scale_error"],
-        "mask_iou": lambda r, s: r.mask_iou[s],
-        "own_iou": lambda r, s: r.own_iou[s],
-    }
-    figures: dict[str, Any] = {"unknown": len(rows), "joints": len({_key(r) for r in rows})}
-    for stage in STAGES:
-        figures[stage] = {
-            name: float(np.mean([of(r, stage) for r in rows])) for name, of in measures.items()
-        }
-        for kind, slides in (("turn_deg", False), ("slide_mm", True)):
-            errors = [r.error(stage) * r.range for r in rows if r.slides == slides]
-            if errors:
-                unit = 1e3 if slides else 180 / np.pi
-                figures[stage][kind] = unit * float(np.median(errors))
-    figures["aligned_minus_without"] = {
-        name: ratio_interval([(r.scene, of(r, "aligned") - of(r, "without"), 1) for r in rows])
-        for name, of in measures.items()
-    }
-    change = [r.error("aligned") - r.error("without") for r in rows]
-    figures["nearer"], figures["farther"] = (
-        sum(sign * by > 0.01 for by in change) for sign in (-1, 1)
-    )
-    figures["within_90"] = float(
-        np.mean([r.error("aligned") * r.range <= 1.645 * (r.deviation or 0.0) for r in rows])
-    )
-    return figures
-
-
-def _key(row: OpeningRow) -> tuple[str, str, str]:
-    return row.scene, row.object, row.joint

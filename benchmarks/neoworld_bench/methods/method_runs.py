@@ -1,16 +1,21 @@
-"""Run methods on scenes or tasks from noisy initial scenes, in separate processes.
+"""Runs of methods on scenes or tasks from noisy initial scenes, in separate processes."""
 
-The rows of results are stored in files, so an interrupted run can continue.
-"""
-
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from neoworld_mjx.config import ComposeOptions, RefineOptions
+import numpy as np
+from jaxtyping import UInt8
+from pydantic import ValidationError
+
+from neoworld_mjx.config import ComposeOptions, Config, RefineOptions, merged, read_yaml
+from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.io.files import content_hash
+from neoworld_mjx.io.validation_message import validation_message
+from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
+from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -22,10 +27,8 @@ from ..noise.initial_scenes import (
     noise_number,
 )
 from ..noise.parse_noise import NoiseLog
-from ..row_files import RowFile, check_level
-from ..rows import Row, log
-from .named_methods import note_methods, options_json
-from .scene_objects import ObjectRow
+from ..rows import Row, RowStore, log
+from .scene_methods import METHODS, MethodResult, outcomes_of
 
 
 class MethodRow(Row):
@@ -78,10 +81,6 @@ class RunSettings:
     named: tuple[tuple[str, RefineOptions], ...] = ()
     """Options of the searches that a user named, by name."""
 
-    def options_of(self, method: str) -> RefineOptions:
-        """Return the options that a method is given, before it changes some of them."""
-        return dict(self.named).get(method, self.refine)
-
     def of_method(self, method: str, fingerprint: str) -> str:
         """Return the fingerprint of a method's row, given the fingerprint of its subject."""
         options = dict(self.named).get(method)
@@ -108,10 +107,6 @@ class MethodJob:
     submission: Path | None = None
     """Folder of another method's scenes to score in place of running methods."""
 
-    def composed(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> SceneSpec:
-        """Return only the scene of `initial`."""
-        return self.initial(truth, stream, errors).scene
-
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Add noise to the exact response for the ground truth, and compose the initial scene.
 
@@ -124,6 +119,35 @@ class MethodJob:
         number = noise_number(stream, s.seed, self.start)
         response = exact_response(truth)
         return initial_scene(truth, response, number, s.compose, noise=s.noise, log=errors)
+
+    def outcomes(
+        self,
+        methods: Sequence[str],
+        initial: InitialScene,
+        photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
+        *,
+        warm: bool = True,
+    ) -> Iterator[tuple[str, MethodResult]]:
+        """Run methods from the initial scene, and yield each name with its result.
+
+        Args:
+            methods: names of the methods.
+            initial: the initial scene with its programs.
+            photo: function that returns the photograph.
+            warm: True to compile before the times are measured.
+        """
+        s = self.settings
+        return outcomes_of(
+            methods,
+            initial,
+            s.refine,
+            NativeEngine(threads=self.threads),
+            photo,
+            align=s.compose.align,
+            seed=s.seed,
+            warm=warm,
+            named=dict(s.named),
+        )
 
     def columns(self, method: str, errors: NoiseLog) -> dict[str, Any]:
         """Return the columns of `MethodRow`, except for `rollouts`."""
@@ -138,8 +162,45 @@ class MethodJob:
         }
 
 
+def read_methods(
+    names: Sequence[str], config: Config
+) -> tuple[tuple[str, ...], tuple[tuple[str, RefineOptions], ...]]:
+    """Return the methods of a command line, and the options of those that it names itself.
+
+    Args:
+        names: methods of METHODS, and NAME=FILE for the search with the options of a YAML file on
+            top of the configuration, such as `mine=mine.yaml` with another `refine.optimizer`.
+        config: the configuration.
+
+    Raises:
+        ConfigError: a name is taken, or a file or an option is invalid.
+    """
+    methods: list[str] = []
+    options: dict[str, RefineOptions] = {}
+    for text in names:
+        name, equals, file = text.partition("=")
+        if equals:
+            if name in METHODS or name in options or not name.replace("_", "").isalnum():
+                raise ConfigError(f"--method {text}: take another name, of letters, digits and _")
+            options[name] = _refine_options(Path(file), config)
+            # Before anything runs: the optimizer may need a package that is not installed.
+            optimizer_factory(options[name].optimizer)
+        methods.append(name)
+    return tuple(dict.fromkeys(methods)), tuple(options.items())
+
+
+def _refine_options(file: Path, config: Config) -> RefineOptions:
+    changes = read_yaml(file, "options of a method")
+    if not isinstance(changes, dict) or set(changes) != {"refine"}:
+        raise ConfigError(f"{file}: options of a method are those under refine, and no others")
+    try:
+        return Config.model_validate(merged(config.model_dump(mode="json"), changes)).refine
+    except ValidationError as error:
+        raise ConfigError(f"{file}: {validation_message(error, Config)}") from None
+
+
 def run_jobs(
-    work: Callable[[MethodJob], Iterable[tuple[R, Sequence[ObjectRow]]]],
+    work: Callable[[MethodJob], Iterable[R]],
     row_type: type[R],
     *,
     fingerprints: Mapping[str, str],
@@ -147,57 +208,38 @@ def run_jobs(
     methods: Sequence[str],
     settings: RunSettings,
     place: Place = HERE,
-    file: Path | None = None,
-    objects: Path | None = None,
+    store: RowStore | None = None,
     submission: Path | None = None,
 ) -> list[R]:
-    """Run methods on scenes or tasks, except for rows that the file already contains.
+    """Run methods on scenes or tasks, except for rows that are already stored.
 
     Args:
-        work: module-level function that yields the rows of a job, each with the rows of its
-            objects.
+        work: module-level function that yields the rows of a job.
         row_type: type of the rows.
-        fingerprints: fingerprint of each subject. Rows with another fingerprint are run again.
+        fingerprints: fingerprint of each subject.
         starts: numbers of each subject's initial scenes.
         methods: names of the methods.
         settings: settings of the run.
         place: where the jobs run.
-        file: Parquet file of the rows. If None, rows are not stored.
-        objects: Parquet file of the rows of objects. If None, they are not stored.
+        store: stored rows, to which new ones are added. If None, rows are not stored.
         submission: folder of submitted scenes. They are scored again in each run.
 
     Returns:
-        All requested rows, including rows from the file, sorted by key.
+        All requested rows, including stored ones, sorted by key.
 
     Raises:
-        RunError: a file cannot be read or written, a file has rows of another noise level, or a
-            process died.
+        RunError: a file cannot be written, a requested method has rows of other options or scenes,
+            there are rows of another noise level, or a process died.
     """
     check_place(place)
-    stored = RowFile(file, row_type, lambda row: row.key)
-    check_level(stored, settings.noise)
-    stored_objects = RowFile(objects, ObjectRow, lambda row: row.key)
-
-    if file is not None and submission is None:
-        used = {
-            method: options_json(
-                settings.options_of(method),
-                noise=settings.noise,
-                compose=settings.compose.model_dump(mode="json"),
-            )
-            for method in methods
-        }
-        note_methods(file.parent, used, {row.method for row in stored.rows})
-
-    def is_current(row: R) -> bool:
-        mark = fingerprints.get(row.subject)
-        return mark is not None and settings.of_method(row.method, mark) == row.fingerprint
-
-    done = set() if submission else {row.key for row in stored.rows if is_current(row)}
+    store = store or RowStore(None)
+    rows = {row.key: row for row in store.of(row_type)}
+    _check_rows(rows.values(), store, methods, settings, {} if submission else fingerprints)
     jobs = []
     for subject, fingerprint in fingerprints.items():
         for start in starts[subject]:
-            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in done)
+            known = set() if submission else set(rows)
+            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in known)
             if missing:
                 jobs.append(
                     MethodJob(
@@ -206,17 +248,42 @@ def run_jobs(
                 )
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
-    for row, object_rows in run_tasks(work, jobs, place):
+    for row in run_tasks(work, jobs, place):
         log.info(row.summary)
-        # Store objects first, so that every stored row has the rows of its objects.
-        stored_objects.put(object_rows, in_place_of=row.key)
-        stored.put([row], in_place_of=row.key)
+        store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
+        rows[row.key] = row
     requested = (
         row
-        for row in stored.rows
-        if is_current(row)
+        for row in rows.values()
+        if row.subject in starts
         and row.start in starts[row.subject]
         and row.seed == settings.seed
         and row.method in methods
     )
     return sorted(requested, key=lambda row: row.key)
+
+
+def _check_rows(
+    rows: Iterable[MethodRow],
+    store: RowStore,
+    methods: Sequence[str],
+    settings: RunSettings,
+    fingerprints: Mapping[str, str],
+) -> None:
+    """Check that stored rows have the noise level and the options of this run."""
+    for row in rows:
+        if row.noise != settings.noise:
+            raise RunError(
+                f"{store.file} has rows of --noise {row.noise}: name another folder for --noise "
+                f"{settings.noise}"
+            )
+        mark = fingerprints.get(row.subject)
+        if (
+            mark is not None
+            and row.method in methods
+            and row.fingerprint != settings.of_method(row.method, mark)
+        ):
+            raise RunError(
+                f"{store.file} has rows of {row.method} on {row.subject} with other options or "
+                "another scene: name another folder, or this run's search with --method NAME=FILE"
+            )

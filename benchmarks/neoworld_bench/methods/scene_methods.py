@@ -14,27 +14,20 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from neoworld_mjx.align.align import align as align_scene
-from neoworld_mjx.align.alignment import Alignment
-from neoworld_mjx.compose.on_supports import in_contact
-from neoworld_mjx.config import AlignOptions, RefineOptions, merged
+from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
-from neoworld_mjx.mllm import Picture
 from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
 from neoworld_mjx.physics.exact import snap_exactly, start_state
 from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
-from neoworld_mjx.program.freed_dimensions import EditablePrograms, free_dimensions
+from neoworld_mjx.pipeline.place import Placed, refine_placed
 from neoworld_mjx.refinement.compiling import compile_for_search
-from neoworld_mjx.refinement.final_alignment import align_final
-from neoworld_mjx.refinement.optimizer import optimizer_factory
-from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import SceneSpec
 
-from .baselines import algorithm1, with_budget
+from ..noise.initial_scenes import InitialScene
 
 GRAVITY_S = 3.0
 """Duration of the fall of the method `gravity` [s]."""
@@ -64,6 +57,24 @@ def ours(o: RefineOptions) -> RefineOptions:
 def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
     """Return options with the changes in a nested dict."""
     return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
+
+
+def algorithm1(o: RefineOptions) -> RefineOptions:
+    """Return the options of Algorithm 1, with the paper's value of every option that differs.
+
+    They are the options of configs/paper.yaml, except that S_sem is geometric.
+    """
+    values: dict[str, Any] = {}
+    for option in list_options(RefineOptions):
+        if option.difference is None or option.path.startswith("semantic."):
+            continue
+        group = values
+        *groups, name = option.path.split(".")
+        for part in groups:
+            group = group.setdefault(part, {})
+        group[name] = option.difference.value
+    values["cem"] |= {"patience": 1}
+    return changed(o, values)
 
 
 ABLATIONS: dict[str, dict[str, Any]] = {
@@ -97,18 +108,15 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-EQUAL_ROLLOUTS = ("random", "cma_es")
-"""Other optimizers, which make as many rollouts as `ours` from the same initial scene."""
 METHODS = (
     "open_loop",
     "aligned",
     "aligned_dimensions",
     "gravity",
     "guided",
-    *(name for name in SEARCHES if name != "ours"),
-    *EQUAL_ROLLOUTS,
-    "ours",
+    *SEARCHES,
 )
+"""Names of all methods."""
 
 
 def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
@@ -137,49 +145,46 @@ def outcome_of(
     engine: Engine,
     *,
     seed: int = 0,
-    rollouts: int = 0,
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
     photo: UInt8[np.ndarray, "row column 3"] | None = None,
+    again: AlignOptions | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
 
     Args:
-        method: name from METHODS, an optimizer accepted by `is_budgeted`, or a name from `named`.
+        method: name from METHODS, or from `named`.
         start: the initial scene.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
-        rollouts: number of rollouts of an optimizer accepted by `is_budgeted`.
         warm: if True, first run a search of one iteration that simulates only one candidate, so
             that the measured time does not include compilation.
         named: options of user-named searches, by name.
-        photo: the photograph, for S_photo.
+        photo: the photograph, for the final alignment and for a search whose S_sem is a model's.
+        again: options of the final alignment; if None, there is none.
     """
     if method in SETTLED:
         began = time.perf_counter()
         scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
-    if named and method in named:
-        options = named[method]
-    elif is_budgeted(method):
-        options = with_budget(o, method, max(rollouts, 1))
-    else:
-        options = SEARCHES[method](o)
+    options = named[method] if named and method in named else SEARCHES[method](o)
     model = compile_for_search(start, options)
-    picture = None if photo is None else Picture.of("photo", photo)
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
         quick = options.model_copy(update={"cem": once})
-        refine(model, quick, seed=seed, engine=SingleCandidateEngine(engine), photo=picture)
+        single = SingleCandidateEngine(engine)
+        refine_placed(start, quick, seed=seed, engine=single, photo=photo, model=model)
     began = time.perf_counter()
-    refined = refine(model, options, seed=seed, engine=engine, photo=picture)
-    spent = time.perf_counter() - began
+    placed = refine_placed(
+        start, options, seed=seed, engine=engine, photo=photo, again=again, model=model
+    )
+    spent, refined = time.perf_counter() - began, placed.refined
     to_valid = refined.seconds["to_valid"]
     return MethodResult(
-        refined.scene,
-        refined.measure,
+        placed.scene,
+        placed.measure,
         # A candidate that coarse rollouts accept but the final check rejects is not valid; the
         # result that replaces it is known only at the end.
         float(to_valid) if refined.passed and not np.isnan(to_valid) else spent,
@@ -228,124 +233,70 @@ class SingleCandidateEngine:
 
 def outcomes_of(
     methods: Sequence[str],
-    composed: SceneSpec,
+    initial: InitialScene,
     o: RefineOptions,
     engine: Engine,
     photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
     *,
     align: AlignOptions | None = None,
-    programs: EditablePrograms | None = None,
     seed: int = 0,
     warm: bool = True,
     named: Mapping[str, RefineOptions] | None = None,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
 
-    `ours` runs first, because optimizers accepted by `is_budgeted` make as many rollouts as `ours`
-    made. If `ours` was not requested, its result is discarded.
-
     Args:
         methods: names, as for `outcome_of`.
-        composed: the composed scene.
+        initial: the noisy response and its objects.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         photo: function that returns the photograph; called if a method needs the photograph.
         align: options of the alignment.
-        programs: programs of the objects, for alignments that change dimensions.
         seed: random seed of the searches.
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
     """
-    rollouts = 0
-    starts: dict[AlignOptions, tuple[SceneSpec, float]] = {}
+    placed: dict[AlignOptions, Placed] = {}
     picture = functools.cache(photo)
-    alignments: dict[AlignOptions, tuple[Alignment, float]] = {}
-
-    def options_of(method: str) -> AlignOptions:
-        return (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
-
-    def alignment_of(used: AlignOptions) -> tuple[Alignment, float]:
-        if used not in alignments:
-            rgb = picture()
-            began = time.perf_counter()
-            alignment_result = align_scene(composed, rgb, used)
-            alignments[used] = alignment_result, time.perf_counter() - began
-        return alignments[used]
-
-    def start_of(method: str) -> tuple[SceneSpec, float]:
-        used = options_of(method)
-        if method in UNALIGNED or not used.enabled:
-            return composed, 0.0
-        if used not in starts:
-            plain = used.model_copy(update={"dimensions": False, "final": True})
-            alignment, spent = alignment_of(plain)
-            began, before = time.perf_counter(), composed
-            if used.dimensions and programs is not None:
-                realign = partial(align_scene, photo=picture(), options=plain)
-                freed = free_dimensions(composed, alignment, picture(), programs, realign)
-                before, alignment = freed.composed, freed.alignment
-            aligned, _ = in_contact(alignment.scene, composed=before)
-            starts[used] = aligned, spent + time.perf_counter() - began
-        return starts[used]
-
-    for method in in_order(methods):
-        if is_budgeted(method) and not rollouts:
-            first, _ = start_of("ours")
-            rollouts = outcome_of(
-                "ours", first, o, engine, seed=seed, warm=False, photo=picture()
-            ).rollouts
-        start, spent = start_of(method)
+    for method in methods:
+        used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
+        aligns = used.enabled and method not in UNALIGNED
+        start, spent = initial.scene, 0.0
+        if aligns:
+            # The final alignment has no part in the start.
+            key = used.model_copy(update={"final": True})
+            if key not in placed:
+                placed[key] = initial.placed(picture(), key)
+            start, spent = placed[key].scene, placed[key].seconds
         result = outcome_of(
             method,
             start,
             o,
             engine,
             seed=seed,
-            rollouts=rollouts,
             warm=warm,
             named=named,
             photo=None if method in SETTLED else picture(),
+            again=used if aligns else None,
         )
-        rollouts = result.rollouts if method == "ours" else rollouts
         times = {
             name: value + spent
             for name in ("seconds", "seconds_to_result")
             if (value := getattr(result, name)) is not None
         }
-        used = options_of(method)
-        if method not in (*UNALIGNED, *SETTLED) and used.aligns_again and result.accepted:
-            began = time.perf_counter()
-            final = align_final(start, result.scene, picture(), o, used)
-            times["seconds"] += time.perf_counter() - began
-            if final.measure is not None:
-                result = dataclasses.replace(result, scene=final.scene, measure=final.measure)
         yield method, dataclasses.replace(result, **times)
-
-
-def in_order(methods: Sequence[str]) -> list[str]:
-    """Return methods in the order of execution: `ours` first, then as in METHODS."""
-    place = {name: k for k, name in enumerate(METHODS)}
-    return sorted(methods, key=lambda name: (name != "ours", place.get(name, len(place))))
-
-
-def is_budgeted(method: str) -> bool:
-    """Return True if a method is another optimizer, which makes as many rollouts as `ours`.
-
-    Such methods are those in EQUAL_ROLLOUTS, and names like `evosax:SNES` or
-    `package.module:function`.
-    """
-    return method in EQUAL_ROLLOUTS or ":" in method
 
 
 def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
     """Check the names of methods.
 
+    Args:
+        methods: the names.
+        named: further names that are methods.
+
     Raises:
         SpecError: a name is not a method.
-        ConfigError: a name with a colon is not an optimizer.
     """
     for method in methods:
-        if is_budgeted(method) and method not in named:
-            optimizer_factory(method)
-        elif method not in (*METHODS, *named):
+        if method not in (*METHODS, *named):
             raise SpecError(f"method: {choices(method, METHODS)}")

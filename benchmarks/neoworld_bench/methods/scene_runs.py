@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.errors import RunError, SpecError, choices
+from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import visible_box_iou
-from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
@@ -16,16 +15,12 @@ from ..dataset.declaration import declaration, declarations
 from ..dataset.truth_scene import photographed
 from ..fidelity.rendered_scenes import photograph
 from ..noise.parse_noise import NoiseLog
-from ..row_files import stored_rows
-from .layout_errors import layout_errors
+from ..rows import RowStore
+from .layout_errors import layout_errors, validity
 from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
-from .part_depths import P_PEN_M
-from .scene_methods import MethodResult, check_methods, outcomes_of
-from .scene_objects import OBJECTS, ObjectRow, object_rows
+from .part_depths import P_PEN_M, articulated, part_depth
+from .scene_methods import MethodResult, check_methods
 from .submission import submission_name, submitted, submitted_starts
-from .validity import Validity, validity
-
-RESULTS = "results.parquet"
 
 
 class SceneRow(MethodRow):
@@ -129,10 +124,10 @@ def run_scenes(
     *,
     starts: int,
     place: Place = HERE,
-    out: Path | None = None,
+    store: RowStore | None = None,
     submission: Path | None = None,
 ) -> list[SceneRow]:
-    """Run methods on scenes, except for rows that the folder's file already contains.
+    """Run methods on scenes, except for rows that are already stored.
 
     Args:
         scenes: names of the scenes.
@@ -140,7 +135,7 @@ def run_scenes(
         settings: settings of the run.
         starts: number of initial scenes of each scene.
         place: where the methods run.
-        out: folder of `results.parquet`. If None, rows are not stored.
+        store: stored rows, to which new ones are added. If None, rows are not stored.
         submission: folder of submitted scenes, which are scored (again in each run) instead of
             running methods.
 
@@ -164,44 +159,28 @@ def run_scenes(
         methods=methods,
         settings=settings,
         place=place,
-        file=out and out / RESULTS,
-        objects=out and out / OBJECTS,
+        store=store,
         submission=submission,
     )
 
 
-def scene_rows(job: MethodJob) -> Iterator[tuple[SceneRow, list[ObjectRow]]]:
-    """Run the methods of a job; yield each row with the rows of its objects."""
-    truth, refine = photographed(declaration(job.subject)), job.settings.refine
-    errors = NoiseLog()
+def scene_rows(job: MethodJob) -> Iterator[SceneRow]:
+    """Run the methods of a job, and yield a row for each."""
+    truth, errors = photographed(declaration(job.subject)), NoiseLog()
     for method, result, initial in _outcomes(job, truth, errors):
-        key = job.subject, job.start, job.settings.seed, method
-        objects = object_rows(result.scene, result.measure, key)
-        verdict = validity(result.scene, result.measure, truth, refine, given=initial)
-        yield _row(job, method, result, truth, verdict, objects, errors), objects
+        yield _row(job, method, result, truth, initial, errors)
 
 
 def _outcomes(
     job: MethodJob, truth: SceneSpec, errors: NoiseLog
 ) -> Iterator[tuple[str, MethodResult, SceneSpec | None]]:
     """Yield each method with its result and its initial scene, which is None for a submission."""
-    s = job.settings
     if job.submission is not None:
-        yield job.methods[0], submitted(job.submission, job.start, truth, s.refine), None
+        o = job.settings.refine
+        yield job.methods[0], submitted(job.submission, job.start, truth, o), None
         return
     initial = job.initial(truth, job.subject, errors)
-    engine = NativeEngine(threads=job.threads)
-    for method, result in outcomes_of(
-        job.methods,
-        initial.scene,
-        s.refine,
-        engine,
-        lambda: photograph(truth),
-        align=s.compose.align,
-        programs=initial.programs,
-        seed=s.seed,
-        named=dict(s.named),
-    ):
+    for method, result in job.outcomes(job.methods, initial, lambda: photograph(truth)):
         yield method, result, initial.scene
 
 
@@ -210,25 +189,19 @@ def _row(
     method: str,
     result: MethodResult,
     truth: SceneSpec,
-    verdict: Validity,
-    objects: Sequence[ObjectRow],
+    initial: SceneSpec | None,
     errors: NoiseLog,
 ) -> SceneRow:
-    declared, m = declaration(job.subject), result.measure
-    o = job.settings.refine
+    declared, m, o = declaration(job.subject), result.measure, job.settings.refine
+    verdict = validity(result.scene, m, truth, o, given=initial)
     still = [
         m.drift_m[name] < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg for name in m.drift_m
     ]
-    # Boxes are compared in the camera of the result, which is the fitted camera of the response.
-    true_objects = {item.name: item for item in truth.objects}
-    with_true_boxes = []
-    for item in result.scene.objects:
-        # An object that the ground truth lacks has no box, but can hide other objects.
-        true = true_objects.get(item.name)
-        box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
-        with_true_boxes.append(item.model_copy(update=box))
-    compared = result.scene.model_copy(update={"objects": tuple(with_true_boxes)})
-    part_depths = [o.part_depth_m for o in objects if o.part_depth_m is not None]
+    part_depths = [
+        part_depth(item.spec)
+        for item in result.scene.objects
+        if not item.environment and articulated(item.spec)
+    ]
     columns: dict[str, Any] = {
         **job.columns(method, errors),
         **layout_errors(result.scene, truth),
@@ -254,26 +227,23 @@ def _row(
         max_depth_m=m.max_depth_m,
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
-        box_iou=float(np.mean(list(visible_box_iou(compared).values()))),
+        box_iou=_box_iou(result.scene, truth),
         seconds_to_valid=result.seconds_to_result if verdict.valid else None,
         seconds=result.seconds,
         rollouts=result.rollouts,
     )
 
 
-def known_rows(folder: Path) -> list[SceneRow]:
-    """Read the rows of a folder.
+def _box_iou(scene: SceneSpec, truth: SceneSpec) -> float:
+    """Return the mean IoU of visible boxes with the true ones, in the camera of the result.
 
-    Raises:
-        RunError: the folder has no rows, they cannot be read, or a method has rows with different
-            options or scenes.
+    An object that the ground truth lacks has no true box, but can hide other objects.
     """
-    rows = stored_rows(folder / RESULTS, SceneRow)
-    marks: dict[tuple[str, str], str] = {}
-    for row in rows:
-        if marks.setdefault((row.method, row.scene), row.fingerprint) != row.fingerprint:
-            raise RunError(
-                f"{folder / RESULTS} has rows of {row.method} on {row.scene} with different "
-                "options or scenes: run them again into a new folder"
-            )
-    return rows
+    true_objects = {item.name: item for item in truth.objects}
+    objects = []
+    for item in scene.objects:
+        true = true_objects.get(item.name)
+        box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
+        objects.append(item.model_copy(update=box))
+    ious = visible_box_iou(scene.model_copy(update={"objects": tuple(objects)}))
+    return float(np.mean(list(ious.values())))

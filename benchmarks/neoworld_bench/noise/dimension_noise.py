@@ -6,14 +6,14 @@ can be edited.
 """
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.program.sandbox import build, run
-from neoworld_mjx.spec import ObjectSpec, SceneSpec, scale
+from neoworld_mjx.spec import ObjectSpec, scale
 from neoworld_mjx.spec.extent import recentred
 from neoworld_mjx.templates import Template
 from neoworld_mjx.templates.template import BOX
@@ -82,15 +82,11 @@ def _scaled_and_recentred(spec: ObjectSpec, factor: float) -> ObjectSpec:
     return scale(recentred(spec), factor)
 
 
-def editable(
-    programs: Mapping[str, WrongDimensions],
-    compose: Callable[[Mapping[str, ObjectSpec]], SceneSpec],
-) -> EditablePrograms:
+def editable(programs: Mapping[str, WrongDimensions]) -> EditablePrograms:
     """Return the programs in the form that `program.freed_dimensions.free_dimensions` takes.
 
     Args:
         programs: programs of the objects, by name.
-        compose: function that composes the scene with the given objects replaced.
     """
 
     def object_of(name: str, text: str) -> ObjectSpec | str:
@@ -104,5 +100,5 @@ def editable(
         return "" if built.ok else "; ".join(signal.phrase() for signal in built.signals)
 
     return EditablePrograms(
-        {name: program.text for name, program in programs.items()}, object_of, check, compose
+        {name: program.text for name, program in programs.items()}, object_of, check
     )

@@ -13,13 +13,16 @@ Composition derives the sizes of objects from the boxes of the response.
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
-from neoworld_mjx.compose.compose import compose
-from neoworld_mjx.config import ComposeOptions, ParseOptions
+import numpy as np
+from jaxtyping import UInt8
+
+from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
 from neoworld_mjx.fit.fit_tree import fit_tree
-from neoworld_mjx.fit.refit import refit_tree
 from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
+from neoworld_mjx.pipeline.place import Evidence, Placed, place
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
@@ -51,10 +54,40 @@ def noise_number(name: str, seed: int, start: int) -> int:
 
 @dataclass(frozen=True)
 class InitialScene:
-    """A composed scene, and the programs of its objects."""
+    """A noisy response with the programs' objects, from which Step 4 starts."""
 
-    scene: SceneSpec
+    tree: SceneTree
+    """The response, before its fit."""
+    objects: Mapping[str, ObjectSpec]
+    """Object of every node, by name."""
+    name: str
+    options: ComposeOptions
     programs: EditablePrograms
+    """Programs of the objects whose dimensions the alignment may change."""
+
+    @cached_property
+    def scene(self) -> SceneSpec:
+        """The composed scene, before an alignment."""
+        return self.placed().composed.scene
+
+    def placed(
+        self,
+        photo: UInt8[np.ndarray, "row column 3"] | None = None,
+        align: AlignOptions | None = None,
+    ) -> Placed:
+        """Fit, compose and align the scene as a run does; see `pipeline.place.place`.
+
+        Args:
+            photo: the photograph (sRGB); without one, the scene is not aligned.
+            align: options of the alignment; by default, those of `options`.
+        """
+        options = self.options
+        if align is not None:
+            options = options.model_copy(update={"align": align})
+        evidence = Evidence(photo)
+        return place(
+            self.tree, self.objects, evidence, options, programs=self.programs, name=self.name
+        )
 
 
 def initial_scene(
@@ -89,28 +122,29 @@ def initial_scene(
     elif noise == "dimensions":
         texts = wrong_edges(scene, number, programs)
         shapes |= {name: wrong.spec for name, wrong in texts.items()}
-    fitted = tree
+    response = tree
     # A fit would move the objects of an exact response by up to some millimeters.
-    if noise != "exact":
+    if noise == "exact":
+        o = o.model_copy(update={"refit": False})
+    else:
         wrong_tree = noise in ("parse", "all")
-        fitted_tree = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
-        log.injected += fitted_tree.log.injected
-        log.refused += fitted_tree.log.refused
-        shapes |= fitted_tree.shapes
-        fitted = refit_tree(fitted_tree.tree, shapes)[0] if o.refit else fitted_tree.tree
+        fitted = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
+        log.injected += fitted.log.injected
+        log.refused += fitted.log.refused
+        shapes |= fitted.shapes
+        # As in a run, Step 4 starts from the response itself unless it does not fit again.
+        response = fitted.response if o.refit else fitted.tree
     log.injected += programs.injected
     log.refused += programs.refused
-
-    def again(changed: Mapping[str, ObjectSpec]) -> SceneSpec:
-        return compose(fitted, shapes | dict(changed), o, name=scene.name).scene
-
-    return InitialScene(again({}), editable(texts, again))
+    return InitialScene(response, shapes, scene.name, o, editable(texts))
 
 
 @dataclass(frozen=True)
 class FittedResponse:
     """A fitted response with a list of its errors."""
 
+    response: SceneTree
+    """The response, before its fit."""
     tree: SceneTree
     """Fitted tree."""
     shapes: dict[str, ObjectSpec]
@@ -163,7 +197,7 @@ def _attempt(
         parsed = wrong_parse(response, number, log, shapes)
         response, new_shapes = parsed.tree, parsed.shapes
     fitted, _ = fit_tree(response)
-    return FittedResponse(fitted, new_shapes, log, check_tree(fitted))
+    return FittedResponse(response, fitted, new_shapes, log, check_tree(fitted))
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:

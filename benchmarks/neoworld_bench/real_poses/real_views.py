@@ -17,7 +17,7 @@ from neoworld_mjx.spec import read_scene
 
 from ..measures.mean import mean_of_known
 from ..measures.pose_measure import RECALL, recall
-from ..unfinished_runs import KeptRows
+from ..rows import RowStore
 from .bop import bop_views, is_bop
 from .pose_rows import MadeView, RealObjectRow, RealViewRow, real_rows
 from .true_views import TrueView, depth_views, is_depth_folder
@@ -57,7 +57,7 @@ def score_real_views(
     data: Path,
     runs: Path,
     options: RefineOptions | None = None,
-    kept: KeptRows | None = None,
+    kept: RowStore | None = None,
 ) -> tuple[list[RealViewRow], list[RealObjectRow]]:
     """Score the reconstructions of the views of a data set.
 
@@ -76,7 +76,7 @@ def score_real_views(
     rows: list[RealViewRow | RealObjectRow] = []
     for view in true_views(data, names):
         score = partial(_scored, view, runs / view.name, options or RefineOptions())
-        rows += (kept or KeptRows(None)).rows(view.name, score)
+        rows += (kept or RowStore(None)).rows(view.name, score)
     if not rows:
         raise SpecError(
             f"{data}: no view with a reconstruction is named {', '.join(names[:8])}; run folders "

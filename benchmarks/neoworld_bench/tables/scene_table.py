@@ -1,161 +1,180 @@
-"""Scene table of the paper with our results, in Markdown, CSV and LaTeX."""
+"""Results of methods on the thirty scenes: means with intervals, differences, and a table."""
 
-import csv
-import io
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
-from neoworld_mjx.sweeps.intervals import LEVEL
+import numpy as np
 
-from ..methods.scene_objects import read_object_rows
-from ..methods.scene_runs import SceneRow, known_rows
-from .scene_curves import curve_records, curves_csv, curves_svg
-from .scene_summary import interval
+from neoworld_mjx.io.text_tables import TextTable
+from neoworld_mjx.sweeps.intervals import Interval, mean, ratio_interval
 
-COLUMNS = {
-    "valid": ("valid_rate", 100.0, "%"),
-    "displaced": ("displaced", 100.0, "%"),
-    "missed": ("missed", 100.0, "%"),
-    "extra": ("extra", 100.0, "%"),
-    "S-Pen": ("s_pen", 100.0, "%"),
-    "P-Pen": ("p_pen", 100.0, "%"),
-    "S-Stab": ("s_stab", 100.0, "%"),
-    "O-Stab": ("o_stab", 100.0, "%"),
-    "position": ("xy_error_m", 1000.0, "mm"),
-    "heading": ("yaw_error_deg", 1.0, "deg"),
-    "log scale": ("scale_error", 100.0, "%"),
-    "box IoU": ("box_iou", 1.0, ""),
+from ..methods.scene_runs import SceneRow
+from .text_cells import interval_text, records
+
+
+class Measure(NamedTuple):
+    """Measure of a row, as a mean over scenes and initial scenes."""
+
+    value: Callable[[SceneRow], float]
+    column: str
+    factor: float = 100.0
+    """Factor of the value in the table."""
+    digits: int = 1
+    share: bool = True
+    """True for shares of scenes or objects."""
+    weight: Callable[[SceneRow], int] = lambda r: 1
+    """Number of scenes or objects that the value is a mean over."""
+
+
+MEASURES = {
+    "valid_rate": Measure(lambda r: r.valid, "valid [%]"),
+    "check_rate": Measure(lambda r: r.check_passed, "final check [%]"),
+    "accepted_rate": Measure(
+        lambda r: bool(r.accepted), "accepted [%]", weight=lambda r: r.accepted is not None
+    ),
+    "displaced": Measure(
+        lambda r: r.displaced / r.found, "displaced [%]", weight=lambda r: r.found
+    ),
+    "missed": Measure(lambda r: r.missed / r.objects, "missed [%]", weight=lambda r: r.objects),
+    "extra": Measure(
+        lambda r: r.extra / r.objects, "extra [%]", share=False, weight=lambda r: r.objects
+    ),
+    "s_pen": Measure(lambda r: r.s_pen, "S-Pen [%]"),
+    "p_pen": Measure(
+        lambda r: r.p_pen / r.articulated if r.articulated else 0.0,
+        "P-Pen [%]",
+        weight=lambda r: r.articulated,
+    ),
+    "s_stab": Measure(lambda r: r.s_stab, "S-Stab [%]"),
+    "o_stab": Measure(lambda r: r.o_stab, "O-Stab [%]", weight=lambda r: r.found + r.extra),
+    "xy_error_m": Measure(lambda r: r.xy_error_m, "position [mm]", 1e3, share=False),
+    "yaw_error_deg": Measure(lambda r: r.yaw_error_deg, "heading [deg]", 1.0, share=False),
+    "scale_error": Measure(lambda r: r.scale_error, "log scale [%]", share=False),
+    "edge_error": Measure(lambda r: r.edge_error, "edges [%]", share=False),
+    "box_iou": Measure(lambda r: r.box_iou, "box IoU", 1.0, 3, share=False),
 }
-"""Column by measure, factor and unit."""
+"""Measures by name, in the order of the table's columns."""
+COMPARED = ("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "box_iou", "displaced")
+"""Measures of the paired differences."""
 PAPER: dict[str, dict[str, dict[str, float]]] = {
-    "full": {
-        "VIGA": {"S-Pen": 56.67, "P-Pen": 63.37, "S-Stab": 23.33, "O-Stab": 27.33},
-        "SAGE": {"S-Pen": 6.67, "P-Pen": 2.41, "S-Stab": 70.0, "O-Stab": 91.6},
-        "NeoWorld-Pro": {"S-Pen": 0.0, "P-Pen": 0.0, "S-Stab": 100.0, "O-Stab": 100.0},
+    "all": {
+        "VIGA": {"s_pen": 56.67, "p_pen": 63.37, "s_stab": 23.33, "o_stab": 27.33},
+        "SAGE": {"s_pen": 6.67, "p_pen": 2.41, "s_stab": 70.0, "o_stab": 91.6},
+        "NeoWorld-Pro": {"s_pen": 0.0, "p_pen": 0.0, "s_stab": 100.0, "o_stab": 100.0},
     },
     "tabletop": {
-        "VIGA": {"S-Pen": 54.55, "P-Pen": 67.26, "S-Stab": 18.18, "O-Stab": 25.66},
-        "TabletopGen": {"S-Pen": 45.45, "P-Pen": 26.53, "S-Stab": 36.36, "O-Stab": 67.35},
-        "SAGE": {"S-Pen": 9.09, "P-Pen": 4.17, "S-Stab": 100.0, "O-Stab": 100.0},
-        "NeoWorld-Pro": {"S-Pen": 0.0, "P-Pen": 0.0, "S-Stab": 100.0, "O-Stab": 100.0},
+        "VIGA": {"s_pen": 54.55, "p_pen": 67.26, "s_stab": 18.18, "o_stab": 25.66},
+        "TabletopGen": {"s_pen": 45.45, "p_pen": 26.53, "s_stab": 36.36, "o_stab": 67.35},
+        "SAGE": {"s_pen": 9.09, "p_pen": 4.17, "s_stab": 100.0, "o_stab": 100.0},
+        "NeoWorld-Pro": {"s_pen": 0.0, "p_pen": 0.0, "s_stab": 100.0, "o_stab": 100.0},
     },
 }
 """Scene-level table of the paper, on the paper's own scenes; n is 30 and 11 scenes."""
-THRESHOLDS = (
-    "S-Pen over 1 mm; P-Pen: of articulated objects [n], two parts over 1 mm anywhere in the "
-    "joints' ranges; S-Stab and O-Stab under 1 cm and 5 deg in 2 s of free fall; "
-    "valid: all of it, and no object toppled or fallen"
+PAPER_SCENES = {"all": 30, "tabletop": 11}
+NOTE = (
+    "S-Pen over 1 mm; P-Pen: two parts of an articulated object over 1 mm anywhere in the joints' "
+    "ranges; S-Stab and O-Stab under 1 cm and 5 deg in 2 s of free fall; valid: all of it, and no "
+    "object toppled or fallen. Means with 95% intervals, clustered by scene. Rows marked * are the "
+    "paper's figures, on its own scenes and from photographs."
 )
-_NAMES = {"full": "All scenes", "tabletop": "Tabletop", "evaluation": "Evaluation half"}
 
 
-def scene_tables(folder: Path) -> dict[str, str]:
-    """Return table.md, table.csv and table.tex of a folder's rows, curves.csv and curves.svg.
+def scene_summary(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Summarize rows: figures by method, of the evaluation half alone, differences, and a table."""
+    return {
+        "n": len(rows),
+        "scenes": len({row.scene for row in rows}),
+        "starts": len({row.start for row in rows}),
+        "methods": {name: figures(some) for name, some in by_method(rows)},
+        "evaluation": {
+            name: figures(some) for name, some in by_method([r for r in rows if r.evaluation])
+        },
+        "differences": differences(rows),
+        "table": records(scene_table(rows)),
+    }
 
-    Raises:
-        RunError: the rows cannot be read.
+
+def by_method(rows: Sequence[SceneRow]) -> Iterator[tuple[str, list[SceneRow]]]:
+    """Yield each method with its rows."""
+    for name in dict.fromkeys(row.method for row in rows):
+        yield name, [row for row in rows if row.method == name]
+
+
+def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Return the figures of rows of one method.
+
+    "objects" is the number of the ground truth's movable objects over all rows, "found" of those
+    that the results have, over which errors are means; O-Stab is over these and the extra ones,
+    P-Pen over "articulated". A mean over nothing is None, and so is "seconds_to_valid", the median
+    over valid results, without any.
     """
-    records = list(table_records(known_rows(folder)))
-    texts = {
-        "table.md": markdown(records),
-        "table.csv": comma_separated(records),
-        "table.tex": latex(records),
+    times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
+    whole = [row.seconds for row in rows if row.seconds is not None]
+    result: dict[str, Any] = {
+        "n": len(rows),
+        "objects": sum(row.objects for row in rows),
+        "found": sum(row.found for row in rows),
+        "articulated": sum(row.articulated for row in rows),
+        "seconds_to_valid": float(np.median(times)) if times else None,
+        "seconds": float(np.median(whole)) if whole else None,
     }
-    if curves := curve_records(read_object_rows(folder)):
-        texts["curves.csv"] = curves_csv(curves)
-        if (svg := curves_svg(curves)) is not None:
-            texts["curves.svg"] = svg
-    return texts
+    for name in MEASURES:
+        value, low, high = interval(rows, name)
+        result |= {name: value, f"{name}_interval": [low, high]}
+    return result
 
 
-def table_records(rows: Sequence[SceneRow]) -> Iterator[dict[str, Any]]:
-    """Yield a record for each subset and method: ours with intervals, the paper's without."""
-    subsets = {
-        "full": list(rows),
-        "tabletop": [row for row in rows if row.tabletop],
-        "evaluation": [row for row in rows if row.evaluation],
-    }
-    for subset, subset_rows in subsets.items():
-        for method in dict.fromkeys(row.method for row in subset_rows):
-            method_rows = [row for row in subset_rows if row.method == method]
-            record: dict[str, Any] = {"subset": subset, "method": method, "source": "measured"}
-            record |= {"n": len(method_rows), "scenes": len({row.scene for row in method_rows})}
-            record["articulated"] = sum(row.articulated for row in method_rows)
-            for column, (measure, factor, _) in COLUMNS.items():
-                for end, value in zip(
-                    ("", " low", " high"), interval(method_rows, measure), strict=True
-                ):
-                    if value is not None:
-                        record[column + end] = factor * value
-            yield record
-        for method, values in PAPER.get(subset, {}).items():
-            count = 30 if subset == "full" else 11
-            yield {
-                "subset": subset,
-                "method": method,
-                "source": "paper",
-                "n": count,
-                "scenes": count,
-                **values,
+def interval(rows: Sequence[SceneRow], name: str) -> Interval:
+    """Return the mean of one of MEASURES and its interval, clustered by scene.
+
+    All values are None for a mean over nothing, the ends for a single scene.
+    """
+    of = MEASURES[name]
+    parts = [(row.scene, of.weight(row) * of.value(row), of.weight(row)) for row in rows]
+    return ratio_interval(parts, share=of.share)
+
+
+def differences(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Compare each method with the first one of the rows, from the same initial scenes.
+
+    Returns:
+        Mean difference to the first method by method and measure of COMPARED, with the ends of its
+        interval, clustered by scene, and the number of pairs.
+    """
+    methods = dict(by_method(rows))
+    first = next(iter(methods), None)
+    base = {(r.scene, r.start, r.seed): r for r in methods.get(first or "", [])}
+    result: dict[str, Any] = {}
+    for name, some in methods.items():
+        pairs = [(r, base[key]) for r in some if (key := (r.scene, r.start, r.seed)) in base]
+        scenes = [row.scene for row, _ in pairs]
+        if name != first:
+            result[name] = {
+                of: mean(
+                    [MEASURES[of].value(a) - MEASURES[of].value(b) for a, b in pairs], scenes
+                )._asdict()
+                for of in COMPARED
             }
+    return {"to": first, "methods": result}
 
 
-def markdown(records: Sequence[dict[str, Any]]) -> str:
-    """Return the table as Markdown, with a section for each subset."""
-    head = ["method", "n", *(f"{name} [{u}]" if u else name for name, (_, _, u) in COLUMNS.items())]
-    lines = [
-        f"{THRESHOLDS}. Means with {LEVEL:.0%} intervals, clustered by scene. "
-        "Rows marked * are the paper's figures, on its own scenes and from photographs.",
-    ]
-    for subset in dict.fromkeys(record["subset"] for record in records):
-        lines += ["", f"### {_NAMES[subset]}", "", "| " + " | ".join(head) + " |"]
-        lines.append("|" + "---|" * len(head))
-        for record in (r for r in records if r["subset"] == subset):
-            star = "*" if record["source"] == "paper" else ""
-            cells = [record["method"] + star, str(record["n"])]
-            cells += [_cell(record, column) for column in COLUMNS]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def comma_separated(records: Sequence[dict[str, Any]]) -> str:
-    """Return the table as CSV, with columns for the ends of intervals."""
-    names = ["subset", "method", "source", "n", "scenes", "articulated"]
-    for column in COLUMNS:
-        names += [column, f"{column} low", f"{column} high"]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    return stream.getvalue()
-
-
-def latex(records: Sequence[dict[str, Any]]) -> str:
-    """Return the table as LaTeX, for the package booktabs."""
-    lines = [rf"% {THRESHOLDS}", rf"\begin{{tabular}}{{lr{'c' * len(COLUMNS)}}}", r"\toprule"]
-    lines.append(" & ".join(["Method", "n", *COLUMNS]) + r" \\")
-    for subset in dict.fromkeys(record["subset"] for record in records):
-        width = 2 + len(COLUMNS)
-        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{c}}{{\textit{{{_NAMES[subset]}}}}} \\"]
-        for record in (r for r in records if r["subset"] == subset):
-            star = r"$^\ast$" if record["source"] == "paper" else ""
-            cells = [record["method"].replace("_", r"\_") + star, str(record["n"])]
-            cells += [_cell(record, column, latex=True) for column in COLUMNS]
-            lines.append(" & ".join(cells) + r" \\")
-    lines += [r"\bottomrule", r"\end{tabular}", r"% $\ast$: figures of the paper"]
-    return "\n".join(lines) + "\n"
-
-
-def _cell(record: dict[str, Any], column: str, *, latex: bool = False) -> str:
-    if column not in record:
-        return "--" if latex else ""
-    digits = 3 if column == "box IoU" else 1
-    value = f"{record[column]:.{digits}f}"
-    if record["source"] == "paper":
-        return f"{record[column]:.2f}"
-    over = f" [{record['articulated']}]" if column == "P-Pen" else ""
-    if f"{column} low" not in record:
-        return value + over
-    low, high = record[f"{column} low"], record[f"{column} high"]
-    return f"{value} ({low:.{digits}f} to {high:.{digits}f}){over}"
+def scene_table(rows: Sequence[SceneRow]) -> TextTable:
+    """Return a line for each method and for those of the paper: of all scenes, of the tabletop
+    scenes, and of the evaluation half of the initial scenes."""
+    lines = []
+    for subset, some in (
+        ("all", list(rows)),
+        ("tabletop", [row for row in rows if row.tabletop]),
+        ("evaluation", [row for row in rows if row.evaluation]),
+    ):
+        for method, method_rows in by_method(some):
+            cells = [
+                interval_text(interval(method_rows, name), of.factor, of.digits)
+                for name, of in MEASURES.items()
+            ]
+            lines.append([subset, method, str(len(method_rows)), *cells])
+        for method, values in PAPER.get(subset, {}).items():
+            cells = [f"{values[name]:.2f}" if name in values else "" for name in MEASURES]
+            lines.append([subset, f"{method}*", str(PAPER_SCENES[subset]), *cells])
+    columns = [of.column for of in MEASURES.values()]
+    return TextTable(NOTE, ["scenes", "method", "n", *columns], lines)

@@ -1,9 +1,11 @@
-"""Refinement of a layout by the outcome of a plan, a small version of the paper's image-to-policy.
-Section 4.4 of the paper: "We use this execution outcome as a feedback signal to iteratively refine
-the scene layout until the placement succeeds"; it does not state the method. Here the Cross-Entropy
-Method of the scene refinement moves the objects that the task names. A candidate's reward is the
-progress of the plan executed in it, plus 1 on success, less the prior. The resulting layout may
-differ from the ground truth; the same plan in the ground-truth scene measures that."""
+"""Refinement of a layout by the outcome of a plan (Section 4.4 of the paper).
+
+The paper says: "We use this execution outcome as a feedback signal to iteratively refine the scene
+layout until the placement succeeds"; it does not state the method. Here the Cross-Entropy Method
+of the scene refinement moves the objects that the task names. A candidate's reward is the progress
+of the plan executed in it, plus 1 on success, less the prior. The resulting layout may differ from
+the ground truth; the same plan in the ground-truth scene measures that.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -31,7 +33,6 @@ class FeedbackResult:
 
     scene: SceneSpec
     outcome: Outcome
-    iterations: int
     executions: int
 
 
@@ -65,7 +66,7 @@ def refine_by_outcome(
     state, key = cem.init(), jax.random.key(seed)
     best: tuple[float, SceneSpec, Outcome] | None = None
     executions = 0
-    for iteration in range(1, o.iterations + 1):
+    for _ in range(o.iterations):
         key, now = jax.random.split(key)
         layouts = cem.ask(now, state, o.population)
         poses = model.place(layouts)
@@ -80,10 +81,10 @@ def refine_by_outcome(
             if best is None or reward > best[0]:
                 best = (reward, candidate, outcome)
             if outcome.success:
-                return FeedbackResult(candidate, outcome, iteration, executions)
+                return FeedbackResult(candidate, outcome, executions)
         state = cem.tell(state, layouts, jnp.asarray(rewards))
     assert best is not None
-    return FeedbackResult(best[1], best[2], o.iterations, executions)
+    return FeedbackResult(best[1], best[2], executions)
 
 
 def _prior(layouts: Layout, sigma: Layout) -> np.ndarray:

@@ -2,8 +2,8 @@
 axes."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,9 +159,7 @@ class Hold:
     """Position on the held box, in half edges from its center."""
 
 
-def work_joint(
-    scene: SceneSpec, name: str, joint: str, target: float, hold: Hold, *, seconds: float = 0.0
-) -> TaskPlan:
+def work_joint(scene: SceneSpec, name: str, joint: str, target: float, hold: Hold) -> TaskPlan:
     """Return a plan that moves a joint's handle along its path to a value.
 
     Args:
@@ -170,7 +168,6 @@ def work_joint(
         joint: the joint, which is no ball.
         target: its value at the end [rad or m].
         hold: how to hold the handle.
-        seconds: duration of the motion [s]; 0 derives it from the path's length.
 
     Raises:
         ValueError: the plan would leave its bounds, such as a handle wider than the fingers open.
@@ -213,7 +210,7 @@ def work_joint(
             closing, first = way, [_move(ABOVE_M * approach, 0.0, 0.6)]
             start = start - ABOVE_M * approach
         change += math.copysign(0.004 / _arm(moving, axis, anchor, point), change)
-    move = _along(moving, axis, anchor, change, grip, point, seconds)
+    move = _along(moving, axis, anchor, change, grip, point)
     return TaskPlan(
         position=_vec(start),
         approach=_vec(approach),
@@ -221,24 +218,6 @@ def work_joint(
         opening=open_width,
         moves=(*first, move),
     )
-
-
-def holds(
-    scene: SceneSpec, name: str, joint: str, target: float
-) -> Iterator[tuple[Hold, TaskPlan]]:
-    """Yield the feasible holds of a joint with their plans, simple ones first."""
-    names = ("-x", "-z", "+y", "-y", "+x", "+z")
-    ways = [Hold("poke", "+x")]
-    ways += [Hold("grip", a, c) for a in names for c in ("+y", "+z", "+x") if a[1] != c[1]]
-    ways += [Hold("side", a) for a in names]
-    geoms = ("", *_outermost(scene.object(name).spec, joint))
-    for way in ("poke", "grip", "side"):
-        for geom in geoms:
-            for hold in (replace(each, geom=geom) for each in ways if each.way == way):
-                try:
-                    yield hold, work_joint(scene, name, joint, target, hold)
-                except ValueError:
-                    continue
 
 
 def _held_box(spec: ObjectSpec, joint: str, geom: str) -> tuple[NDArray, NDArray]:
@@ -267,21 +246,6 @@ def _geom_boxes(spec: ObjectSpec, joint: str) -> dict[str, tuple[NDArray, NDArra
     return boxes
 
 
-def _outermost(spec: ObjectSpec, joint: str, most: int = 4) -> list[str]:
-    """Return the geoms that fit between the fingers, those with the longest moment arm first."""
-    moving = spec.joint(joint)
-    axis, anchor = np.array(moving.axis), np.array(moving.pos)
-    reach = {}
-    for name, (low, high) in _geom_boxes(spec, joint).items():
-        if np.sort(high - low)[0] > MAX_OPENING:
-            continue
-        middle = (low + high) / 2
-        arm = middle - anchor
-        distance = np.linalg.norm(arm - (arm @ axis) * axis)
-        reach[name] = middle @ axis if moving.type == "prismatic" else float(distance)
-    return sorted(reach, key=lambda name: -reach[name])[:most]
-
-
 def _along(
     joint: JointSpec,
     axis: NDArray,
@@ -289,17 +253,16 @@ def _along(
     change: float,
     opening: float,
     point: NDArray,
-    seconds: float,
 ) -> ToolMove:
     if joint.type == "prismatic":
         way = change * axis
-        return _move(way, opening, seconds or _pace(way, 0.12))
+        return _move(way, opening, _pace(way, 0.12))
     length = abs(change) * _arm(joint, axis, anchor, point)
     return ToolMove(
         turn=_vec(change * axis),
         about=_vec(anchor),
         opening=opening,
-        seconds=seconds or min(6.0, max(1.0, length / 0.15, abs(change) / 0.8)),
+        seconds=min(6.0, max(1.0, length / 0.15, abs(change) / 0.8)),
     )
 
 

@@ -1,28 +1,29 @@
 """Task success of methods: each task is reconstructed from noisy initial scenes, planned there and
 executed. As in the scene benchmark, the ground-truth scene is photographed, a noisy response is
 composed, and a method turns it into a layout. A row reports whether the plan made in this layout
-solves the task in the ground truth."""
+solves the task in the ground truth. The method `truth` is the ground truth itself: its rows report
+whether the reference plans succeed."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
 
-from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.measure import measured
 from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_scenes import photograph
+from ..methods.layout_errors import validity
 from ..methods.method_runs import MethodJob, MethodRow, RunSettings, run_jobs
-from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
-from ..methods.validity import validity
+from ..methods.scene_methods import MethodResult, check_methods
 from ..noise.parse_noise import NoiseLog
-from ..row_files import stored_rows
+from ..rows import RowStore
 from .catalogue import find_task
 from .reconstructed_plans import PlannedThere, described, failed, planned_there
 from .task import ManipulationTask
 from .task_photo import VIEW, TaskPhoto, photographed_task
 
-SUCCESSES = "tasks.parquet"
+TRUTH = "truth"
+"""Name of the method whose result is the ground truth."""
 
 
 class SuccessRow(MethodRow):
@@ -76,23 +77,23 @@ def run_successes(
     *,
     starts: int,
     place: Place = HERE,
-    out: Path | None = None,
+    store: RowStore | None = None,
 ) -> list[SuccessRow]:
-    """Run methods on tasks, except for rows that the folder's file already contains.
+    """Run methods on tasks, except for rows that are already stored.
 
     Args:
         tasks: manipulation tasks.
-        methods: of scene_methods.METHODS.
+        methods: of scene_methods.METHODS, and TRUTH.
         settings: of the run.
         starts: number of initial scenes of each task.
         place: where they run.
-        out: folder of `tasks.parquet`; None stores nothing.
+        store: stored rows, to which new ones are added. If None, rows are not stored.
 
     Raises:
         SpecError: a method is unknown.
         RunError: as for `run_jobs`.
     """
-    check_methods(methods)
+    check_methods(methods, [TRUTH])
     return run_jobs(
         success_rows,
         SuccessRow,
@@ -107,39 +108,33 @@ def run_successes(
         methods=methods,
         settings=settings,
         place=place,
-        file=out and out / SUCCESSES,
+        store=store,
     )
 
 
-def success_rows(job: MethodJob) -> Iterator[tuple[SuccessRow, tuple[()]]]:
+def success_rows(job: MethodJob) -> Iterator[SuccessRow]:
     """Run the methods of a job and yield a row for each; exceptions count as failures."""
-    task, s = find_task(job.subject), job.settings
-    remaining, errors = in_order(job.methods), NoiseLog()
+    task, errors = find_task(job.subject), NoiseLog()
     row = partial(_row, job, task, errors)
+    remaining = [method for method in job.methods if method != TRUTH]
     try:
         photo = photographed_task(task.scene)
-        composed = job.composed(photo.scene, f"task/{task.name}", errors)
+        initial = job.initial(photo.scene, f"task/{task.name}", errors) if remaining else None
     except Exception as error:  # An error of one task must not end the run of all others.
-        for method in remaining:
-            yield row(method, f"no start: {described(error)}"), ()
+        for method in job.methods:
+            yield row(method, f"no start: {described(error)}")
         return
-    engine = NativeEngine(threads=job.threads)
-    while remaining:
+    if TRUTH in job.methods:
+        measure = measured(photo.scene, job.settings.refine)
+        yield row(TRUTH, (photo, photo.scene, MethodResult(photo.scene, measure, 0.0, 0.0)))
+    while initial is not None and remaining:
+        picture = lambda: photograph(photo.scene)
         try:
-            for method, result in outcomes_of(
-                tuple(remaining),
-                composed,
-                s.refine,
-                engine,
-                lambda: photograph(photo.scene),
-                align=s.compose.align,
-                seed=s.seed,
-                warm=False,
-            ):
+            for method, result in job.outcomes(tuple(remaining), initial, picture, warm=False):
                 remaining.remove(method)
-                yield row(method, (photo, composed, result)), ()
+                yield row(method, (photo, initial.scene, result))
         except Exception as error:
-            yield row(remaining.pop(0), f"no layout: {described(error)}"), ()
+            yield row(remaining.pop(0), f"no layout: {described(error)}")
 
 
 def _row(
@@ -185,13 +180,3 @@ def _row(
 
 def _object_names(scene: SceneSpec) -> set[str]:
     return {item.name for item in scene.objects if not item.environment}
-
-
-def known_successes(folder: Path) -> list[SuccessRow]:
-    """Read the rows of a folder, none if it has no such file.
-
-    Raises:
-        RunError: they cannot be read.
-    """
-    file = folder / SUCCESSES
-    return stored_rows(file, SuccessRow) if file.exists() else []

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
-from neoworld_mjx.spec import SceneSpec, bounds
+from neoworld_mjx.spec import SceneSpec
 
 from .plan_format import TaskPlan
 from .predicates import Every, Located, Predicate
@@ -92,23 +90,6 @@ class ManipulationTask:
         return (
             _in_other(self.predicate, self.scene, scene) if condition is None else condition(scene)
         )
-
-    def displaced(self, heading: float) -> SceneSpec:
-        """Move the object concerned by half its largest horizontal edge.
-
-        Its parent, but for the table, moves with it: a pencil that stands in a holder would
-        else stand in the holder's wall.
-
-        Args:
-            heading: direction in the table's frame [rad].
-        """
-        item = self.scene.object(self.object)
-        low, high = bounds(item.spec, item.joint_state, item.base_tilt)
-        step = float((high - low)[:2].max()) / 2
-        while item.parent is not None and not self.scene.object(item.parent).environment:
-            item = self.scene.object(item.parent)
-        xy = np.array(item.xy) + step * np.array([np.cos(heading), np.sin(heading)])
-        return self.with_object(item.name, xy=(float(xy[0]), float(xy[1])))
 
     def with_object(self, name: str, **update: Any) -> SceneSpec:
         """Return the scene with fields of one object replaced."""
