@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.align.align import align
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.sweeps.intervals import ratio_interval
 
@@ -39,8 +38,10 @@ def interval_rows(name: str, starts: int) -> Iterator[IntervalRow]:
     truth = photographed(declaration(name))
     photo, response = photograph(truth), exact_response(truth)
     for start in range(starts):
-        composed = initial_scene(truth, response, noise_number(name, 0, start)).scene
-        for quantity, value in object_errors(align(composed, photo).scene, truth):
+        initial = initial_scene(truth, response, noise_number(name, 0, start))
+        alignment = initial.placed(photo).alignment
+        assert alignment is not None  # A photograph is given.
+        for quantity, value in object_errors(alignment.scene, truth):
             yield IntervalRow(
                 scene=name, quantity=quantity, evaluation=is_evaluation(start), deviations=value
             )
