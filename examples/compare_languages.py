@@ -22,8 +22,7 @@ from neoworld_mjx.config import Language, ProgramOptions
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.program import build
-from neoworld_mjx.program.ask import ProgramResponse, instructions
-from neoworld_mjx.program.attempt import join_texts
+from neoworld_mjx.program.ask import ProgramResponse, instructions, join_texts
 from neoworld_mjx.program.views import open_state
 from neoworld_mjx.render import render_object
 from neoworld_mjx.spec import ObjectSpec, bounds, inertial

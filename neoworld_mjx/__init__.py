@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .physics.engine import rollout as rollout
     from .physics.gripper import Gripper as Gripper
     from .physics.layout import Layout as Layout
     from .physics.mjx_model import mjx_batch as mjx_batch
     from .physics.mjx_model import mjx_step as mjx_step
     from .physics.model import SceneModel as SceneModel
     from .physics.model import load_scene as load_scene
-    from .physics.simulate import rollout as rollout
     from .pipeline import reconstruct as reconstruct
     from .refinement import algorithm, rewards
     from .refinement.algorithm import Problem as Problem
@@ -53,7 +53,7 @@ _LOCATIONS = {
     "mjx_step": "physics.mjx_model",
     "reconstruct": "pipeline",
     "refine": "refinement.scene_refinement",
-    "rollout": "physics.simulate",
+    "rollout": "physics.engine",
     "sweep": "sweeps.run",
 }
 _MODULES = {

@@ -1,7 +1,13 @@
-"""The package's cache folder, JAX's persistent compilation cache, and a bound on JAX's caches."""
+"""The package's cache folder, JAX's persistent compilation cache, and a bound on JAX's caches.
+
+Number and time of JAX compilations.
+"""
 
 import os
 from pathlib import Path
+from typing import NamedTuple
+
+import jax.monitoring
 
 VARIABLE = "NEOWORLD_CACHE"
 
@@ -70,3 +76,40 @@ def computes_on_cpu() -> bool:
     if chosen is None:
         return jax.default_backend() == "cpu"
     return (chosen if isinstance(chosen, str) else chosen.platform).startswith("cpu")
+
+
+_PREFIX = "/jax/core/compile/"
+_PROGRAM = _PREFIX + "backend_compile_duration"
+
+
+class Compiled(NamedTuple):
+    """Compilations since the first call of `compiled`."""
+
+    programs: int = 0
+    """Number of functions that were compiled or read from the cache."""
+    seconds: float = 0.0
+    """Time spent on tracing, lowering and compiling [s]."""
+
+
+class _Count:
+    so_far = Compiled()
+    listening = False
+
+
+def compiled() -> Compiled:
+    """Return the number and time of compilations since the first call, which starts counting."""
+    if not _Count.listening:
+        _Count.listening = True
+        jax.monitoring.register_event_duration_secs_listener(_on_event)
+    return _Count.so_far
+
+
+def compilations() -> int:
+    """Return the number of functions compiled, or read from the cache; see `compiled`."""
+    return compiled().programs
+
+
+def _on_event(event: str, duration_secs: float, **_: str | int) -> None:
+    if event.startswith(_PREFIX):
+        programs, seconds = _Count.so_far
+        _Count.so_far = Compiled(programs + (event == _PROGRAM), seconds + duration_secs)

@@ -25,7 +25,7 @@ ENGINES: dict[str, EngineEntry] = {
     "mjx": EngineEntry(".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", 0.98),
     "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", 0.99),
 }
-"""Engines by name; `physics.simulate.open_engine` chooses one of them for `auto`."""
+"""Engines by name; `physics.engine.open_engine` chooses one of them for `auto`."""
 
 ENGINES_HELP = (
     "Physics engine: "

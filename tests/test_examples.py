@@ -14,7 +14,7 @@ from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
-from neoworld_mjx.program.attempt import join_texts
+from neoworld_mjx.program.ask import join_texts
 from neoworld_mjx.program.blender.blender_process import unavailable
 from neoworld_mjx.spec import ObjectSpec, SceneTree, read_scene
 from tests.support.example_figures import EXPECTED, check_figures

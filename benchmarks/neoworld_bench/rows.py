@@ -21,7 +21,7 @@ from neoworld_mjx import __version__
 from neoworld_mjx.cache import cache_folder
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.io.json_files import read_untrusted_text
+from neoworld_mjx.io.text_files import read_untrusted_text
 from neoworld_mjx.sweeps.result import commit
 
 log = logging.getLogger(__name__)

@@ -207,8 +207,7 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
 
 def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
     """Compare rendered images with photographs."""
-    from .judge.made_scenes import made_scenes
-    from .judge.picture_rows import picture_figures, picture_rows
+    from .judge.picture_rows import made_scenes, picture_figures, picture_rows
     from .measures.picture_similarity import PictureModels
 
     models = PictureModels(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
@@ -221,7 +220,7 @@ def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
 
 def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
     """Let a model judge scenes."""
-    from .judge.made_scenes import made_scenes
+    from .judge.picture_rows import made_scenes
     from .judge.scene_judge import rating_figures, rating_rows
 
     scenes = made_scenes(o.folders, o.data)

@@ -29,14 +29,15 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from .coarse_depth import coarse_depth, fold_into_sector
 from .convex_pieces import (
     SPARE,
     Colliders,
     ObjectPoses,
     PieceGroup,
+    coarse_depth,
     distance,
     dot,
+    fold_into_sector,
     pair_depth_reference,
     true_indices,
 )

@@ -16,26 +16,27 @@ from jaxtyping import Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
-from ..fit.vertical_edges import VerticalEdges
+from ..fit.image_lines import VerticalEdges
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
-from .acceptance import is_supported, shown_at
-from .alignment import Alignment, Evidence, FittedUnknowns, JointAlignment, ObjectAlignment
-from .alignment_prior import (
+from .alignment import (
+    Alignment,
+    Evidence,
+    FittedUnknowns,
+    JointAlignment,
+    ObjectAlignment,
     camera_deviations,
     is_misjudged,
     opening_deviation,
     prior_precision,
 )
 from .camera_evidence import edges_of_photo, linearized_edges
-from .colors import LabImage
+from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
-from .linear_evidence import box_evidence, contour_evidence
-from .normal_equations import NormalEquations
-from .placement import Placement
+from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
-from .unknowns import CAMERA, FOCAL, Unknowns
+from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
 SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..fit.vertical_edges import EdgeRegion, VerticalEdges, vertical_edges
+from ..fit.image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from ..spec import Box2D
 from .rasterize import WorldMesh
 from .unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns

@@ -13,13 +13,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..physics.exact import geom_distance, object_of_geom, start_state
+from ..physics.colliders import geom_distance, object_of_geom, start_state
 from ..physics.mjcf import body_name
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import matrix
 from .open_joints import MovingPart
-from .placement import Placement
-from .unknowns import STEP, Unknowns
+from .unknowns import STEP, Placement, Unknowns
 
 REACH_M = 0.01
 """Largest gap between two geoms that counts as a contact [m]."""

@@ -14,7 +14,6 @@ from ..config import VerifyOptions
 from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.kinematics import with_joint
 from ..spec.opening import opening_alignment
-from .allowance import Allowance
 from .compile_checks import MIN_OPENING_COSINE
 from .joint_sweep import (
     JointRange,
@@ -24,9 +23,9 @@ from .joint_sweep import (
     sweep_combinations,
     sweep_joints,
 )
-from .part_distances import Probe, line_box_distance
 from .scenarios import SINGLE_DOF_TYPES
-from .static_checks import is_placeholder
+from .signals import Allowance
+from .static_checks import Probe, is_placeholder, line_box_distance
 from .verdict import Check, Fault, Limit, make_check, skipped
 
 BLOCKED_FRACTION = 0.25

@@ -15,10 +15,10 @@ import numpy as np
 from ..config import VerifyOptions
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .allowance import Allowance
 from .joint_checks import JointChecks, check_joints
 from .motion_checks import check_motion
 from .scenarios import list_scenarios
+from .signals import Allowance
 from .simulation import Simulation, Trajectory
 from .static_checks import check_statics, without_bad_inertia
 from .verdict import Check, ScenarioKind, Verdict

@@ -1,11 +1,13 @@
 """Signals: findings about a program, each with a code, a location, a value and a hint.
 
 Running a program that fails returns signals instead of raising an exception.
+
+Overlaps of parts that a program declares as intended.
 """
 
 import math
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
@@ -99,3 +101,13 @@ def radians_hint(degrees: float) -> str:
         f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "
         f"math.radians({degrees:g})"
     )
+
+
+class Allowance(NamedTuple):
+    """An overlap of two parts that a program declares as intended, with a reason."""
+
+    first: str
+    second: str
+    depth: float
+    """Largest allowed depth [m]."""
+    reason: str

@@ -165,7 +165,7 @@ class DoctorCommand(Command):
 
 
 def _engine(name: str) -> str:
-    from ..physics.simulate import open_engine
+    from ..physics.engine import open_engine
 
     try:
         open_engine(name)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from ..format_names import FORMATS, PREFERRED_FORMATS, Format, Simulator
+from ..names import FORMATS, PREFERRED_FORMATS, Format, Simulator
 from .base_command import CommandResult, ConfiguredCommand
 from .result_lines import export_lines
 
@@ -73,7 +73,7 @@ class ExportCommand(ConfiguredCommand):
 
             return read_scene(self.target), []
         if self.target.suffix == ".py":
-            from ..verify.patched import build_patched
+            from ..verify.checking import build_patched
 
             built = build_patched(self.target, self.load_config().program).built
             if built.spec is None or not built.ok:

@@ -107,7 +107,7 @@ class BuildCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Build the program and write the object in every format."""
-        from ..verify.patched import build_patched, write_built
+        from ..verify.checking import build_patched, write_built
 
         out = self.out
         if out.exists() and not out.is_dir():
@@ -148,8 +148,7 @@ class BuildCommand(ConfiguredCommand):
 
     def _convert(self) -> CommandResult:
         """Convert a URDF or MJCF file."""
-        from ..verify.checking import import_object
-        from ..verify.patched import spec_files, write_files
+        from ..verify.checking import import_object, spec_files, write_files
 
         imported = import_object(self.program)
         write_files(spec_files(imported.spec), self.out)
@@ -168,7 +167,7 @@ def _signals(built: "BuildResult") -> list[dict[str, Any]]:
 def _listings(program: Path, result: CommandResult) -> list[str]:
     """Format the output and the signals of a program."""
     from ..checks.signals import Signal
-    from ..verify.patched import listings, read_program
+    from ..verify.checking import listings, read_program
 
     if "signals" not in result:
         return []

@@ -55,7 +55,7 @@ class RenderCommand(ConfiguredCommand):
         """Render the scene."""
         from ..io.files import check_output, write_output
         from ..render import render_scene, to_png
-        from ..render.viewpoints import with_open_joints
+        from ..render.scene_images import with_open_joints
         from ..view.target import open_target
 
         config = self.load_config()
@@ -86,8 +86,13 @@ class RenderCommand(ConfiguredCommand):
         import numpy as np
 
         from ..progress import update
-        from ..render.animation import FORMATS, encode_animation
-        from ..render.viewpoints import around, subject_points, turntable
+        from ..render.scene_images import (
+            FORMATS,
+            around,
+            encode_animation,
+            subject_points,
+            turntable,
+        )
 
         if suffix not in FORMATS:
             raise SpecError(f"--out {self.out}: a turntable is written as {' or '.join(FORMATS)}")
@@ -115,7 +120,7 @@ class RenderCommand(ConfiguredCommand):
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
         """Return the camera that the flags define; None for the scene's camera."""
         from ..render import View
-        from ..render.viewpoints import subject_points
+        from ..render.scene_images import subject_points
 
         azimuth, elevation, fovy = self._angles()
         directed = self.azimuth is not None or self.elevation is not None

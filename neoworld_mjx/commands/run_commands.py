@@ -8,8 +8,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..engines import EngineChoice
 from ..errors import ConfigError
+from ..names import Step
 from ..quantities import count
-from ..step_names import Step
 from .base_command import Command, CommandResult, ConfiguredCommand
 from .result_lines import DETAILS, run_lines
 

@@ -22,14 +22,12 @@ from ..spec import (
     bounds,
     support_frame,
 )
-from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .inside import has_same_footprint, position_inside
-from .joint_friction import with_joint_friction
+from ..spec.scale import BoxFit, fit_to_box
 from .on_supports import in_contact
-from .resting_pose import is_stable_upright, on_level, resting_tilt
-from .settle import settle
+from .resting_pose import is_stable_upright, on_level, resting_tilt, with_joint_friction
+from .settle import has_same_footprint, position_inside, settle
 
 NOTED_TILT_DEG = 2.0
 """Smallest change from the parsed tilt that a note reports [deg]."""

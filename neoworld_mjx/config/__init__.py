@@ -4,8 +4,8 @@
 `docs/differences-from-the-paper.md` from the declarations.
 """
 
-from ..io.file_options import FileOptions
-from ..io.yaml_files import parse_yaml, read_yaml
+from ..io.limited_worker import FileOptions
+from ..io.text_files import parse_yaml, read_yaml
 from ..options import Option, Options, PaperDifference, list_options, option_values
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (

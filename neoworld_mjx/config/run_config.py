@@ -12,9 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import ConfigError
-from ..io.file_options import FileOptions
-from ..io.validation_message import validation_message
-from ..io.yaml_files import read_yaml
+from ..io.limited_worker import FileOptions
+from ..io.text_files import read_yaml, validation_message
 from ..options import Options, option
 from .model_options import MLLMOptions
 from .object_options import (

@@ -7,15 +7,14 @@ from pathlib import Path
 from pxr import Sdf, UsdUtils
 
 from ..errors import ExportError
-from ..format_names import Format, Simulator
 from ..io.files import write_inside
+from ..names import Format, Simulator
 from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
-from .meshes import mesh_files, texture_files
 from .usd_layers import isaac_text, newton_text
 from .write_drives import drives_text
-from .write_glb import glb_bytes
+from .write_glb import glb_bytes, mesh_files, texture_files
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
 from .write_sdf import sdf_text

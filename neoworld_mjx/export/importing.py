@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..errors import SpecError
 from ..io.limited_worker import call_limited
 from ..io.names import RESERVED, identifier
-from ..io.validation_message import validation_message
+from ..io.text_files import validation_message
 from ..physics.decompose import coacd_installed, convex_pieces, decomposition_deadline, hull_points
 from ..spec import (
     AuthoredInertia,
@@ -32,11 +32,11 @@ from ..spec import (
     recentred,
 )
 from ..spec.base import Vec3
-from ..spec.base_shape import BaseShape
-from ..spec.forest import name_on_cycle
-from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, triple, yaw_of
-from .checked_xml import read_xml
+from ..spec.primitives import BaseShape
+from ..spec.shapes import HELPER, UNKNOWN
+from ..spec.tree import name_on_cycle
+from .load_mesh import read_xml
 from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles, transformed
 from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene

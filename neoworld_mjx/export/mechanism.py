@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import JointSpec, Site
-from ..spec.base_shape import BaseShape
-from ..spec.forest import name_on_cycle
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
+from ..spec.primitives import BaseShape
+from ..spec.tree import name_on_cycle
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""

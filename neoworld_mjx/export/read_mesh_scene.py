@@ -29,11 +29,11 @@ from ..io import read_model
 from ..spec import Camera, Spec
 from ..spec.base import Number, Vec3
 from ..spec.pose import Pose, from_yaw, pose, rotate
-from .checked_xml import inside
 from .load_mesh import (
     SUFFIXES,
     folder_buffers,
     gltf_document,
+    inside,
     load_mesh,
     merged_vertices,
     mesh_bytes,

@@ -14,9 +14,9 @@ import numpy as np
 from ..errors import SpecError
 from ..physics.mjcf import START
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
-from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
-from .checked_xml import inside, inside_any, read_xml
+from ..spec.primitives import BaseShape
+from .load_mesh import inside, inside_any, read_xml
 from .mechanism import (
     Assembly,
     Link,

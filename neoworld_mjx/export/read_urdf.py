@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import Box, Cylinder, JointSpec, Mimic, Site, Sphere
-from ..spec.base_shape import BaseShape
 from ..spec.pose import triple
-from .checked_xml import inside, read_xml
-from .load_mesh import load_mesh
+from ..spec.primitives import BaseShape
+from .load_mesh import inside, load_mesh, read_xml
 from .mechanism import (
     GRAY,
     Link,

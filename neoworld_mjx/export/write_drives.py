@@ -12,7 +12,7 @@ import numpy as np
 
 from ..physics.mjcf import START, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
-from .meshes import numbers
+from .write_glb import numbers
 
 RATE = 20.0
 """Natural frequency of a critically damped drive [rad/s]."""

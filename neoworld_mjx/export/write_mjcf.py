@@ -26,7 +26,7 @@ from ..physics.mjcf import COLLISION_GROUP, VISUAL_GROUP, to_mjspec, visual_name
 from ..spec import Material, ObjectSpec, SceneSpec
 from ..spec.finish import finish
 from .link_frames import frames, link_origins
-from .meshes import FOLDER, has_texture, is_textured, numbers, texture_file, visible_surface
+from .write_glb import FOLDER, has_texture, is_textured, numbers, texture_file, visible_surface
 
 HIDDEN_GROUP = 3
 """Geom group of colliders in exported files; viewers show only groups 0 to 2 by default."""

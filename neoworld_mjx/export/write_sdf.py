@@ -26,7 +26,7 @@ from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import Pose, pose, to_rpy
 from .link_frames import TENSOR_ENTRIES, frames, inertia_tensor, link_names, link_origins
-from .meshes import collision_file, number, numbers, visual_file
+from .write_glb import collision_file, number, numbers, visual_file
 
 VERSION = "1.11"
 """First SDF version that supports mimic joints."""

@@ -27,7 +27,7 @@ from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import Pose, pose, to_rpy
 from .link_frames import TENSOR_ENTRIES, Frame, frames, inertia_tensor, link_names, link_origins
-from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
+from .write_glb import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
 """Limits that are written if the object states none, because URDF requires both."""

@@ -33,7 +33,7 @@ from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .link_frames import Frame, frames, link_origins, unjoined_pairs
-from .meshes import is_textured, piece_mesh, texture_file, visible_surface
+from .write_glb import is_textured, piece_mesh, texture_file, visible_surface
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 FLAT = 1e-3

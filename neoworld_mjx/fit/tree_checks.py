@@ -26,9 +26,9 @@ from ..measure.boxes import (
     upright,
 )
 from ..spec import SceneTree, TreeNode
-from .categories import size_range
+from .fit_data import EDGE, hidden_sides
+from .priors import size_range
 from .projection import expected_box, outline_of
-from .visible_sides import EDGE, hidden_sides
 
 AGREEMENT_WARNING, AGREEMENT_ERROR = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""

@@ -5,10 +5,9 @@ readers of XML and meshes are in `export`. All readers open files with `files.re
 the limits of `FileOptions`, and report a file that they cannot read in a single message.
 """
 
-from .array_files import read_arrays
-from .file_options import bounded_by, file_bounds, set_file_bounds
-from .image_files import IMAGE_FORMATS, open_image
-from .json_files import read_json, read_model, read_object, read_untrusted_text
+from .binary_files import IMAGE_FORMATS, open_image, read_arrays
+from .limited_worker import bounded_by, file_bounds, set_file_bounds
+from .text_files import read_json, read_model, read_object, read_untrusted_text
 
 __all__ = [
     "IMAGE_FORMATS",

@@ -1,16 +1,176 @@
 """Validity of a scene: comparison of each measure with its bound.
 
 These checks are made once, stored in run.json, and printed everywhere by `SceneCheck.phrase`.
+
+S-Pen and S-Stab, the physical measures of the paper's scene table, computed by C MuJoCo.
+
+Objects of a scene that leave their composed poses, and the reasons why.
 """
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
+from pydantic import Field
 
 from ..config import RefineOptions
 from ..errors import RunError
+from ..physics.colliders import object_depths, start_state
 from ..quantities import format_quantity
-from ..spec import SceneSpec, Spec
-from .stability import SceneMeasure, scene_measure
+from ..spec import SceneObject, SceneSpec, Spec
+from ..spec.pose import angle_between
+
+
+class SceneMeasure(Spec):
+    """Penetration and stability of a scene."""
+
+    objects: int
+    movable: int
+    """Number of objects with a free base. If there are none, stability is undefined."""
+    s_pen: int | None
+    """1 if two objects penetrate deeper than the bound in the composed pose, else 0."""
+    max_depth_m: float
+    """Largest penetration depth of two objects in the composed pose."""
+    settled_depth_m: float
+    """Largest penetration depth at the end of the simulation, when contacts bear weight."""
+    depths_m: dict[str, float] = Field(default_factory=dict)
+    """Penetration depth of each penetrating pair "a|b" in the composed pose."""
+    settled_depths_m: dict[str, float] = Field(default_factory=dict)
+    """Penetration depth of each penetrating pair "a|b" at the end of the simulation."""
+    s_stab: bool | None
+    """True if every object stayed within the bounds at all times; None without movable objects."""
+    max_drift_m: float
+    max_tilt_deg: float
+    drift_m: dict[str, float] = Field(default_factory=dict)
+    tilt_deg: dict[str, float] = Field(default_factory=dict)
+    drop_m: dict[str, float] = Field(default_factory=dict)
+    """Largest descent of each movable object."""
+    joint_slide_m: dict[str, float] = Field(default_factory=dict)
+    """Largest displacement of each sliding joint "object-joint"."""
+    joint_turn_deg: dict[str, float] = Field(default_factory=dict)
+    """Largest rotation of each turning joint "object-joint"."""
+    duration_s: float
+    diverged: bool = False
+    displacement: dict[str, float] | None = None
+    """Displacement of each movable object by settling from the pose at which it was placed,
+    relative to its limit (`physics.placed.settling_displacement`); None for a scene that was
+    measured as it is."""
+
+
+def scene_measure(
+    scene: SceneSpec,
+    *,
+    duration: float = 2.0,
+    timestep: float = 0.002,
+    max_depth: float = 1e-3,
+    max_drift: float = 0.01,
+    max_tilt: float = 5.0,
+    sleeps: bool = False,
+) -> SceneMeasure:
+    """Measure penetration in the composed pose, and drift in a simulation that starts from it.
+
+    The simulation has no drag. The poses after every step are compared with the composed pose.
+    Stepping releases the GIL, so several scenes may be measured in threads.
+
+    Args:
+        scene: the scene.
+        duration: simulated time [s].
+        timestep: time step [s].
+        max_depth: penetration bound [m].
+        max_drift: translation bound [m].
+        max_tilt: rotation bound [deg].
+        sleeps: if True, let islands of bodies at rest sleep (`mjENBL_SLEEP`). This is faster, but
+            it is not the paper's measure.
+    """
+    model, data = start_state(scene, timestep)
+    if sleeps:
+        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    initial_depths = object_depths(scene, model, data)
+    names = [obj.name for obj in scene.objects if not obj.static]
+    base = np.array([model.jnt_qposadr[model.body(name).jntadr[0]] for name in names], int)
+    base = base[:, None] + np.arange(7)
+    initial = data.qpos.copy()
+    start = initial[base]
+    qpos, finite = _simulate(model, data, round(duration / timestep))
+    poses = qpos[:, base]
+    shift = np.linalg.norm(poses[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
+    tilt = np.degrees(angle_between(start[:, 3:], poses[..., 3:])).max(axis=0, initial=0.0)
+    drop = (start[:, 2] - poses[..., 2]).max(axis=0, initial=0.0)
+    slide, turn = _joint_motion(model, initial, qpos)
+    diverged = not (finite and np.isfinite(shift).all())
+    final_depths = {} if diverged else object_depths(scene, model, data)
+    stable = not diverged and bool(np.all(shift < max_drift) and np.all(tilt < max_tilt))
+    deepest = max(initial_depths.values(), default=0.0)
+    return SceneMeasure(
+        objects=len(scene.objects),
+        movable=len(names),
+        s_pen=int(deepest > max_depth),
+        max_depth_m=deepest,
+        settled_depth_m=max(final_depths.values(), default=0.0),
+        depths_m={f"{a}|{b}": depth for (a, b), depth in initial_depths.items()},
+        settled_depths_m={f"{a}|{b}": depth for (a, b), depth in final_depths.items()},
+        s_stab=stable if names else None,
+        max_drift_m=float(shift.max(initial=0.0)) if not diverged else float("inf"),
+        max_tilt_deg=float(tilt.max(initial=0.0)) if not diverged else float("inf"),
+        drift_m=dict(zip(names, shift.tolist(), strict=True)),
+        tilt_deg=dict(zip(names, tilt.tolist(), strict=True)),
+        drop_m=dict(zip(names, drop.tolist(), strict=True)),
+        joint_slide_m=slide,
+        joint_turn_deg=turn,
+        duration_s=duration,
+        diverged=diverged,
+    )
+
+
+def _joint_motion(
+    model: mujoco.MjModel, start: NDArray[np.float64], qpos: NDArray[np.float64]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the largest motion of each sliding joint [m] and of each turning joint [deg]."""
+    slide, turn = {}, {}
+    for k in range(model.njnt):
+        kind, address, name = model.jnt_type[k], model.jnt_qposadr[k], model.joint(k).name
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            quat = slice(address, address + 4)
+            angle = angle_between(start[quat], qpos[:, quat])
+            turn[name] = float(np.degrees(angle).max(initial=0.0))
+            continue
+        motion = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
+        if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+            slide[name] = motion
+        else:
+            turn[name] = float(np.degrees(motion))
+    return slide, turn
+
+
+def _simulate(
+    model: mujoco.MjModel, data: mujoco.MjData, steps: int
+) -> tuple[NDArray[np.float64], bool]:
+    """Simulate a scene from the state in `data`, in one call to MuJoCo.
+
+    Returns:
+        qpos after each step, shape [step, nq]; and True if the simulation stayed finite. If it did,
+        `data` is set to the last state.
+    """
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.zeros(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    states, _ = rollout.rollout(model, data, initial_state=state[None], nstep=steps)
+    states = np.asarray(states).reshape(steps, -1)
+    w = mujoco.mjtWarning
+    bad = (w.mjWARN_BADQPOS, w.mjWARN_BADQVEL, w.mjWARN_BADQACC)
+    finite = bool(np.isfinite(states).all()) and not any(data.warning[k].number for k in bad)
+    if finite:
+        mujoco.mj_setState(model, data, states[-1], kind)
+        mujoco.mj_forward(model, data)
+    return states[:, 1 : 1 + model.nq], finite
+
 
 SETTLED_AWAY = "settled_away"
 """Name of the check that no object settled away from the pose at which it was placed."""
@@ -137,3 +297,109 @@ def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
 
 def _largest(values: dict[str, float]) -> float:
     return max(values.values(), default=0.0)
+
+
+FALLS_M = 0.03
+"""Descent above which an object falls, as opposed to an object that settles or topples."""
+
+
+class UnstableObject(Spec):
+    """An object that leaves its composed pose under gravity."""
+
+    name: str
+    kind: Literal["falls", "topples", "slides", "diverges"]
+    drop_m: float
+    """Largest descent [m]."""
+    drift_m: float
+    tilt_deg: float
+    held: bool
+    """False if the object is attached but not fastened, in which case no layout makes it stable."""
+    why: str
+
+    def phrase(self) -> str:
+        """Return one line, such as "frame falls 1.64 m: it is attached to wall, but ..."."""
+        motion = {
+            "falls": f"falls {self.drop_m:.2g} m",
+            "topples": f"topples by {self.tilt_deg:.0f} deg",
+            "slides": f"moves {1e3 * self.drift_m:.0f} mm",
+            "diverges": "makes the simulation diverge",
+        }[self.kind]
+        return f"{self.name} {motion}: {self.why}"
+
+
+def unstable_objects(
+    scene: SceneSpec, measure: SceneMeasure, *, max_drift: float = 0.01, max_tilt: float = 5.0
+) -> tuple[UnstableObject, ...]:
+    """Return the objects that exceed a bound of motion, and the reasons, the worst kinds first.
+
+    Objects that make the simulation diverge come first, followed by objects that fall, topple and
+    slide.
+
+    Args:
+        scene: the measured scene.
+        measure: measures of the scene.
+        max_drift: translation bound [m].
+        max_tilt: rotation bound [deg].
+    """
+    moving = [
+        obj
+        for obj in scene.objects
+        if not obj.static
+        and not (measure.drift_m[obj.name] < max_drift and measure.tilt_deg[obj.name] < max_tilt)
+    ]
+    names = {obj.name for obj in moving}
+    entries = [_entry(scene, obj, measure, names, max_tilt) for obj in moving]
+    order = ("diverges", "falls", "topples", "slides")
+    return tuple(sorted(entries, key=lambda entry: (order.index(entry.kind), -entry.drop_m)))
+
+
+def phrases(entries: Sequence[UnstableObject]) -> str:
+    """Return one line that names all entries."""
+    return "; ".join(entry.phrase() for entry in entries)
+
+
+def _entry(
+    scene: SceneSpec, obj: SceneObject, measure: SceneMeasure, moving: set[str], max_tilt: float
+) -> UnstableObject:
+    name = obj.name
+    drop, tilt = measure.drop_m.get(name, 0.0), measure.tilt_deg[name]
+    held = obj.relation != "attached"
+    kind: Literal["falls", "topples", "slides", "diverges"] = "slides"
+    if not (drop < float("inf") and tilt < float("inf")):
+        kind = "diverges"
+    elif drop > FALLS_M:
+        kind = "falls"
+    elif tilt >= max_tilt:
+        kind = "topples"
+    return UnstableObject(
+        name=name,
+        kind=kind,
+        drop_m=drop,
+        drift_m=measure.drift_m[name],
+        tilt_deg=tilt,
+        held=held,
+        why=_why(scene, obj, measure, moving, kind),
+    )
+
+
+def _why(
+    scene: SceneSpec, obj: SceneObject, measure: SceneMeasure, moving: set[str], kind: str
+) -> str:
+    if obj.relation == "attached":
+        host = None if obj.parent is None else scene.object(obj.parent)
+        free = "" if host is None or host.static else ", which is free to move"
+        return f"it is attached to {obj.parent or 'the world'}{free}, but not fastened there"
+    parent = obj.parent
+    if parent in moving:
+        return f"{parent}, which supports it, moves"
+    deep = {pair: depth for pair, depth in measure.depths_m.items() if obj.name in pair.split("|")}
+    if deep:
+        pair = max(deep, key=deep.__getitem__)
+        other = next(part for part in pair.split("|") if part != obj.name)
+        if deep[pair] > 1e-3:
+            return f"it initially penetrates {other} by {1e3 * deep[pair]:.1f} mm"
+    if obj.relation == "leaning":
+        return f"it stands on {parent}, and nothing that it leans against holds it"
+    if kind == "falls":
+        return f"{parent} is not below it, or does not hold it"
+    return f"it does not rest on {parent}"

@@ -33,8 +33,7 @@ from ..errors import ModelError
 from ..io import read_model
 from ..io.files import irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
-from .requests import Rejection, Reply, Request, Usage
-from .responses import InvalidResponse, is_json, read_response
+from .requests import InvalidResponse, Rejection, Reply, Request, Usage, is_json, read_response
 from .server import MAX_BODY_BYTES
 
 _log = logging.getLogger(__name__)

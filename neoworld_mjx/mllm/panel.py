@@ -9,13 +9,21 @@ For each request, the panel
 
 A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
 `run`) and in any event loop (`ask`), even in several loops one after another.
+
+Run a coroutine from synchronous code, even inside a running event loop such as a notebook's.
+
+Keys of model servers, which are read only from the environment and removed from all output.
 """
 
 import asyncio
 import concurrent.futures
+import contextvars
+import os
+import re
 import threading
 import time
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Coroutine, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,9 +35,57 @@ from ..errors import ModelError
 from ..progress import update
 from .ledger import Ledger, load_prices, token_bound
 from .replay import Tape
-from .requests import Provider, Rejection, Reply, Request, Response, Usage
-from .responses import InvalidResponse, read_response
-from .secrets import hide, scrub
+from .requests import (
+    InvalidResponse,
+    Provider,
+    Rejection,
+    Reply,
+    Request,
+    Response,
+    Usage,
+    read_response,
+)
+
+Returned = TypeVar("Returned")
+
+
+def run_coroutine(work: Coroutine[Any, Any, Returned]) -> Returned:
+    """Run a coroutine and return its result; the call blocks.
+
+    Inside a running event loop, the coroutine runs on a separate loop in another thread. It sees
+    the caller's context variables in both cases.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(work)
+    with ThreadPoolExecutor(1, thread_name_prefix="neoworld-steps") as thread:
+        return thread.submit(contextvars.copy_context().run, asyncio.run, work).result()
+
+
+_KEY_PATTERNS = re.compile(
+    r"(?i)\bbearer\s+[^\s'\",;]+|\bsk-[A-Za-z0-9_-]{8,}|(?<=://)[^/@\s]+(?=@)"
+)
+_PLACEHOLDER = "[key]"
+
+
+def environment_key(name: str) -> str | None:
+    """Return the key in an environment variable; None if the variable is unset or blank."""
+    return os.environ.get(name, "").strip() or None
+
+
+def hide(text: str, secrets: Iterable[str]) -> str:
+    """Replace the given secrets in a text by a placeholder."""
+    for secret in sorted(secrets, key=len, reverse=True):
+        if len(secret) >= 4:
+            text = text.replace(secret, _PLACEHOLDER)
+    return text
+
+
+def scrub(text: str, secrets: Iterable[str]) -> str:
+    """Replace the given secrets, and everything that looks like a key, by a placeholder."""
+    return _KEY_PATTERNS.sub(_PLACEHOLDER, hide(text, secrets))
+
 
 T = TypeVar("T", bound=BaseModel)
 R = TypeVar("R")

@@ -8,10 +8,9 @@ from typing import get_args
 from ..config import MLLMOptions, Role
 from ..errors import ConfigError, MissingResponseError, ModelError, choices
 from .mailbox import Mailbox
-from .panel import Panel
+from .panel import Panel, environment_key
 from .replay import SUFFIX, Replay, find_tape
 from .requests import Provider
-from .secrets import environment_key
 
 PROVIDERS = ("auto", "anthropic", "openai", "replay", "mailbox")
 """Names of the providers of responses."""

@@ -19,8 +19,8 @@ from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from ..io.files import MIB
 from ..io.names import plain_text
+from .panel import environment_key
 from .requests import Picture, Rejection, Reply, Request, response_rule
-from .secrets import environment_key
 
 RETRIES = 4
 """Maximum number of retries of a call after transient errors: rate limits, overload, lost

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from ..io.names import NAME_RULE, RESERVED, is_name
 from ..spec import SupportOutline, SupportSurface, SurfacePattern
-from ..spec.surface_pattern import RGB, RoomPatternKind
+from ..spec.room import RGB, RoomPatternKind
 from ..spec.tree import Relation
 
 MAX_LISTED, MAX_OBJECTS = 200, 100

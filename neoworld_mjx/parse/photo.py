@@ -19,8 +19,8 @@ from PIL import Image, ImageOps
 
 from ..errors import PhotoError
 from ..io import file_bounds, open_image
+from ..io.binary_files import PLAIN_MPX
 from ..io.files import MIB, read_bytes
-from ..io.image_files import PLAIN_MPX
 from ..io.limited_worker import call_limited
 
 MIN_SIDE_PX = 16

@@ -4,16 +4,229 @@ The response is less nested than a scene tree. It uses pixels of the resized pic
 words for the directions of tilts. Validation reports all errors of a response at once, in words for
 the model. Names, docstrings and descriptions of the classes are part of the request, as in
 `object_schema`.
+
+Conversion of a response to a scene tree in pixels of the original, meters and radians.
+
+The positions in a response are consistent with the picture only through its camera. If a correction
+changes the camera, `moved_with_camera` moves each object to the position that has the same pixel.
 """
 
+import math
+from collections.abc import Collection, Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from ..errors import SpecError
 from ..io.names import MAX_NAME, plain_text
-from ..spec import SceneTree
-from .object_schema import ParsedCamera, ParsedObject, ResponsePart, error_line
+from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
+from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
+from ..spec.room import RECTANGLE
+from .object_schema import (
+    ParsedBox,
+    ParsedCamera,
+    ParsedDoubt,
+    ParsedObject,
+    ParsedTilt,
+    ResponsePart,
+    error_line,
+)
 from .photo import Photo
-from .response_to_tree import build_tree, corners, moved_with_camera
+
+MAX_LABEL, MAX_DESCRIPTION = 100, 4000
+_EDGE_AXES: dict[str, Literal["x", "y", "z"]] = {"length": "x", "width": "y", "height": "z"}
+"""Axis of the object's frame that is parallel to each edge of `size`."""
+_CameraNumber = Literal["pitch", "height", "fovy", "roll"]
+_CAMERA_NAMES: dict[str, _CameraNumber] = {
+    "pitch_deg": "pitch",
+    "height": "height",
+    "fovy_deg": "fovy",
+    "roll_deg": "roll",
+}
+FARTHEST = 3.0
+"""Maximum factor by which the distance of an object from the camera may grow or shrink if its
+camera is corrected."""
+_TOWARDS = {
+    "forward": (0.0, 1.0, 0.0),
+    "backward": (0.0, -1.0, 0.0),
+    "left": (-1.0, 0.0, 0.0),
+    "right": (1.0, 0.0, 0.0),
+}
+"""Rotation axis, in the object's frame, by which the object's top moves in each direction."""
+
+
+def camera_of(parsed: ParsedCamera, size: tuple[int, int]) -> Camera:
+    """Return the parsed camera for a picture with this width and height [px].
+
+    Raises:
+        ValidationError: the camera is invalid.
+    """
+    return Camera(
+        width=size[0],
+        height_px=size[1],
+        fovy=math.radians(parsed.fovy_deg),
+        height=parsed.height,
+        pitch=math.radians(parsed.pitch_deg),
+        roll=math.radians(parsed.roll_deg),
+    )
+
+
+def build_tree(
+    camera: ParsedCamera,
+    objects: Sequence[ParsedObject],
+    per_pixel: tuple[float, float],
+    size: tuple[int, int],
+    *,
+    clip: bool,
+) -> SceneTree:
+    """Convert parsed objects into a scene tree.
+
+    Args:
+        camera: the parsed camera.
+        objects: the parsed objects.
+        per_pixel: original pixels per pixel of the resized picture, horizontally and vertically.
+        size: width and height of the original [px].
+        clip: if True, clip 2D boxes at the picture's edges.
+
+    Raises:
+        ValidationError: the tree is invalid.
+    """
+    nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in objects)
+    names = dict.fromkeys(camera.measured)
+    measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
+    pitch_sd = camera.pitch_doubt_deg
+    return SceneTree(
+        camera=camera_of(camera, size),
+        camera_measured=tuple(measured),
+        pitch_sd=None if pitch_sd is None else math.radians(pitch_sd),
+        height_sd=camera.height_doubt,
+        nodes=nodes,
+    )
+
+
+def _node(
+    obj: ParsedObject, per_pixel: tuple[float, float], size: tuple[int, int] | None
+) -> TreeNode:
+    x0, y0, x1, y1 = corners(obj.box)
+    sx, sy = per_pixel
+    pixels = [x0 * sx, y0 * sy, x1 * sx, y1 * sy]
+    if size is not None:
+        pixels = [float(np.clip(v, 0, size[i % 2])) for i, v in enumerate(pixels)]
+    box2d = Box2D(x0=pixels[0], y0=pixels[1], x1=pixels[2], y1=pixels[3])
+    yaw, tilt = math.radians(obj.yaw_deg), tilt_quat(obj.tilt)
+    edges = np.array([obj.size.length, obj.size.width, obj.size.height])
+    center = np.array([obj.position.x, obj.position.y]) + base_offset(edges, yaw, tilt)
+    return TreeNode(
+        name=obj.name,
+        label=plain_text(obj.label, MAX_LABEL),
+        description=plain_text(obj.description, MAX_DESCRIPTION),
+        parent=obj.parent,
+        relation=obj.relation,
+        leans_on=obj.leans_on,
+        parent_link=obj.parent_link,
+        environment=obj.environment,
+        fixed_base=obj.fixed_base,
+        occluded=obj.occluded or bool(obj.occluded_by),
+        occluded_by=tuple(dict.fromkeys(obj.occluded_by)),
+        box2d=box2d,
+        box3d=Box3D(
+            position=(float(center[0]), float(center[1]), obj.position.z),
+            size=tuple(edges.tolist()),
+            yaw=math.remainder(yaw, 2 * math.pi),
+        ),
+        base_tilt=tilt,
+        articulation=tuple(
+            PartState(part=part.part, type=part.motion, opening=part.opening)
+            for part in obj.articulation
+        ),
+        held_by=plain_text(obj.held_by or "", MAX_LABEL) or None,
+        cues=_cues(obj, per_pixel),
+        outline=RECTANGLE if obj.outline is None else obj.outline.converted(),
+        surface=None if obj.surface is None else obj.surface.converted(),
+        furniture=obj.furniture,
+    )
+
+
+def _cues(obj: ParsedObject, per_pixel: tuple[float, float]) -> Cues:
+    uncertainty = obj.doubt or ParsedDoubt()
+    contact = None
+    if obj.contact is not None:
+        contact = (obj.contact.u * per_pixel[0], obj.contact.v * per_pixel[1])
+    return Cues(
+        contact=contact,
+        cut_sides=None if obj.cut_sides is None else tuple(dict.fromkeys(obj.cut_sides)),
+        known_size=tuple(_EDGE_AXES[edge] for edge in dict.fromkeys(obj.known_size)),
+        position_sd=uncertainty.position,
+        size_sd=uncertainty.size,
+        yaw_sd=None if uncertainty.yaw_deg is None else math.radians(uncertainty.yaw_deg),
+    )
+
+
+def corners(box: ParsedBox) -> tuple[float, float, float, float]:
+    """Return the left, top, right and bottom of a box."""
+    return box.left, box.top, box.right, box.bottom
+
+
+def tilt_quat(tilt: ParsedTilt | None) -> Quat:
+    """Return the rotation of a parsed tilt, which is applied before the yaw."""
+    if tilt is None or tilt.degrees == 0:
+        return IDENTITY
+    turn = from_axis_angle(_TOWARDS[tilt.towards], math.radians(tilt.degrees))
+    return tuple(turn.tolist())
+
+
+def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
+    """Return the offset (x, y) of a tilted box's bottom center from its footprint's center [m].
+
+    A scene tree contains the bottom center, whereas a response contains the footprint's center.
+    """
+    corners = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
+
+
+def moved_with_camera(
+    objects: Sequence[ParsedObject],
+    before: ParsedCamera,
+    after: ParsedCamera,
+    size: tuple[int, int],
+    *,
+    placed: Collection[str] = (),
+) -> list[ParsedObject]:
+    """Return the objects at positions with the same pixels and heights in the new camera.
+
+    An object keeps its position if the position is outside the picture, or if the distance from the
+    camera would change by more than a factor of three.
+
+    Args:
+        objects: the objects of the response.
+        before: the old camera, for which the positions were given.
+        after: the new camera.
+        size: width and height of the picture that the model saw [px].
+        placed: names of objects whose positions were given for the new camera.
+
+    Raises:
+        ValidationError: a camera is invalid.
+    """
+    old, new = (camera_of(parsed, size) for parsed in (before, after))
+    return [obj if obj.name in placed else _moved_object(obj, old, new) for obj in objects]
+
+
+def _moved_object(obj: ParsedObject, old: Camera, new: Camera) -> ParsedObject:
+    at = obj.position
+    pixel, depth = old.project([at.x, at.y, at.z])
+    inside = (pixel >= 0).all() and (pixel <= [old.width, old.height_px]).all()
+    if depth <= 0 or not inside:
+        return obj
+    ray = new.rays(pixel)
+    distance = (at.z - new.height) / ray[2] if ray[2] else math.inf
+    before = math.dist((at.x, at.y, at.z), (0.0, 0.0, old.height))
+    if not before / FARTHEST < distance < before * FARTHEST:
+        return obj
+    new_position = {"x": float(distance * ray[0]), "y": float(distance * ray[1])}
+    return obj.model_copy(update={"position": at.model_copy(update=new_position)})
 
 
 class ParsedScene(ResponsePart):

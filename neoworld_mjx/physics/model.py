@@ -18,9 +18,8 @@ from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
 from .mjcf import body_name, object_of_body, to_mjspec
-from .outline import extreme_points, is_round
 from .photo_view import photo_view
-from .sampling import surface_samples
+from .sampling import extreme_points, is_round, surface_samples
 from .scene_arrays import SceneArrays, on_device, snapped_heights
 
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)

@@ -17,8 +17,8 @@ import numpy as np
 from ..config import SettleOptions
 from ..spec import SceneObject, SceneSpec, support_frame, world_poses
 from ..spec.pose import Pose, conjugate, from_yaw, pose, quat_mul, yaw_of
+from .colliders import start_state
 from .engine import EarlyStop, Engine, RolloutStatus
-from .exact import start_state
 from .guidance import INTERVAL_S, Guidance, GuidedBodies, free_bodies, springs
 from .layout import Poses
 from .model import FREE, SceneModel, StaticScene, is_rotational

@@ -6,12 +6,11 @@ from pathlib import Path
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model
-from ..parse.crops import colour_in_box, crops
+from ..parse.crops import colour_in_box, crops, support_colours
 from ..parse.draw import draw_parse
 from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
-from ..parse.support_colours import support_colours
 from ..program import build
-from ..program.attempt import written_without_model
+from ..program.ask import written_without_model
 from ..program.supports import support_program
 from ..render import to_png
 from ..run_folder import Result, RunFolder

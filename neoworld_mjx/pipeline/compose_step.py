@@ -35,7 +35,7 @@ from .step_context import (
 if TYPE_CHECKING:
     from ..align.alignment import Alignment
     from ..compose.layout_patch import LayoutPatch
-    from .place import Placed
+    from .place import PlacedScene
 
 
 def compose_scene(context: StepContext) -> None:
@@ -131,7 +131,7 @@ def _inputs(
     return inputs
 
 
-def _write_fit(run: RunFolder, placed: "Placed", out: Path) -> None:
+def _write_fit(run: RunFolder, placed: "PlacedScene", out: Path) -> None:
     """Write the fitted tree and the report of the fit, if there was one."""
     if placed.fit is None:
         return
@@ -160,9 +160,7 @@ def _write_alignment(
         photo: the photograph (sRGB).
         out: folder of the step's files.
     """
-    from ..align.evidence_picture import evidence_picture
-    from ..align.outline_error import outline_errors
-    from ..align.outline_picture import outline_picture
+    from ..align.outlines import evidence_picture, outline_errors, outline_picture
     from ..render import to_png
 
     report, aligned = alignment.to_json(), alignment.scene
@@ -182,7 +180,7 @@ def _write_alignment(
         run.note("compose", outcome, reason)
 
 
-def _record_notes(run: RunFolder, placed: "Placed") -> None:
+def _record_notes(run: RunFolder, placed: "PlacedScene") -> None:
     for note in (*placed.composed.notes, *placed.notes):
         name, _, change = note.partition(": ")
         record = run.fallback if note in placed.composed.shortfalls else run.note
@@ -207,7 +205,7 @@ def _check_composed(context: StepContext) -> None:
     stabilize the other objects.
     """
     from ..measure import measured, unstable_objects
-    from ..measure.unstable import phrases
+    from ..measure.scene_check import phrases
 
     run, limits = context.run, context.config.refine
     bounds = limits.model_dump(

@@ -9,9 +9,8 @@ from ..compose.resting_pose import on_level, pose_without_scene
 from ..config import ProgramOptions
 from ..errors import ProgramError, SpecError
 from ..io import read_object
-from ..mllm.coroutines import run_coroutine
-from ..parse.crops import Crop, crops
-from ..parse.support_colours import SupportColour, support_colours
+from ..mllm.panel import run_coroutine
+from ..parse.crops import Crop, SupportColour, crops, support_colours
 from ..program.synthesise import ProgramSource, all_instructions, synthesise
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode

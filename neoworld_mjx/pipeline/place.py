@@ -19,7 +19,7 @@ from ..compose.compose import Composed, compose
 from ..compose.on_supports import in_contact
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
-from ..fit.fit_report import FitReport
+from ..fit.fit_tree import FitReport
 from ..fit.refit import refit_tree
 from ..measure import SceneMeasure, shown_sides
 from ..mllm import Panel, Picture
@@ -48,7 +48,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedScene:
     """A scene composed and aligned with its evidence."""
 
     tree: SceneTree
@@ -78,7 +78,7 @@ def place(
     *,
     programs: EditablePrograms | None = None,
     name: str = "scene",
-) -> Placed:
+) -> PlacedScene:
     """Fit a tree to its built objects, compose the scene, and align it with its evidence (Step 4).
 
     Args:
@@ -102,7 +102,7 @@ def place(
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
-        return Placed(tree, composed, composed.scene, fit, seconds=time.perf_counter() - began)
+        return PlacedScene(tree, composed, composed.scene, fit, seconds=time.perf_counter() - began)
     realign = partial(
         align, photo=evidence.photo, options=options.align, measured=tree.camera_measured
     )
@@ -119,7 +119,7 @@ def place(
         composed, alignment = build(freed.specs), freed.alignment
     scene, notes = in_contact(alignment.scene, options, composed=composed.scene)
     seconds = time.perf_counter() - began
-    return Placed(tree, composed, scene, fit, alignment, freed, notes, seconds)
+    return PlacedScene(tree, composed, scene, fit, alignment, freed, notes, seconds)
 
 
 def _composed(

@@ -1,6 +1,12 @@
-"""Reconstruct a photograph (paper Figure 2), or repeat the refinement of a run."""
+"""Reconstruct a photograph (paper Figure 2), or repeat the refinement of a run.
 
-from collections.abc import Iterator
+Steps of a run. Each step reads files of the run folder, calls a package and writes files.
+
+A step declares everything that it reads as its inputs. The run folder repeats a step if its inputs
+have changed.
+"""
+
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -10,14 +16,24 @@ from ..config import Config, load_config, merged
 from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
+from ..names import Step
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..spec import read_scene
-from ..step_names import Step
-from .scene_pictures import Pictures
-from .scene_steps import write_metrics
-from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
-from .steps import STEP_FUNCTIONS
+from .compose_step import compose_scene
+from .object_steps import parse_photo, program_objects, verify_objects
+from .scene_steps import export_files, refine_layout, write_metrics
+from .step_context import COMPOSED, TAPE, TREE, Pictures, StepContext, read_tree
+
+STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
+    "parse": parse_photo,
+    "program": program_objects,
+    "verify": verify_objects,
+    "compose": compose_scene,
+    "refine": refine_layout,
+    "export": export_files,
+}
+"""Function of each step in `run_folder.STEPS`."""
 
 
 def reconstruct(

@@ -14,20 +14,20 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from ..align.acceptance import gain
 from ..align.alignment import Alignment, DimensionEdit, FreedObject
-from ..align.colors import LabImage
-from ..align.outline_error import outline_errors
+from ..align.colors import LabImage, gain
+from ..align.outlines import outline_errors
 from ..align.rasterize import draw_scene, height_of
 from ..spec import ObjectSpec, SceneSpec
-from .dimension_candidates import (
+from .named_constants import (
     Candidate,
     Contours,
     best_candidate,
+    named_constants,
     sensitivities,
     significant,
+    with_value,
 )
-from .named_constants import named_constants, with_value
 
 WIDTH_PX = 640
 """Width of the image in which outlines are compared [px]."""

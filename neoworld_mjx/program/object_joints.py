@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any, no_type_check
 
 from .. import spec as S
 from ..checks.signals import radians_hint
-from . import validate
-from .part import Joint, Part, extent_of
-from .placing import anchor_of, direction, hinge_of, is_hinge
-from .sdk_types import Point2, Vec3
+from . import session as validate
+from .part import Joint, Part, Point2, Vec3, anchor_of, direction, extent_of, hinge_of, is_hinge
 from .session import current_line
 
 MAX_RANGE = 1e4

@@ -14,9 +14,8 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
-from ..checks.allowance import Allowance
 from ..checks.compile_checks import check
-from ..checks.signals import Signal, deduplicated, error_signal, has_errors
+from ..checks.signals import Allowance, Signal, deduplicated, error_signal, has_errors
 from ..config import ProgramOptions
 from ..errors import open_files_exhausted
 from ..io.limited_worker import WorkerEndedError, WorkerFailedError, run_limited
@@ -24,8 +23,14 @@ from ..spec import ObjectSpec
 from .assemble import assemble
 from .blender.blender_objects import run_blender
 from .blender.blender_process import require_blender
-from .execution import WALL_FACTOR, limited_calls, run_in_process, run_sandboxed
-from .program_errors import ENDLESS_HINT, limit_signal
+from .execution import (
+    ENDLESS_HINT,
+    WALL_FACTOR,
+    limit_signal,
+    limited_calls,
+    run_in_process,
+    run_sandboxed,
+)
 from .session import LimitExceeded, Session
 
 _NEEDS = ("scipy.spatial", "manifold3d", "neoworld_mjx.program.sdk")

@@ -10,9 +10,7 @@ the whole object and returns signals. Programs are type-checked against `sdk.pyi
 `python -m neoworld_mjx.program.stubs --write` generates from the signatures.
 """
 
-from .part import Geom, Joint, Part
-from .patterns import grid, mirror, ring
-from .placing import Shape
+from .part import Geom, Joint, Part, Shape
 from .sdk_object import Object
 from .shape_functions import (
     bail,
@@ -23,11 +21,14 @@ from .shape_functions import (
     ellipsoid,
     extrusion,
     frustum,
+    grid,
     hollow_box,
     intersection,
     lathe,
+    mirror,
     panel,
     prism,
+    ring,
     rounded_box,
     sphere,
     sweep,

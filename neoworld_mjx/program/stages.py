@@ -3,13 +3,19 @@
 With `one`, the programmer writes a whole program. With `three`, as in the paper, the programmer
 first writes a geometry program, then an articulation program that continues the accepted geometry
 program, and then an export program that continues both. The joined texts form one program.
+
+Comparison of an object with its parsed node, and of a revised program with its predecessor.
 """
 
+import ast
 import tempfile
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
+
+import numpy as np
 
 from ..checks.compile_checks import check_geometry
 from ..checks.signals import Signal, deduplicated, error_signal
@@ -18,7 +24,8 @@ from ..errors import NeoWorldError
 from ..export import export_object, read_urdf
 from ..export.importing import to_object
 from ..spec import ObjectSpec, TreeNode, inertial
-from .attempt import join_texts
+from ..spec.scale import fit_to_box
+from .ask import join_texts
 from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
@@ -138,3 +145,135 @@ def in_stage_lines(
             )
             converted.append(signal.model_copy(update={"line": None, "message": message}))
     return tuple(converted)
+
+
+PROPORTION_WARNING, PROPORTION_ERROR = 0.08, 0.25
+"""Limits of an edge's relative deviation from the parsed edge, after the best uniform scaling."""
+SIZE_WARNING, SIZE_ERROR = 0.15, 1.0
+"""Limits of the relative deviation of the uniform scale from 1.
+
+Composition scales the whole object, so a wrong size also makes the wall thickness wrong.
+"""
+_OF_SIZE = ("proportions", "wrong_size")
+
+
+def compare_to_node(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+    """Yield a signal for each difference between an object and its parsed node.
+
+    Proportions, size and the numbers of moving parts are compared.
+    """
+    # The parsed box includes parts that are open in the photo, so they are opened here, too.
+    to_box = fit_to_box(spec, node)
+    size, parsed_size, factor = to_box.high - to_box.low, np.array(node.box3d.size), to_box.factor
+    edges = size * factor / parsed_size - 1
+    axis = int(np.argmax(np.abs(edges)))
+    if abs(edges[axis]) > PROPORTION_WARNING:
+        shown, parsed = (" x ".join(f"{v:.3f}" for v in edges_m) for edges_m in (size, parsed_size))
+        yield Signal(
+            severity="error" if abs(edges[axis]) > PROPORTION_ERROR else "warning",
+            code="proportions",
+            message=f"the object{_open_parts(node)} measures {shown} m, "
+            f"the box in the photo {parsed} m; {'xyz'[axis]} is too "
+            f"{'large' if edges[axis] > 0 else 'small'} for the others",
+            value=float(edges[axis]),
+            threshold=PROPORTION_WARNING,
+            hint="fill the given box in all three directions; is the front at +x?",
+        )
+    deviation = max(factor, 1 / factor) - 1
+    if deviation > SIZE_WARNING:
+        yield Signal(
+            severity="error" if deviation > SIZE_ERROR else "warning",
+            code="wrong_size",
+            message=f"the object is {1 / factor:.3g} times as large as the box in the photo",
+            value=1 / factor,
+            threshold=1.0 + SIZE_WARNING,
+            hint="write it at the given size, in metres",
+        )
+    counts = Counter(_motion(joint.type) for joint in spec.joints if joint.type != "fixed")
+    for kind, count in Counter(_motion(part.type) for part in node.articulation).items():
+        if counts[kind] < count:
+            names = [part.part for part in node.articulation if _motion(part.type) == kind]
+            yield error_signal(
+                "missing_joint",
+                f"the photo shows {count} {kind} parts ({', '.join(names)}), "
+                f"the program has {counts[kind]}",
+                value=counts[kind],
+                threshold=count,
+                hint="make each a part of that name, with its joint",
+            )
+
+
+def compare_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+    """Yield a signal for each difference between parts without joints and the parsed node.
+
+    If parts are open in the photo, the box is not compared, because parts cannot open without
+    joints.
+    """
+    has_open_parts = any(part.opening for part in node.articulation)
+    skipped = ("missing_joint", *(_OF_SIZE if has_open_parts else ()))
+    yield from (signal for signal in compare_to_node(spec, node) if signal.code not in skipped)
+    if len(spec.parts) - 1 < len(node.articulation):
+        names = ", ".join(part.part for part in node.articulation)
+        yield error_signal(
+            "missing_part",
+            f"the photo shows moving parts ({names}), the program makes "
+            f"{len(spec.parts)} part{'s' * (len(spec.parts) != 1)} in all",
+            value=len(spec.parts),
+            threshold=len(node.articulation) + 1,
+            hint="make each moving part a part of that name, beside what it moves against",
+        )
+
+
+def _motion(joint_type: str) -> str:
+    return "prismatic" if joint_type == "prismatic" else "turning"
+
+
+def _open_parts(node: TreeNode) -> str:
+    """List the parts that are open in the photo, for a message."""
+    parts = [f"{part.part} {part.opening:.0%}" for part in node.articulation if part.opening > 0]
+    return f", with {', '.join(parts)} open as in the photo," if parts else ""
+
+
+def lost_parts(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield an error if a revised program lacks parts or joints that `removed` does not mention.
+
+    Numbers are compared as well as names, so a renamed part or joint is not an error.
+    """
+    groups = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
+    for kind in ("revolute", "continuous", "prismatic"):
+        old, new = (
+            [joint.name for joint in spec.joints if joint.type == kind] for spec in (before, after)
+        )
+        groups.append((f"{kind} joint", old, new))
+    mentioned = " ".join(removed)
+    for kind, old, new in groups:
+        missing = [name for name in old if name not in new]
+        unexplained = [name for name in missing if name not in mentioned]
+        if unexplained and len(old) - len(new) > len(missing) - len(unexplained):
+            yield error_signal(
+                "lost",
+                f"the earlier program had {kind} {', '.join(unexplained)}, this one has not",
+                value=len(new),
+                threshold=len(old),
+                hint="put it back, or name it in `removed` if it was wrong",
+            )
+
+
+def lost_asserts(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield an error if a revised program has fewer asserts and `removed` mentions no assert."""
+    old, new = _assert_count(before), _assert_count(after)
+    if new < old and not any("assert" in entry for entry in removed):
+        yield error_signal(
+            "lost",
+            f"the earlier program had {old} assert statements, this one has {new}",
+            value=new,
+            threshold=old,
+            hint="put them back, or say `assert` in `removed` if they were wrong",
+        )
+
+
+def _assert_count(program: str) -> int:
+    try:
+        return sum(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(program)))
+    except (SyntaxError, ValueError, RecursionError):
+        return 0

@@ -12,17 +12,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import cast
 
-from . import (
-    furniture,
-    object_joints,
-    part,
-    patterns,
-    placing,
-    sdk,
-    sdk_object,
-    sdk_types,
-    shape_functions,
-)
+from . import object_joints, part, sdk, sdk_object, shape_functions
+from . import part as placing
+from . import part as sdk_types
+from . import sdk_object as furniture
+from . import shape_functions as patterns
 
 PATH = Path(__file__).with_name("sdk.pyi")
 WIDTH = 100

@@ -22,26 +22,33 @@ from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text
 from ..spec import Camera, TreeNode
 from .ask import (
+    ProgramAttempt,
     ProgramResponse,
+    Size,
     StageInput,
+    SynthesisResult,
     instructions,
+    join_texts,
     program_request,
     repair_request,
     reprogram_request,
     revise_request,
-)
-from .attempt import (
-    ProgramAttempt,
-    Size,
-    SynthesisResult,
-    join_texts,
     written_without_model,
 )
-from .conformance import compare_geometry, compare_to_node, lost_asserts, lost_parts
-from .critique import Critique, accepts, corrected_box, critic_request
+from .critique import Critique, Subject, accepts, corrected_box, critic_request
 from .sandbox import BuildResult, run
-from .stages import NOTHING_MOVES, STAGES, Stage, in_stage_lines, needs_model, urdf_round_trip
-from .subject import Subject
+from .stages import (
+    NOTHING_MOVES,
+    STAGES,
+    Stage,
+    compare_geometry,
+    compare_to_node,
+    in_stage_lines,
+    lost_asserts,
+    lost_parts,
+    needs_model,
+    urdf_round_trip,
+)
 from .supports import support_program
 from .views import draw, draw_exported, draw_in_place
 

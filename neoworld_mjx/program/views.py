@@ -17,10 +17,10 @@ from ..spec import (
     TreeNode,
     single_object_scene,
 )
-from ..spec.fit_to_box import fit_to_box
 from ..spec.opening import with_prerequisites
 from ..spec.pose import from_yaw, quat_mul, rotate
-from .subject import to_camera
+from ..spec.scale import fit_to_box
+from .critique import to_camera
 
 WIDTH, HEIGHT = 448, 384
 OPEN_FRACTION = 0.8

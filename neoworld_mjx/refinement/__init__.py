@@ -2,9 +2,8 @@
 
 from .cem import CEM, CEMParams, CEMState, open_cem
 from .optimizer import OPTIMIZERS, Optimizer, from_evosax
-from .outcome import Refined
 from .rewards import Term
-from .scene_refinement import refine
+from .scene_refinement import Refined, refine
 
 __all__ = [
     "CEM",

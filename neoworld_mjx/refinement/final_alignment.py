@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..align.acceptance import SAME_PX, is_supported
 from ..align.align import FINE_PX, align_again
-from ..align.colors import LabImage
+from ..align.colors import SAME_PX, LabImage, is_supported
 from ..align.rasterize import draw_scene, height_of, pixels_of
 from ..config import AlignOptions, RefineOptions
 from ..measure import SceneMeasure

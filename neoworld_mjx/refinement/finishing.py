@@ -1,5 +1,9 @@
-"""The final scene of a layout: settled in C MuJoCo, and checked."""
+"""The final scene of a layout: settled in C MuJoCo, and checked.
 
+Compilation of scenes for a search.
+"""
+
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -7,9 +11,9 @@ from jaxtyping import Bool, Float
 
 from ..config import RefineOptions
 from ..measure import SETTLED_AWAY, SceneMeasure, measured, passes, scene_checks
-from ..physics.exact import snap_exactly
+from ..physics.colliders import snap_exactly
 from ..physics.layout import Layout, Poses
-from ..physics.model import SceneModel
+from ..physics.model import SceneModel, compile_scene
 from ..physics.placed import settling_displacement
 from ..physics.settling import settle_scene, with_world_poses
 from ..spec import SceneSpec, world_poses
@@ -214,3 +218,34 @@ def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Pos
     poses = list(world_poses(scene).values())
     pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
     return Poses(pos, quat, scale, pos[..., 2])
+
+
+LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7
+"""Smallest reach, which fits the default `sigma_xy`, and the ratio of the reach to `sigma_xy`."""
+
+
+def reach_of(options: RefineOptions) -> float:
+    """Return the reach: how far from its composed position an object is still snapped.
+
+    The reach is a fraction of the object's horizontal diagonal; `layout.arrange` adds 2 cm. It is
+    LEAST_REACH times a power of two, so that many values of `sigma_xy` share one compiled scene,
+    independent of the other values in a sweep.
+    """
+    reach = LEAST_REACH
+    while reach < 0.999 * REACH_IN_SIGMAS * options.cem.sigma_xy:
+        reach *= 2
+    return reach
+
+
+def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
+    """Compile a scene for a search with these options; the last four compiled scenes are cached."""
+    r = options.rollout
+    return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach_of(options))
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
+    # JAX recompiles functions of a SceneModel, such as those of MJX, for every new SceneModel, even
+    # if it equals an earlier one.
+    spec = SceneSpec.model_validate_json(scene)
+    return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)

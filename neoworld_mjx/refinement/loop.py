@@ -23,9 +23,8 @@ from ..physics.scene_arrays import on_device, pad_objects, pad_scene
 from ..progress import update as update_progress
 from .algorithm import Problem, SearchState, converged, init, open_problem, propose, update
 from .choosing import NOT_SAMPLED, Round
-from .compiling import compile_for_search
 from .evaluation import Evaluation
-from .finishing import Finished, finish, with_resting_fixed
+from .finishing import Finished, compile_for_search, finish, with_resting_fixed
 from .objective import (
     Scores,
     has_builtin_terms_only,

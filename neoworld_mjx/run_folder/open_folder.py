@@ -23,17 +23,8 @@ from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
 from ..io.files import content_hash, write_atomic, write_inside
 from ..io.names import printable
+from ..names import STEPS, Step
 from ..progress import report
-from ..step_names import STEPS, Step
-from .history import (
-    earlier_versions,
-    has_writer,
-    keep_versions,
-    later_writers,
-    path_before,
-    replaced_files,
-    step_of,
-)
 from .run_json import initial_record, read_run, strict_json
 from .staging import (
     STAGING,
@@ -41,9 +32,16 @@ from .staging import (
     clear_unfinished,
     delete_files,
     disk_errors,
+    earlier_versions,
+    has_writer,
+    keep_versions,
+    later_writers,
     lock_folder,
     move_in,
+    path_before,
+    replaced_files,
     set_aside,
+    step_of,
 )
 
 _log = logging.getLogger(__name__)

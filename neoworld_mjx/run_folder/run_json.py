@@ -18,7 +18,7 @@ from ..config import Config
 from ..errors import RunError
 from ..io import read_json
 from ..io.files import stays_inside
-from ..io.validation_message import validation_message
+from ..io.text_files import validation_message
 
 FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000

@@ -5,19 +5,23 @@ Descriptions are validated, convert to and from JSON, and do not use JAX.
 
 from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
-from .extent import bounds, part_bounds, pieces, recentred, translated
 from .joint import Intent, JointSpec, JointType, Mimic
 from .kinematics import (
     ball_vector,
+    bounds,
     joint_keys,
     joint_motion,
     joint_position,
     joint_value,
     link_poses,
+    part_bounds,
+    pieces,
+    recentred,
+    translated,
 )
 from .mass import Inertial, inertial, is_too_light
 from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Role, Site
-from .room import SupportOutline, SupportSurface
+from .room import SupportOutline, SupportSurface, SurfacePattern
 from .scale import scale, scaled_state
 from .scene import (
     SceneObject,
@@ -45,7 +49,6 @@ from .shapes import (
     Sphere,
     Sweep,
 )
-from .surface_pattern import SurfacePattern
 from .tree import Box2D, Box3D, Cues, PartState, SceneTree, TreeNode
 
 __all__ = [

@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from .object import Material
-from .surface_pattern import PatternKind, SurfacePattern
+from .room import PatternKind, SurfacePattern
 
 _METALS = {
     "steel": 0.35, "stainless_steel": 0.25, "cast_iron": 0.65, "iron": 0.5, "aluminium": 0.35,

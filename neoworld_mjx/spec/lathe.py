@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
-from .base_shape import BaseShape, Point2, Sectors, as_points
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
-from .outlines import edges_distance, hull_excess, inside_edges, loops_distance
 from .pose import ArrayLike
-from .triangles import SECTORS, revolved
+from .primitives import BaseShape, Point2, Sectors, as_points
+from .triangles import SECTORS, edges_distance, hull_excess, inside_edges, loops_distance, revolved
 
 FACETS = 64
 """Largest number of facets of a piece of joined bands."""

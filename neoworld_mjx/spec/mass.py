@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from .base import Quat, Spec, Vec3
 from .convex import mass_properties
-from .extent import pieces
 from .joint import JointSpec
+from .kinematics import pieces
 from .object import ObjectSpec, PartSpec
 from .pose import IDENTITY, conjugate, from_matrix, rotate
 

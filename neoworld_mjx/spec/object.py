@@ -21,12 +21,11 @@ from .dimensions import (
     UNSCALED,
     Motion,
 )
-from .forest import name_on_cycle, parents_first
 from .joint import JointSpec, check_prerequisites, require_known
-from .photo_print import PhotoPrint
 from .pose import IDENTITY, Pose, pose
+from .room import PhotoPrint, Share, SurfacePattern
 from .shapes import Shape
-from .surface_pattern import Share, SurfacePattern
+from .tree import name_on_cycle, parents_first
 
 OPAQUE_ALPHA = 0.99
 """Smallest opacity of an opaque material."""

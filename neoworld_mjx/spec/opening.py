@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from .extent import part_bounds
 from .joint import JointSpec
-from .kinematics import joint_motion
+from .kinematics import joint_motion, part_bounds
 from .object import ObjectSpec
 from .tree import PartState, TreeNode
 

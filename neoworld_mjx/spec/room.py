@@ -1,15 +1,63 @@
-"""Appearance of environment supports: the outline from above, and the surface."""
+"""Appearance of environment supports: the outline from above, and the surface.
 
-from typing import Annotated, Literal
+Pattern of a surface, such as boards, tiles, veins of stone, a weave, or brushed metal.
+
+A print of the photograph on a material.
+"""
+
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from .base import Name, Spec
+from .base import Name, ScalableSpec, Spec, Vec3
+from .dimensions import LENGTH, UNSCALED, Dimension, Scaling
 from .extruded import crossing_edges
-from .outlines import polygon_area
-from .surface_pattern import RGB, SurfacePattern
+from .triangles import polygon_area
+
+RoomPatternKind = Literal[
+    "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave"
+]
+"""Patterns of floors and walls."""
+PatternKind = Literal[RoomPatternKind, "brushed"]
+PATTERN_KINDS: tuple[PatternKind, ...] = get_args(PatternKind)
+Share = Annotated[float, Field(ge=0, le=1)]
+RGB = tuple[Share, Share, Share]
+
+STEPS_M: dict[PatternKind, float] = {
+    "plain": 1.0,
+    "grain": 0.1,
+    "boards": 0.12,
+    "tiles": 0.30,
+    "bricks": 0.075,
+    "veins": 0.25,
+    "speckles": 0.010,
+    "weave": 0.008,
+    "brushed": 0.002,
+}
+"""Default step of each kind [m]."""
+
+
+class SurfacePattern(ScalableSpec):
+    """Pattern of a material. Physics ignores patterns."""
+
+    kind: PatternKind
+    rgb: Annotated[RGB, UNSCALED] | None = None
+    """Color of joints, veins, speckles, scratches or gaps of the weave; if None, a darker shade of
+    the material's color."""
+    step: Annotated[float, Field(gt=0, le=10), LENGTH] | None = None
+    """Width of a board, edge of a tile, height of a brick, or spacing of veins, speckles, scratches
+    or threads [m]; if None, the value in STEPS_M."""
+    along: Literal["x", "y"] = "x"
+    """Direction of boards and courses: the first ("x") or the second ("y") axis of a face. The axes
+    are x and y on top, y and z on front and back, and x and z on the sides."""
+
+    @property
+    def length(self) -> float:
+        """The step or, if None, the default step of the kind [m]."""
+        return self.step or STEPS_M[self.kind]
+
 
 ROUND_CORNERS = 32
 """Number of corners of the polygon that approximates an ellipse."""
@@ -94,3 +142,32 @@ class SupportSurface(Spec):
     rgb: RGB | None = None
     """Parsed color. The color measured in the photograph takes precedence if enough of the support
     is visible."""
+
+
+PER_LENGTH = Scaling(Dimension(length=-1))
+Encoded = Annotated[str, Field(max_length=4_000_000, pattern=r"^[A-Za-z0-9+/]*={0,2}$")]
+Row = Annotated[Vec3, PER_LENGTH]
+
+
+class PhotoPrint(ScalableSpec):
+    """A window of the photograph, projected onto the surfaces that its camera saw.
+
+    A point p in the object's frame with all joints at zero [m] has the window coordinates u and v
+    and the depth w, where turn p + shift = (u w, v w, w). In the window, u points to the right and
+    v points down, both from 0 to 1. The camera saw the point if w equals the depth of the window at
+    (u, v). The colors include the lighting of the photograph.
+    """
+
+    image: Encoded
+    """Window of the photograph, as base64 of a PNG; inpainted where other objects occluded the
+    object."""
+    depth: Encoded
+    """Depths, as base64 of a 16-bit PNG: 0 where the object is not visible, otherwise 1 (near) to
+    65535 (far)."""
+    near: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
+    """Depth that the value 1 encodes [m], in the photographed scene; scaling does not change it."""
+    far: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
+    """Depth that the value 65535 encodes [m]."""
+    turn: tuple[Row, Row, Row]
+    """Matrix of the projection, by rows [1/m]."""
+    shift: Annotated[Vec3, UNSCALED]

@@ -19,9 +19,9 @@ from .camera import Camera
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
+from .room import Share
 from .scale import scale, scaled_state
 from .semantics import semantics_of
-from .surface_pattern import Share
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"

@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
 from ..errors import ConfigError, choices
-from ..io.validation_message import validation_message
+from ..io.text_files import validation_message
 
 ROOT = "refine"
 """Group of the options that plans can vary."""

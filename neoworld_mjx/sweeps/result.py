@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..io.text_tables import TextTable
+from ..io.names import TextTable
 from .folder import row_key, term_columns
 from .intervals import mean, rate, rate_difference
 from .plan import BASE

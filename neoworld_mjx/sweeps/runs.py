@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..benchmark import named_scenes
-from ..compilations import compiled
+from ..cache import compiled
 from ..errors import SpecError, choices
+from ..physics.engine import open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.native import NativeEngine
-from ..physics.simulate import open_engine
-from ..refinement.compiling import compile_for_search
+from ..refinement.finishing import compile_for_search
 from ..refinement.loop import Iteration
-from ..refinement.outcome import Refined
-from ..refinement.scene_refinement import read_composed, refine
+from ..refinement.scene_refinement import Refined, read_composed, refine
 from ..spec import SceneSpec
 from .plan import Point
 

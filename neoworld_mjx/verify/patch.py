@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..errors import SpecError
 from ..io import read_model
 from ..io.files import write_output
-from ..io.validation_message import validation_message
+from ..io.text_files import validation_message
 from ..spec import (
     AuthoredInertia,
     GeomSpec,

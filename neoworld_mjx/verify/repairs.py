@@ -14,14 +14,14 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks.allowance import Allowance
 from ..checks.joint_checks import on_edge, pivot_edges
 from ..checks.object_tests import ObjectTests
-from ..checks.part_distances import Probe
+from ..checks.signals import Allowance
+from ..checks.static_checks import Probe
 from ..checks.verdict import Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
-from ..program.attempt import SynthesisResult
-from ..program.joint_losses import SETTLING_S, default_losses
+from ..program.ask import SynthesisResult
+from ..program.assemble import SETTLING_S, default_losses
 from ..spec import JointSpec, ObjectSpec, PartSpec, inertial, part_bounds
 from ..spec.pose import triple
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply

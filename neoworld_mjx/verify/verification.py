@@ -12,21 +12,20 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict
 
 from ..cache import cache_folder
-from ..checks.allowance import Allowance
 from ..checks.object_tests import VERSION, run_object_tests
+from ..checks.signals import Allowance
 from ..checks.verdict import WAIVER_HINT, Check, Verdict
 from ..config import VerifyOptions
 from ..errors import MissingResponseError, RunError
 from ..io import read_model
 from ..io.files import content_hash, write_atomic
 from ..mllm import Model, Request, ask_or_record
-from ..mllm.coroutines import run_coroutine
-from ..program.attempt import SynthesisResult
+from ..mllm.panel import run_coroutine
+from ..program.ask import SynthesisResult
 from ..program.synthesise import ProgramSource, reprogram
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .critic import MotionCritique, edit_request, findings, key_frames_request
-from .key_frames import standard_runs
+from .critic import MotionCritique, edit_request, findings, key_frames_request, standard_runs
 from .patch import Patch, apply
 from .repairs import Repair, repair
 

@@ -14,8 +14,8 @@ from ..config import Config
 from ..errors import NeoWorldError, SpecError
 from ..io.names import is_name
 from ..parse.photo import load_photo
-from ..program.materials import MATERIALS
-from ..render.part_meshes import RGB
+from ..program.supports import MATERIALS
+from ..render.tiles import RGB
 from ..run_folder import Result
 from ..spec import Box2D, Camera, PartState, read_scene
 from ..templates import templates

@@ -13,8 +13,8 @@ from scipy.optimize import least_squares
 
 from ..errors import SpecError
 from ..spec import Box2D, Box3D, Camera, Cues, SceneTree, TreeNode
-from ..spec.forest import parents_first
 from ..spec.pose import from_yaw, rotate
+from ..spec.tree import parents_first
 from ..templates import template
 from ..templates.template import BOX
 from .annotation import (

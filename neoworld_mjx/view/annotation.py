@@ -6,11 +6,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError, choices
 from ..io.names import repeated
-from ..program.materials import MATERIALS
+from ..program.supports import MATERIALS
 from ..spec import Box2D, Camera, Name, PartState, Spec
 from ..spec.base import Length
-from ..spec.forest import name_on_cycle
-from ..spec.tree import Relation
+from ..spec.tree import Relation, name_on_cycle
 from ..templates import templates
 
 GROUND = "ground"

@@ -27,10 +27,9 @@ from ..spec import (
     world_poses,
 )
 from ..spec.pose import Pose, from_yaw, pose, yaw_of
-from .free_fall import FreeFall
 from .report.objects import object_checks
 from .report.page import read_json
-from .scene_nodes import SceneNodes, bounds_of, look_at, look_through, part_poses
+from .scene_nodes import FreeFall, SceneNodes, bounds_of, look_at, look_through, part_poses
 from .server import message
 from .target import ViewTarget
 

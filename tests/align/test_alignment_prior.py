@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.alignment_prior import (
+from neoworld_mjx.align.alignment import (
     FIXED_YAW,
     LOG_STRETCH,
     camera_deviations,

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.acceptance import gain, is_supported, shown_at
 from neoworld_mjx.align.colors import (
     BINS,
     LARGEST,
@@ -12,7 +11,10 @@ from neoworld_mjx.align.colors import (
     bins_of,
     color_model,
     color_models,
+    gain,
+    is_supported,
     log_likelihood_ratio,
+    shown_at,
     to_lab,
 )
 from neoworld_mjx.align.rasterize import draw_objects

@@ -7,7 +7,7 @@ from neoworld_mjx.align.align import align
 from neoworld_mjx.align.contacts import REACH_M, SceneGeoms, contacts
 from neoworld_mjx.align.unknowns import CAMERA, EACH
 from neoworld_mjx.config import AlignOptions
-from neoworld_mjx.physics.exact import geom_distance, object_depths, object_of_geom, start_state
+from neoworld_mjx.physics.colliders import geom_distance, object_depths, object_of_geom, start_state
 from neoworld_mjx.spec import Mesh, bounds
 from tests.align import desk
 from tests.support.scenes import single

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.evidence_picture import WIDTH_PX, evidence_picture
+from neoworld_mjx.align.outlines import WIDTH_PX, evidence_picture
 from tests.align import desk
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.colors import LabImage, color_models, to_lab
+from neoworld_mjx.align.colors import LabImage, color_models, local_colors, to_lab
 from neoworld_mjx.align.contours import contour, displacements
-from neoworld_mjx.align.local_colors import local_colors
 from neoworld_mjx.align.rasterize import DrawnObjects
 
 SHAPE = (200, 320)

@@ -8,9 +8,8 @@ from neoworld_mjx.align.looks import as_photographed
 from neoworld_mjx.export.write_mjcf import mjcf_text
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import View, render
-from neoworld_mjx.render.appearance import linear
-from neoworld_mjx.render.flat_faces import flat_faces
-from neoworld_mjx.render.prints import read_print
+from neoworld_mjx.render.appearance import linear, read_print
+from neoworld_mjx.render.flat_rendering import flat_faces
 from tests.align import desk
 
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.alignment_prior import camera_deviations, prior_precision
+from neoworld_mjx.align.alignment import camera_deviations, prior_precision
 from neoworld_mjx.align.colors import LabImage
-from neoworld_mjx.align.linear_evidence import (
+from neoworld_mjx.align.normal_equations import (
     BOX,
     BOX_PX,
     CONTOUR_PX,
     OBSERVATIONS,
+    NormalEquations,
     box_evidence,
     contour_evidence,
 )
-from neoworld_mjx.align.normal_equations import NormalEquations
 from neoworld_mjx.align.rasterize import draw_objects
 from neoworld_mjx.align.unknowns import CAMERA
 from tests.align import desk

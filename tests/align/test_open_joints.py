@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.align.align import align
-from neoworld_mjx.align.alignment_prior import OPENING, RANGE, opening_deviation
+from neoworld_mjx.align.alignment import OPENING, RANGE, opening_deviation
 from neoworld_mjx.align.contacts import SceneGeoms
-from neoworld_mjx.align.image_jacobian import image_jacobian
+from neoworld_mjx.align.normal_equations import image_jacobian
 from neoworld_mjx.align.open_joints import LEAST_OPENING
 from neoworld_mjx.align.rasterize import draw_objects, draw_scene
 from neoworld_mjx.align.unknowns import STRETCH
 from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import AlignOptions, ComposeOptions
-from neoworld_mjx.physics.exact import start_state
+from neoworld_mjx.physics.colliders import start_state
 from neoworld_mjx.spec import (
     Box,
     GeomSpec,

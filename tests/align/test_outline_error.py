@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 import trimesh
-from neoworld_bench.rescues.disturbed_scenes import TABLE_Z, scene_of_meshes, upright
-from neoworld_bench.rescues.rescue_rows import CAMERA, photograph_of
+from neoworld_bench.rescues.rescue_rows import (
+    CAMERA,
+    TABLE_Z,
+    photograph_of,
+    scene_of_meshes,
+    upright,
+)
 
-from neoworld_mjx.align.outline_error import REACH_PX, outline_errors
+from neoworld_mjx.align.outlines import REACH_PX, outline_errors
 from neoworld_mjx.spec import SceneSpec, scale
 
 RADIUS = 0.06

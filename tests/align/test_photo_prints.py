@@ -9,14 +9,14 @@ import trimesh
 from PIL import Image
 from pxr import Usd, UsdShade
 
-from neoworld_mjx.align.photo_prints import printed
+from neoworld_mjx.align.looks import printed
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.formats import write_formats
-from neoworld_mjx.export.meshes import visible_surface
+from neoworld_mjx.export.write_glb import visible_surface
 from neoworld_mjx.render import render
-from neoworld_mjx.render.prints import print_png, read_print
+from neoworld_mjx.render.appearance import print_png, read_print
 from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
-from neoworld_mjx.spec.photo_print import PhotoPrint
+from neoworld_mjx.spec.room import PhotoPrint
 from tests.support.mechanisms import WOOD, geom, joint, part
 
 CAMERA = Camera(width=480, height_px=320, fovy=0.5, height=0.6, pitch=0.35, roll=0.0)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.image_jacobian import image_jacobian
+from neoworld_mjx.align.normal_equations import image_jacobian
 from neoworld_mjx.align.unknowns import CAMERA, EACH, STRETCH
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import matrix

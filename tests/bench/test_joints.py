@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from neoworld_bench.measures import joint_measure
 from neoworld_bench.measures.joint_measure import (
+    ObjectTruth,
+    TrueJoint,
     box_agreement,
+    truth_of,
 )
-from neoworld_bench.measures.object_truth import ObjectTruth, TrueJoint, truth_of
 
 from neoworld_mjx.program import build
 

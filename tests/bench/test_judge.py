@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 from neoworld_bench.judge import picture_rows as comparing
-from neoworld_bench.judge.made_scenes import made_scenes
-from neoworld_bench.judge.picture_rows import picture_figures, picture_rows
+from neoworld_bench.judge.picture_rows import made_scenes, picture_figures, picture_rows
 from neoworld_bench.judge.scene_judge import (
     SceneRating,
     judged_pictures,
@@ -22,7 +21,7 @@ from neoworld_mjx.config import MLLMOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.replay import Replay, Tape
-from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 from neoworld_mjx.render import render_scene, to_png
 from neoworld_mjx.spec import (
     Box2D,

@@ -22,17 +22,18 @@ from neoworld_bench.measures.surface_measure import geometry_measure, surface_po
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
 from neoworld_bench.noise import joint_noise, parse_noise
 from neoworld_bench.noise.dimension_noise import WRONG, editable, with_wrong_dimensions
-from neoworld_bench.noise.environment_noise import with_other_supports
 from neoworld_bench.noise.initial_scenes import (
     initial_scene,
     wrong_shapes,
 )
-from neoworld_bench.noise.noise_draft import Draft
+from neoworld_bench.noise.joint_noise import Draft
 from neoworld_bench.noise.parse_noise import (
     NoiseLog,
     with_copy,
+    with_halves,
     with_other_parent,
     with_other_relation,
+    with_other_supports,
     without,
 )
 from neoworld_bench.noise.program_noise import (
@@ -41,7 +42,6 @@ from neoworld_bench.noise.program_noise import (
     without_part,
     wrong_program,
 )
-from neoworld_bench.noise.split_noise import with_halves
 
 from neoworld_mjx.program.named_constants import named_constants
 from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial

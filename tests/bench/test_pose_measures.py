@@ -3,19 +3,17 @@
 import numpy as np
 import pytest
 import trimesh
-from neoworld_bench.measures.depth_measure import (
+from neoworld_bench.measures.pose_measure import (
     Intrinsics,
     Similarity,
-    depth_measure,
-    measured_points,
-    robust_similarity,
-)
-from neoworld_bench.measures.pose_measure import (
     add_s,
     axis_box_iou,
+    depth_measure,
     icp_rotation_deg,
     layout_measure,
+    measured_points,
     recall,
+    robust_similarity,
 )
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from neoworld_bench.measures.depth_measure import Intrinsics
-from neoworld_bench.real_poses.bop import bop_views
-from neoworld_bench.real_poses.pose_rows import MadeView, posed_meshes, real_rows
-from neoworld_bench.real_poses.real_views import score_real_views
+from neoworld_bench.measures.pose_measure import Intrinsics
+from neoworld_bench.real_poses.real_views import MadeView, posed_meshes, real_rows, score_real_views
 from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
-from neoworld_bench.real_poses.true_views import depth_views
+from neoworld_bench.real_poses.true_views import bop_views, depth_views
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions

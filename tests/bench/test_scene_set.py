@@ -16,7 +16,6 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, heading_deg, layout_errors, tilt_deg
 from neoworld_bench.methods.method_runs import RunSettings, read_methods
-from neoworld_bench.methods.part_depths import P_PEN_M, articulated, part_depth
 from neoworld_bench.methods.scene_methods import (
     ABLATIONS,
     METHODS,
@@ -24,7 +23,14 @@ from neoworld_bench.methods.scene_methods import (
     SingleCandidateEngine,
     check_methods,
 )
-from neoworld_bench.methods.scene_runs import SceneRow, chosen_scenes, run_scenes
+from neoworld_bench.methods.scene_runs import (
+    P_PEN_M,
+    SceneRow,
+    articulated,
+    chosen_scenes,
+    part_depth,
+    run_scenes,
+)
 from neoworld_bench.noise.initial_scenes import noise_number
 from neoworld_bench.rows import ROWS, RowStore
 from neoworld_bench.suites import SceneSet

@@ -19,14 +19,17 @@ from neoworld_bench.tasks import (
     wait,
 )
 from neoworld_bench.tasks.execution import moved
-from neoworld_bench.tasks.model_plans import plan_figures, plan_rows, scene_of_method
-from neoworld_bench.tasks.outcome_feedback import FeedbackResult, refine_by_outcome
-from neoworld_bench.tasks.plan_requests import plan_request
+from neoworld_bench.tasks.model_plans import (
+    FeedbackResult,
+    plan_figures,
+    plan_request,
+    plan_rows,
+    refine_by_outcome,
+    scene_of_method,
+)
 from neoworld_bench.tasks.predicates import JointBetween, Leaning, named_objects
-from neoworld_bench.tasks.reconstructed_plans import planned_there
-from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
-from neoworld_bench.tasks.task_photo import photographed_task
-from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
+from neoworld_bench.tasks.success_runs import SuccessRow, planned_there, run_successes
+from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 from neoworld_bench.tasks.world import World
 from pydantic import ValidationError
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.part_distances import line_box_distance
-from neoworld_mjx.checks.plausibility import LARGEST_M, SMALLEST_M
+from neoworld_mjx.checks.compile_checks import LARGEST_M, SMALLEST_M
+from neoworld_mjx.checks.static_checks import line_box_distance
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 

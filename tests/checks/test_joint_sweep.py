@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.checks.joint_checks import check_joints
-from neoworld_mjx.checks.overlap import overlap_signals
-from neoworld_mjx.checks.part_distances import Probe
+from neoworld_mjx.checks.joint_sweep import overlap_signals
+from neoworld_mjx.checks.static_checks import Probe
 from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec.kinematics import with_joint

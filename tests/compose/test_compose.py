@@ -9,7 +9,7 @@ from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure import scene_measure, unstable_objects
-from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
     Box,

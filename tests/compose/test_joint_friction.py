@@ -5,7 +5,7 @@ import math
 import pytest
 
 from neoworld_mjx.compose.compose import compose
-from neoworld_mjx.compose.joint_friction import MARGIN, hold_joints, joint_loads
+from neoworld_mjx.compose.resting_pose import MARGIN, hold_joints, joint_loads
 from neoworld_mjx.config import ComposeOptions
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.spec import (

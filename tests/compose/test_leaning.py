@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.compose.leaning import lean, move_walls_into_contact
-from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes

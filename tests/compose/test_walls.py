@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.walls import CLEAR_M, clear_walls
-from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.compose.on_supports import CLEAR_M, clear_walls
+from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.spec import Box, HollowBox
 from tests.support import scenes
 

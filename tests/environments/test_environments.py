@@ -8,8 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import neoworld_mjx as nw
-from neoworld_mjx.environments.controlled_scene import controlled_scene
-from neoworld_mjx.environments.facing import facing
+from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import rotate

@@ -14,7 +14,7 @@ from neoworld_mjx.export.formats import (
     collider_error,
     write_formats,
 )
-from neoworld_mjx.format_names import FORMATS
+from neoworld_mjx.names import FORMATS
 from neoworld_mjx.spec import Cylinder
 from tests.support import mechanisms
 

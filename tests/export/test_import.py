@@ -11,7 +11,7 @@ from neoworld_mjx.export import (
     import_urdf,
 )
 from neoworld_mjx.export.importing import import_file
-from neoworld_mjx.io.file_options import FileOptions, bounded_by
+from neoworld_mjx.io.limited_worker import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial
 from tests.support import scenes

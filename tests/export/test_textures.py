@@ -13,14 +13,14 @@ from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.formats import write_formats
-from neoworld_mjx.export.meshes import visible_surface
+from neoworld_mjx.export.write_glb import visible_surface
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.render.tiles import tile_png, tile_size
 from neoworld_mjx.spec import Box, Cylinder, Material, ObjectSpec, SurfacePattern
 from neoworld_mjx.spec.finish import finish
-from neoworld_mjx.spec.surface_pattern import PATTERN_KINDS
+from neoworld_mjx.spec.room import PATTERN_KINDS
 from tests.support.mechanisms import geom, joint, part
 
 TILED = SurfacePattern(kind="tiles", step=0.05, rgb=(0.1, 0.1, 0.1))

@@ -7,10 +7,14 @@ import pytest
 
 from neoworld_mjx.fit import fit_tree as fitting
 from neoworld_mjx.fit.fit_tree import fit_tree
-from neoworld_mjx.fit.projection import visible_box
+from neoworld_mjx.fit.projection import (
+    extents_in_picture,
+    hull_wireframe,
+    stack_surfaces,
+    visible_box,
+)
 from neoworld_mjx.fit.refit import refit_tree, surface_of
 from neoworld_mjx.fit.tree_checks import agreement
-from neoworld_mjx.fit.wireframe import extents_in_picture, hull_wireframe, stack_surfaces
 from neoworld_mjx.measure import SidesShown
 from neoworld_mjx.spec import Box, Box2D, Box3D, Cues, SceneTree
 from tests.support import answers, scenes

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.fit.fit_data import CAMERA
-from neoworld_mjx.fit.fit_problem import STEP, fit_problem
-from neoworld_mjx.fit.outline_residuals import outline_residuals
-from neoworld_mjx.mllm.responses import read_response
+from neoworld_mjx.fit.fit_problem import STEP, fit_problem, outline_residuals
+from neoworld_mjx.mllm.requests import read_response
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.support import answers
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.fit_report import OtherSupport
-from neoworld_mjx.fit.refit import refit_tree, surface_of
-from neoworld_mjx.fit.support_selection import with_supports, without_cycles
+from neoworld_mjx.fit.fit_tree import OtherSupport
+from neoworld_mjx.fit.refit import refit_tree, surface_of, with_supports, without_cycles
 from neoworld_mjx.spec import Box, Box2D, HollowBox
 from tests.support import answers, scenes
 

@@ -13,7 +13,7 @@ from neoworld_mjx.measure import (
     scene_checks,
     with_displacement,
 )
-from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, SceneObject
 from tests.support import furniture, scenes
 

@@ -1,7 +1,7 @@
 import asyncio
 from contextvars import ContextVar
 
-from neoworld_mjx.mllm.coroutines import run_coroutine
+from neoworld_mjx.mllm.panel import run_coroutine
 
 WHO: ContextVar[str] = ContextVar("who", default="nobody")
 

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import BaseModel, Field
 
-from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 
 
 class Node(BaseModel):

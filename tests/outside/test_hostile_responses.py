@@ -8,7 +8,7 @@ import pytest
 from pydantic import BaseModel
 
 from neoworld_mjx.io.names import file_name, identifier, is_name, plain_text
-from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import SceneTree
 from tests.support import answers

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from neoworld_mjx.parse.camera_checks import CAMERA, camera_issue, edges_of
+from neoworld_mjx.parse.parse import CAMERA, camera_issue, edges_of
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.parse.test_parse import GOOD, run

@@ -5,11 +5,11 @@ import pytest
 from pydantic import ValidationError
 
 from neoworld_mjx.fit.tree_checks import check_tree
+from neoworld_mjx.parse.crops import support_colours
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.prompts import listing
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
-from neoworld_mjx.parse.support_colours import support_colours
-from neoworld_mjx.program.materials import MATERIALS
+from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.spec import Box2D, SceneTree
 from tests.support import answers
 

@@ -9,11 +9,10 @@ from pydantic import ValidationError
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
-from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
 from neoworld_mjx.parse.prompts import correction_request, listing, parse_request
-from neoworld_mjx.parse.response_to_tree import tilt_quat
-from neoworld_mjx.parse.schema import ParsedScene, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues
 from neoworld_mjx.spec.pose import rotate
 from tests.support import answers

@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.engines import ENGINES, share_gpu_memory
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.simulate import open_engine
+from neoworld_mjx.physics.engine import open_engine
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,11 @@ import pytest
 from neoworld_mjx.config import RewardOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.derived import invweights
-from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine, open_batch
 from neoworld_mjx.physics.recorder import read_states
-from neoworld_mjx.physics.simulate import open_engine
 from neoworld_mjx.refinement.rewards import drifts
 from neoworld_mjx.spec.pose import from_axis_angle, quat_mul
 from tests.support import scenes

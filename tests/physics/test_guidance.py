@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics.exact import start_state
+from neoworld_mjx.physics.colliders import start_state
 from neoworld_mjx.physics.guidance import (
     FreeBodies,
     Guidance,

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.physics.mjx_model import put_compiled
-from neoworld_mjx.physics.mjx_solver import Rows, exact_step, newton
+from neoworld_mjx.physics.mjx_model import Rows, exact_step, newton, put_compiled
 from tests.support import scenes
 
 XML = """

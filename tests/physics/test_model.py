@@ -10,10 +10,10 @@ import pytest
 from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics import model
+from neoworld_mjx.physics.engine import rollout
 from neoworld_mjx.physics.layout import Layout, place
 from neoworld_mjx.physics.model import load_scene
 from neoworld_mjx.physics.model_fields import model_fields
-from neoworld_mjx.physics.simulate import rollout
 from neoworld_mjx.refinement.rewards import d_pen
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout

@@ -6,11 +6,12 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.export import export_scene
-from neoworld_mjx.measure import measured, stability
+from neoworld_mjx.measure import measured
+from neoworld_mjx.measure import scene_check as stability
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjcf import CONTACT_TIME_S
 from neoworld_mjx.physics.native import open_batch
-from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.finishing import compile_for_search
 from tests.support import scenes
 
 GEOM_FIELDS = ("size", "pos", "quat", "friction", "solref", "solimp", "condim", "solmix", "margin")

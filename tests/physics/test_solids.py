@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.manifold import PosedSolid, manifolds
-from neoworld_mjx.physics.solids import geom_pairs, geom_solids
+from neoworld_mjx.physics.manifold import PosedSolid, geom_pairs, geom_solids, manifolds
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 

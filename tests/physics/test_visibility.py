@@ -7,7 +7,7 @@ import pytest
 from neoworld_kernels.first_hits import Rays, first_hits
 
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.outline import is_round
+from neoworld_mjx.physics.sampling import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import (
     WINDOW_TILE,

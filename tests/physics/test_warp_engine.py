@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.compilations import compilations
+from neoworld_mjx.cache import compilations
 from neoworld_mjx.physics import warp_engine
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout

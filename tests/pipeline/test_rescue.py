@@ -6,19 +6,17 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
-from neoworld_bench.rescues.disturbed_scenes import (
-    TABLE_Z,
-    disturbed,
-    scene_of_meshes,
-    standing,
-    upright,
-)
 from neoworld_bench.rescues.rescue_rows import (
     CAMERA,
+    TABLE_Z,
     camera_file,
+    disturbed,
     photograph_of,
     rescue_figures,
     rescue_rows,
+    scene_of_meshes,
+    standing,
+    upright,
 )
 from PIL import Image
 

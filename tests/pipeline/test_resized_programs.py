@@ -8,8 +8,7 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_mjx.config import load_config
 from neoworld_mjx.pipeline.compose_step import compose_scene
 from neoworld_mjx.pipeline.object_steps import write_object_files
-from neoworld_mjx.pipeline.scene_pictures import Pictures
-from neoworld_mjx.pipeline.step_context import StepContext
+from neoworld_mjx.pipeline.step_context import Pictures, StepContext
 from neoworld_mjx.program.sandbox import build
 from neoworld_mjx.render import to_png
 from neoworld_mjx.run_folder import RunFolder

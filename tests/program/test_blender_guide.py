@@ -11,8 +11,8 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.ask import instructions
 from neoworld_mjx.program.blender.blender_process import unavailable
-from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.stages import STAGES
+from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.spec import bounds
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("blender_guide.md").read_text("utf-8")

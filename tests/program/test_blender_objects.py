@@ -11,8 +11,7 @@ from neoworld_mjx.physics.decompose import coacd_installed
 from neoworld_mjx.program.assemble import assemble
 from neoworld_mjx.program.blender import blender_process
 from neoworld_mjx.program.blender.blender_objects import build_object
-from neoworld_mjx.program.blender.blender_scene import BlenderScene
-from neoworld_mjx.program.blender.mesh_solids import shape_of, split_solids
+from neoworld_mjx.program.blender.blender_scene import BlenderScene, shape_of, split_solids
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.session import Session
 from neoworld_mjx.spec import Box, Mesh, inertial

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.align.align import align
-from neoworld_mjx.program.dimension_candidates import sensitivities
 from neoworld_mjx.program.freed_dimensions import (
     NO_CONSTANT,
     UNCHANGED,
     EditablePrograms,
     free_dimensions,
 )
-from neoworld_mjx.program.named_constants import named_constants, with_value
+from neoworld_mjx.program.named_constants import named_constants, sensitivities, with_value
 from neoworld_mjx.program.sandbox import build, run
 from neoworld_mjx.spec import bounds, scale
 from tests.align import desk

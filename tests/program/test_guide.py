@@ -8,9 +8,9 @@ import pytest
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
-from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.sdk import Object, box, sweep
+from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.spec import bounds, link_poses
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("guide.md").read_text(encoding="utf-8")

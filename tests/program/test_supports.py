@@ -6,9 +6,8 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.supports import LEG_M, leg_positions, support_program
+from neoworld_mjx.program.supports import LEG_M, MATERIALS, leg_positions, support_program
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -22,7 +21,7 @@ from neoworld_mjx.spec import (
     TreeNode,
     bounds,
 )
-from neoworld_mjx.spec.outlines import loops_distance
+from neoworld_mjx.spec.triangles import loops_distance
 from tests.support.scenes import single
 
 L_SHAPE = SupportOutline(

@@ -11,16 +11,15 @@ from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
-from neoworld_mjx.program.ask import ProgramResponse, StageInput, program_request
-from neoworld_mjx.program.attempt import SynthesisResult
+from neoworld_mjx.program.ask import ProgramResponse, StageInput, SynthesisResult, program_request
 from neoworld_mjx.program.critique import (
     ArticulationCritique,
     ExportCritique,
     GeometryCritique,
     ProgramFault,
+    Subject,
     critic_request,
 )
-from neoworld_mjx.program.subject import Subject
 from neoworld_mjx.program.views import draw, open_state, view_from
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode, bounds
 from neoworld_mjx.spec.pose import from_axis_angle

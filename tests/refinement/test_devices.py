@@ -13,7 +13,7 @@ import numpy as np
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import evaluation, loop
-from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.finishing import compile_for_search
 from neoworld_mjx.refinement.choosing import rank_candidates
 from tests.support.scenes import stored_scene
 

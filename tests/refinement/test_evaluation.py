@@ -8,12 +8,11 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
+from neoworld_mjx.physics.mjx_engine import REPLICATED, SHARDED
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
-from neoworld_mjx.physics.sharding import REPLICATED, SHARDED
 from neoworld_mjx.refinement import evaluation as module
-from neoworld_mjx.refinement.compiling import compile_for_search
 from neoworld_mjx.refinement.evaluation import (
     Evaluation,
     early_stop_rule,
@@ -21,7 +20,7 @@ from neoworld_mjx.refinement.evaluation import (
     pad_rollout,
     shard,
 )
-from neoworld_mjx.refinement.finishing import finish
+from neoworld_mjx.refinement.finishing import compile_for_search, finish
 from neoworld_mjx.refinement.loop import CLOCKS
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import world_poses

@@ -9,7 +9,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.cem import initial_sigma
 from neoworld_mjx.refinement.choosing import NOT_SAMPLED
-from neoworld_mjx.refinement.compiling import LEAST_REACH, compile_for_search, reach_of
+from neoworld_mjx.refinement.finishing import LEAST_REACH, compile_for_search, reach_of
 from neoworld_mjx.refinement.loop import CLOCKS, Iteration, TimeToValid, search, summarize
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.optimizer import RandomSearch

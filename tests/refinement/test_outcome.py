@@ -9,9 +9,9 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.choosing import Winner
-from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.refinement.finishing import compile_for_search
 from neoworld_mjx.refinement.loop import TimeToValid, search
-from neoworld_mjx.refinement.outcome import outcome
+from neoworld_mjx.refinement.scene_refinement import outcome
 from tests.support import scenes
 
 OPTIONS = RefineOptions.model_validate(

@@ -7,13 +7,13 @@ from jax import monitoring
 
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics import model
+from neoworld_mjx.physics.engine import rollout
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import (
     SMALLEST_BUCKET,
     pad_objects,
     pad_scene,
 )
-from neoworld_mjx.physics.simulate import rollout
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.evaluation import pad_rollout

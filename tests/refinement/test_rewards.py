@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.compilations import compilations
+from neoworld_mjx.cache import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout

@@ -8,7 +8,7 @@ from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render import View, render_object
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.spec import Box, Material, ObjectSpec, SurfacePattern, scale
-from neoworld_mjx.spec.surface_pattern import PATTERN_KINDS
+from neoworld_mjx.spec.room import PATTERN_KINDS
 from tests.support.mechanisms import geom, part
 
 COLOUR, SECOND = np.array([0.6, 0.5, 0.4]), np.array([0.05, 0.1, 0.6])

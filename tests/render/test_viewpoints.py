@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.render import render, render_plain
+from neoworld_mjx.render.scene_images import around, subject_points, with_open_joints
 from neoworld_mjx.render.view import View
-from neoworld_mjx.render.viewpoints import around, subject_points, with_open_joints
 from neoworld_mjx.templates import template
 from tests.support import scenes
 

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Operand, Shape, Sphere
 from neoworld_mjx.spec.convex import mass_properties, planes
-from neoworld_mjx.spec.csg import convex_operands
+from neoworld_mjx.spec.shapes import convex_operands
 from neoworld_mjx.spec.triangles import corner_normals
 
 LYING = (1.0, 1.0, 0.0, 0.0)

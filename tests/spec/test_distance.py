@@ -31,10 +31,9 @@ def around(shape, count: int):
 
 def inside_pieces(shape, points):
     """Whether points lie in a collider, by half-spaces; nothing of `solid` is used."""
-    from neoworld_mjx.spec.clip import poly
-    from neoworld_mjx.spec.convex import polytope
-    from neoworld_mjx.spec.csg import faceted
+    from neoworld_mjx.spec.convex import poly, polytope
     from neoworld_mjx.spec.pose import pose
+    from neoworld_mjx.spec.shapes import faceted
 
     result = np.zeros(len(points), bool)
     for piece in shape.pieces():

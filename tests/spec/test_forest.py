@@ -1,4 +1,4 @@
-from neoworld_mjx.spec.forest import name_on_cycle, parents_first
+from neoworld_mjx.spec.tree import name_on_cycle, parents_first
 
 
 def test_parents_come_first_and_cycles_are_named():

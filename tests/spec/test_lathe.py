@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.spec import Lathe
 from neoworld_mjx.spec.convex import planes
-from neoworld_mjx.spec.outlines import hull_excess
+from neoworld_mjx.spec.triangles import hull_excess
 
 ANGLE = np.linspace(0, np.pi / 2, 17)
 BOWL = Lathe(

@@ -8,8 +8,8 @@ import pytest
 
 from neoworld_mjx.spec import JointSpec, Mimic, ObjectSpec, PartSpec, Shape
 from neoworld_mjx.spec.base import Length, Number, ScalableSpec
-from neoworld_mjx.spec.base_shape import BaseShape, Point2
 from neoworld_mjx.spec.dimensions import LENGTH, UNSCALED, Motion
+from neoworld_mjx.spec.primitives import BaseShape, Point2
 from neoworld_mjx.spec.scale import joint_exponents, mimic_exponents
 from tests.support.sample_shapes import SHAPES
 

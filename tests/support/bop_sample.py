@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from neoworld_bench.measures.depth_measure import Intrinsics
+from neoworld_bench.measures.pose_measure import Intrinsics
 from neoworld_bench.real_poses.scene_depth import intrinsics_of, scene_points
 from PIL import Image
 

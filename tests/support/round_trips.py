@@ -10,7 +10,7 @@ import numpy as np
 from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.importing import Imported
-from neoworld_mjx.format_names import Format
+from neoworld_mjx.names import Format
 from neoworld_mjx.spec import (
     JointSpec,
     Material,

@@ -8,8 +8,7 @@ from pydantic import BaseModel
 
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Request, Response, Usage
-from neoworld_mjx.mllm.requests import Reply
-from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.mllm.requests import InvalidResponse, Reply, read_response
 
 
 class ScriptedModel:

@@ -9,8 +9,8 @@ from neoworld_mjx.checks.verdict import Fault, Limit, make_check
 from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
-from neoworld_mjx.mllm.coroutines import run_coroutine
-from neoworld_mjx.program.attempt import SynthesisResult
+from neoworld_mjx.mllm.panel import run_coroutine
+from neoworld_mjx.program.ask import SynthesisResult
 from neoworld_mjx.program.synthesise import ProgramSource
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
@@ -20,8 +20,8 @@ from neoworld_mjx.verify.critic import (
     ProposedEdit,
     edit_request,
     key_frames_request,
+    strips,
 )
-from neoworld_mjx.verify.key_frames import strips
 from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
 from neoworld_mjx.verify.verification import revise_with_models

@@ -6,15 +6,14 @@ import math
 
 import pytest
 
-from neoworld_mjx.checks.allowance import Allowance
 from neoworld_mjx.checks.object_tests import run_object_tests
+from neoworld_mjx.checks.signals import Allowance
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Panel, Usage
 from neoworld_mjx.mllm.requests import Reply
 from neoworld_mjx.pipeline.object_steps import verify_objects, write_object_files
-from neoworld_mjx.pipeline.scene_pictures import Pictures
-from neoworld_mjx.pipeline.step_context import StepContext
+from neoworld_mjx.pipeline.step_context import Pictures, StepContext
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (
     Box,

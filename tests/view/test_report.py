@@ -13,7 +13,7 @@ from neoworld_mjx.checks.verdict import Verdict
 from neoworld_mjx.config import Config, RefineOptions, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.measure import scene_checks, scene_measure
-from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.refinement import choosing
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
 from neoworld_mjx.view.report import search

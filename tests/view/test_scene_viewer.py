@@ -10,12 +10,11 @@ from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.render.part_meshes import creased, piece_meshes, visible_meshes
+from neoworld_mjx.render.tiles import creased, piece_meshes, visible_meshes
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose, yaw_of
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.free_fall import FreeFall
-from neoworld_mjx.view.scene_nodes import part_poses
+from neoworld_mjx.view.scene_nodes import FreeFall, part_poses
 from neoworld_mjx.view.scene_viewer import PlacedScene, settable_joints
 from neoworld_mjx.view.target import open_target, single_object_scene
 from tests.support import scenes

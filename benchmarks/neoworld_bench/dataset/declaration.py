@@ -9,12 +9,11 @@ from pydantic import Field, ValidationError, model_validator
 
 from neoworld_mjx.config import read_yaml
 from neoworld_mjx.errors import ConfigError, SpecError, choices
-from neoworld_mjx.io.validation_message import validation_message
+from neoworld_mjx.io.text_files import validation_message
 from neoworld_mjx.spec import Camera, Spec
 from neoworld_mjx.spec.base import JointKey, Name, Number, Quat, Vec3
 from neoworld_mjx.spec.pose import IDENTITY
-from neoworld_mjx.spec.room import SupportOutline, SupportSurface
-from neoworld_mjx.spec.surface_pattern import SurfacePattern
+from neoworld_mjx.spec.room import SupportOutline, SupportSurface, SurfacePattern
 from neoworld_mjx.spec.tree import Relation
 from neoworld_mjx.templates import Template, read_template, template, templates
 

@@ -21,10 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from neoworld_mjx.engines import EngineName
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.engine import EarlyStop, Rollout, RolloutStatus
+from neoworld_mjx.physics.engine import EarlyStop, Rollout, RolloutStatus, open_engine
 from neoworld_mjx.physics.layout import rotation
 from neoworld_mjx.physics.model import SceneModel, compile_scene
-from neoworld_mjx.physics.simulate import open_engine
 from neoworld_mjx.spec import SceneSpec, read_scene
 
 from ..machine import peak_mib

@@ -18,12 +18,12 @@ from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.measure import SceneMeasure, measured, passes, visible_box_iou
-from neoworld_mjx.physics.exact import snap_exactly
-from neoworld_mjx.physics.simulate import open_engine
+from neoworld_mjx.physics.colliders import snap_exactly
+from neoworld_mjx.physics.engine import open_engine
 from neoworld_mjx.pipeline.place import Evidence, place, refine_placed
 from neoworld_mjx.spec import Box3D, SceneSpec
 
-from ..measures.symmetry import symmetry
+from ..measures.pose_measure import symmetry
 from ..rows import Row
 from .rendered_responses import exact_response, noisy_response, upright_boxes
 from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene, photograph

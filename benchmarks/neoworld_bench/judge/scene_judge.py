@@ -15,12 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from neoworld_mjx.errors import BudgetError, ConfigError, MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Request, Response, package_text
 from neoworld_mjx.render import View, render_scene
-from neoworld_mjx.render.viewpoints import subject_points, with_open_joints
+from neoworld_mjx.render.scene_images import subject_points, with_open_joints
 from neoworld_mjx.spec import SceneSpec
 
 from ..paper_figures import of_scenes
 from ..rows import Row
-from .made_scenes import MadeScene
+from .picture_rows import MadeScene
 
 QUESTIONS = ("completeness", "layout", "function")
 SHOWN_PX = 640

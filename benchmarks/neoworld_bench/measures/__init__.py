@@ -1,7 +1,14 @@
 """Measures that compare scenes, objects and images with ground truth, for the tables."""
 
-from .joint_measure import JointMeasure, JointPair, joint_measure
-from .object_truth import ObjectTruth, TrueJoint, canonical_points, truth_of
+from .joint_measure import (
+    JointMeasure,
+    JointPair,
+    ObjectTruth,
+    TrueJoint,
+    canonical_points,
+    joint_measure,
+    truth_of,
+)
 from .picture_similarity import PictureModels, ssim
 from .surface_measure import Closeness, GeometryMeasure, geometry_measure
 

@@ -16,9 +16,7 @@ from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.checking import object_of_file
 
 from ..rows import Row
-from .joint_measure import joint_measure
-from .mean import Mean
-from .object_truth import Front, ObjectTruth, canonical_points, truth_of
+from .joint_measure import Front, Mean, ObjectTruth, canonical_points, joint_measure, truth_of
 from .surface_measure import SAMPLES, geometry_measure, surface_points
 
 OBJECT_FILES = (

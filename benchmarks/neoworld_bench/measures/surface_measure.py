@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from neoworld_mjx.spec import ObjectSpec, Spec
 
-from .object_truth import quarter_turn
+from .joint_measure import quarter_turn
 
 if TYPE_CHECKING:
     import trimesh

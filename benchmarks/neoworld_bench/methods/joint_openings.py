@@ -17,7 +17,7 @@ from neoworld_mjx.align.align import align
 from neoworld_mjx.align.rasterize import draw_scene
 from neoworld_mjx.align.unknowns import CAMERA, Unknowns
 from neoworld_mjx.config import AlignOptions
-from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.spec import Box2D, JointSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.opening import opening_share, opening_value, with_prerequisites
 from neoworld_mjx.sweeps.intervals import ratio_interval

@@ -16,7 +16,7 @@ from neoworld_mjx.physics.placed import BALL_EXTENT
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
 
-from ..measures.symmetry import symmetry
+from ..measures.pose_measure import symmetry
 
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01

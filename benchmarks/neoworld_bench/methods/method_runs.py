@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from neoworld_mjx.config import ComposeOptions, Config, RefineOptions, merged, read_yaml
 from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.io.files import content_hash
-from neoworld_mjx.io.validation_message import validation_message
+from neoworld_mjx.io.text_files import validation_message
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.refinement.optimizer import optimizer_factory

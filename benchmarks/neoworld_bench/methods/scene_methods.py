@@ -17,14 +17,14 @@ from jaxtyping import UInt8
 from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
+from neoworld_mjx.physics.colliders import snap_exactly, start_state
 from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
-from neoworld_mjx.physics.exact import snap_exactly, start_state
 from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
-from neoworld_mjx.pipeline.place import Placed, refine_placed
-from neoworld_mjx.refinement.compiling import compile_for_search
+from neoworld_mjx.pipeline.place import PlacedScene, refine_placed
+from neoworld_mjx.refinement.finishing import compile_for_search
 from neoworld_mjx.spec import SceneSpec
 
 from ..noise.initial_scenes import InitialScene
@@ -256,7 +256,7 @@ def outcomes_of(
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
     """
-    placed: dict[AlignOptions, Placed] = {}
+    placed: dict[AlignOptions, PlacedScene] = {}
     picture = functools.cache(photo)
     for method in methods:
         used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())

@@ -1,15 +1,22 @@
-"""Runs of methods on scenes from initial scenes, in separate processes, with one row per run."""
+"""P-Pen: penetration between the parts of an articulated object while its joints move.
+
+Runs of methods on scenes from initial scenes, in separate processes, with one row per run.
+"""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
+from neoworld_mjx.checks.static_checks import Probe, is_placeholder
+from neoworld_mjx.config import JointSweepOptions
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.places import HERE, Place
-from neoworld_mjx.spec import SceneSpec
+from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
 from ..dataset.declaration import declaration, declarations
 from ..dataset.truth_scene import photographed
@@ -18,9 +25,38 @@ from ..noise.parse_noise import NoiseLog
 from ..rows import RowStore
 from .layout_errors import layout_errors, validity
 from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
-from .part_depths import P_PEN_M, articulated, part_depth
 from .scene_methods import MethodResult, check_methods
 from .submission import submission_name, submitted, submitted_starts
+
+P_PEN_M = 1e-3
+"""Penetration of two parts above which an object counts in P-Pen [m]."""
+_DEEPEST_M = 10.0
+"""Allowed penetration [m] that no pair reaches, so that every pair is also measured in motion."""
+
+
+def articulated(spec: ObjectSpec) -> bool:
+    """Return True if an object has a joint that moves."""
+    return any(joint.type != "fixed" for joint in spec.joints)
+
+
+def part_depth(spec: ObjectSpec) -> float:
+    """Return the deepest penetration of two parts of an object [m]; 0 if no parts overlap.
+
+    Parts are measured with all joints at zero, over the range of every joint, and with all joints
+    moved at once. In states with all joints moved, only penetrations over P_PEN_M count. Pairs of a
+    parent and a child count, and so do overlaps that the object's program allows. Parts that are
+    fixed to each other may overlap.
+    """
+    o = JointSweepOptions()
+    placeholders = [part.name for part in spec.parts if is_placeholder(part)]
+    free = o.model_copy(update={"max_depth_m": _DEEPEST_M})
+    sweep = sweep_joints(Probe(spec), free, ignored=placeholders)
+    overlaps = [*sweep.at_rest.values()]
+    for swept in sweep.ranges:
+        overlaps += swept.deepest.values()
+    strict = replace(sweep, allowed=dict.fromkeys(sweep.allowed, P_PEN_M))
+    overlaps += sweep_combinations(strict, o).values()
+    return max((overlap.depth for overlap in overlaps if overlap.depth > 0), default=0.0)
 
 
 class SceneRow(MethodRow):

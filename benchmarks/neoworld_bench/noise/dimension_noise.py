@@ -14,7 +14,7 @@ import numpy as np
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.program.sandbox import build, run
 from neoworld_mjx.spec import ObjectSpec, scale
-from neoworld_mjx.spec.extent import recentred
+from neoworld_mjx.spec.kinematics import recentred
 from neoworld_mjx.templates import Template
 from neoworld_mjx.templates.template import BOX
 

@@ -22,15 +22,14 @@ from jaxtyping import UInt8
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
-from neoworld_mjx.pipeline.place import Evidence, Placed, place
+from neoworld_mjx.pipeline.place import Evidence, PlacedScene, place
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
 from ..dataset.declaration import declaration
 from ..fidelity.rendered_responses import noisy_response, with_boxes_redrawn
 from .dimension_noise import WrongDimensions, editable, with_wrong_dimensions
-from .environment_noise import with_other_supports
-from .parse_noise import NoiseLog, refusals, wrong_parse
+from .parse_noise import NoiseLog, refusals, with_other_supports, wrong_parse
 from .program_noise import wrong_program
 
 NoiseLevel = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
@@ -74,7 +73,7 @@ class InitialScene:
         self,
         photo: UInt8[np.ndarray, "row column 3"] | None = None,
         align: AlignOptions | None = None,
-    ) -> Placed:
+    ) -> PlacedScene:
         """Fit, compose and align the scene as a run does; see `pipeline.place.place`.
 
         Args:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from neoworld_mjx.compilations import compilations
+from neoworld_mjx.cache import compilations
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError, choices
 from neoworld_mjx.measure import visible_box_iou
-from neoworld_mjx.physics.simulate import open_engine
+from neoworld_mjx.physics.engine import open_engine
 from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import SceneSpec, read_scene
 

@@ -13,7 +13,7 @@ from neoworld_mjx.render.ray_caster import RayCaster
 from neoworld_mjx.render.rendering import compile_posed, object_of_geoms
 from neoworld_mjx.spec import Camera, SceneSpec
 
-from ..measures.depth_measure import IDENTITY, Intrinsics, Similarity
+from ..measures.pose_measure import IDENTITY, Intrinsics, Similarity
 from .true_views import PosedObject
 
 LEAST_OVERLAP = 0.3

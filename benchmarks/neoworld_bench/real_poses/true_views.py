@@ -6,11 +6,26 @@ views of a folder of depth images, registered to the photographs, have no object
     DATA/NAME-depth.png       16 bits
     DATA/camera.json          {"fx": 1066.778, "fy": 1067.487, "cx": 312.987, "cy": 241.311,
                                "depth_scale": 0.1}, as BOP's camera.json
+
+Data sets in the BOP format: YCB-V, T-LESS, HOPE, HomebrewedDB and others.
+
+    DATA/models_eval/obj_000001.ply, models_info.json      or models, models_cad [mm]
+    DATA/SPLIT/SCENE/scene_camera.json, scene_gt.json, scene_gt_info.json, depth/IMAGE.png
+
+Compared field by field with docs/bop_datasets_format.md of thodan/bop_toolkit (commit a3b3256):
+`cam_K` and `cam_R_m2c` row by row; poses map the model's frame to the camera's (OpenCV, z ahead);
+models and translations in millimeters; depth times `depth_scale` is millimeters; `visib_fract` is
+the visible share of the silhouette; the diameter is the largest distance of two vertices of the
+evaluation model. Not read: `models_info.json` (diameters are computed, and ADD-S needs no
+symmetries), the list of targets, masks, `cam_R_w2c`, and files of several sensors
+(`scene_gt_CAMTYPE.json`).
 """
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +33,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.load_mesh import load_mesh
 from neoworld_mjx.io import file_bounds, open_image, read_object
 from neoworld_mjx.io.files import MIB, read_bytes
 
-from ..measures.depth_measure import Intrinsics
+from ..measures.pose_measure import Intrinsics
 
 ENDING = "-depth.png"
 CAMERA = "camera.json"
@@ -154,3 +170,136 @@ def depth_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
             depth = read_depth(file, mm)
             size = depth.shape[1], depth.shape[0]
             yield TrueView(name, (), Intrinsics(fx, fy, cx, cy), size, depth)
+
+
+MODELS = ("models_eval", "models", "models_cad", "models_reconst", "models_fine")
+"""Folders of meshes in millimeters, in the order of preference."""
+CAMERA_FILE, POSES, INFO = "scene_camera.json", "scene_gt.json", "scene_gt_info.json"
+LEAST_VISIBLE = 0.1
+"""Least visible share of an object; BOP's targets have the same bound."""
+IMAGES = (".png", ".jpg", ".tif")
+
+
+def is_bop(path: Path) -> bool:
+    """Return True if a folder is a data set in the BOP format, or a scene of one."""
+    return (path / POSES).is_file() or bool(_scene_folders(path))
+
+
+def bop_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
+    """Read the views of a data set.
+
+    A view is named SCENE_IMAGE with the numbers of the files, such as 000048_000001; where
+    several splits have the scene, SPLIT_SCENE_IMAGE. Of objects that appear several times, all but
+    the first are named with a number: obj_000005, obj_000005_2.
+
+    Args:
+        path: the data set, a split, or a scene.
+        names: of the views to read, as far as there are any.
+
+    Raises:
+        SpecError: a file is missing or broken.
+    """
+    scenes = {path.name: path} if (path / POSES).is_file() else _named_scenes(path)
+    if not scenes:
+        raise SpecError(f"{path} has no {POSES} in itself, SCENE or SPLIT/SCENE")
+    models = _models(path)
+    for scene, folder in scenes.items():
+        if not any(name.startswith(f"{scene}_") for name in names):
+            continue
+        cameras, poses = (read_object(folder / name, SpecError) for name in (CAMERA_FILE, POSES))
+        info = read_object(folder / INFO, SpecError) if (folder / INFO).is_file() else {}
+        for image in sorted(poses, key=_number):
+            name = f"{scene}_{_number(image):06d}"
+            if name in names:
+                yield _view(name, folder, image, cameras, poses[image], info.get(image), models)
+
+
+def _view(
+    name: str,
+    folder: Path,
+    image: str,
+    cameras: Mapping[str, Any],
+    poses: Any,
+    info: Any,
+    models: Path,
+) -> TrueView:
+    where = f"{folder / CAMERA_FILE}, image {image}"
+    camera = cameras.get(image)
+    k = numbers(camera, "cam_K", 9, where)
+    if min(k[0], k[4]) <= 0:
+        raise SpecError(f"{where}: cam_K has no positive focal lengths")
+    scale = numbers(camera, "depth_scale", 1, where)[0] if "depth_scale" in (camera or {}) else 1.0
+    file = _image(folder / "depth", _number(image))
+    depth = None if file is None else read_depth(file, float(scale))
+    where = f"{folder / POSES}, image {image}"
+    if not isinstance(poses, list):
+        raise SpecError(f"{where}: expected is a list of objects")
+    objects: list[PosedObject] = []
+    for index, entry in enumerate(poses):
+        here = f"{where}, object {index}"
+        number = int(numbers(entry, "obj_id", 1, here)[0])
+        shift = 1e-3 * numbers(entry, "cam_t_m2c", 3, here)
+        pose = rigid(numbers(entry, "cam_R_m2c", 9, here), shift, here)
+        if _visible(info, index) < LEAST_VISIBLE:
+            continue
+        vertices, faces, diameter = _model(models, number)
+        stem = f"obj_{number:06d}"
+        copies = sum(item.name.rpartition("_")[0] == stem or item.name == stem for item in objects)
+        label = stem if not copies else f"{stem}_{copies + 1}"
+        objects.append(PosedObject(label, vertices, faces, pose, diameter))
+    size = None if depth is None else (depth.shape[1], depth.shape[0])
+    intrinsics = Intrinsics(float(k[0]), float(k[4]), float(k[2]), float(k[5]))
+    return TrueView(name, tuple(objects), intrinsics, size, depth)
+
+
+def _visible(info: Any, index: int) -> float:
+    try:
+        return float(info[index]["visib_fract"])
+    except (TypeError, KeyError, IndexError, ValueError):
+        return 1.0  # Without scene_gt_info.json every object counts.
+
+
+@lru_cache(maxsize=256)
+def _model(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray, float]:
+    vertices, faces = load_mesh(folder / f"obj_{number:06d}.ply")
+    vertices = 1e-3 * vertices
+    return vertices, faces, diameter_of(vertices)
+
+
+def _models(path: Path) -> Path:
+    """Return the folder of meshes of a data set, of which the path may be a part."""
+    for root in (path, path.parent, path.parent.parent):
+        for name in MODELS:
+            if any((root / name).glob("obj_*.ply")):
+                return root / name
+    raise SpecError(
+        f"{path}: no folder with obj_000001.ply and so on; expected next to the scenes is one of "
+        f"{', '.join(MODELS)}"
+    )
+
+
+def _scene_folders(path: Path) -> list[Path]:
+    pose_files = (path.glob(f"{'*/' * depth}{POSES}") for depth in (1, 2))
+    return [file.parent for files in pose_files for file in sorted(files)]
+
+
+def _named_scenes(path: Path) -> dict[str, Path]:
+    folders = _scene_folders(path)
+    stems = [folder.name for folder in folders]
+    return {
+        folder.name
+        if stems.count(folder.name) == 1
+        else f"{folder.parent.name}_{folder.name}": folder
+        for folder in folders
+    }
+
+
+def _image(folder: Path, number: int) -> Path | None:
+    files = (folder / f"{number:06d}{suffix}" for suffix in IMAGES)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _number(key: str) -> int:
+    if not re.fullmatch(r"\d{1,9}", key):
+        raise SpecError(f"image {key[:20]!r} is no number")
+    return int(key)

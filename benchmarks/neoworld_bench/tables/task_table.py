@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.io.text_tables import TextTable
+from neoworld_mjx.io.names import TextTable
 from neoworld_mjx.sweeps.intervals import Interval, ratio_interval
 
 from ..tasks.success_runs import SuccessRow
-from .text_cells import interval_text, records
+from .scene_table import interval_text, records
 
 SHARES: dict[str, Callable[[SuccessRow], bool]] = {
     "success_on_truth": lambda r: r.on_truth,

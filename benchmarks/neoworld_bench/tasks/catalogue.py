@@ -8,14 +8,8 @@ from typing import Any
 from neoworld_mjx.config import read_yaml
 from neoworld_mjx.errors import ConfigError, choices
 
-from . import (
-    assembling_tasks,
-    inserting_tasks,
-    joint_tasks,
-    placing_tasks,
-    pushing_tasks,
-    stacking_tasks,
-)
+from . import inserting_tasks, joint_tasks, placing_tasks, pushing_tasks, stacking_tasks
+from . import stacking_tasks as assembling_tasks
 from .task import ManipulationTask, TaskKind
 
 FILE = Path(__file__).parent / "tasks.yaml"

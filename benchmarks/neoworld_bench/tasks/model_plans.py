@@ -1,15 +1,39 @@
-"""Plans of a model in scenes that it sees, executed there and in the ground truth.
+"""Refinement of a layout by the outcome of a plan (Section 4.4 of the paper).
+
+The paper says: "We use this execution outcome as a feedback signal to iteratively refine the scene
+layout until the placement succeeds"; it does not state the method. Here the Cross-Entropy Method
+of the scene refinement moves the objects that the task names. A candidate's reward is the progress
+of the plan executed in it, plus 1 on success, less the prior. The resulting layout may differ from
+the ground truth; the same plan in the ground-truth scene measures that.
+
+Requests for plans: what a model is told of a task's scene (Section 4.4 of the paper).
+
+Plans of a model in scenes that it sees, executed there and in the ground truth.
 
 As in Section 4.4 of the paper, the outcome of a plan that fails refines the layout, and the same
 plan is executed again in the refined layout and in the ground truth.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
-from neoworld_mjx.mllm import Panel, ask_or_record
-from neoworld_mjx.spec import SceneSpec
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import UInt8
+from pydantic import BaseModel, ConfigDict, Field
+
+from neoworld_mjx.config import CEMOptions
+from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement.cem import initial_sigma, open_cem
+from neoworld_mjx.render import View, render
+from neoworld_mjx.spec import SceneSpec, bounds, joint_position, link_poses, world_poses
+from neoworld_mjx.spec.kinematics import welded
+from neoworld_mjx.spec.pose import rotate
 from neoworld_mjx.sweeps.intervals import ratio_interval
 
 from ..fidelity.rendered_scenes import photograph
@@ -17,12 +41,187 @@ from ..methods.method_runs import MethodJob, RunSettings
 from ..methods.scene_methods import check_methods
 from ..noise.parse_noise import NoiseLog
 from ..rows import Row
-from .outcome_feedback import refine_by_outcome
-from .plan_requests import plan_request
-from .reconstructed_plans import described, planned_there
-from .success_runs import TRUTH
+from .execution import Outcome, execute
+from .plan_format import TaskPlan
+from .predicates import Predicate, named_objects
+from .success_runs import TRUTH, described, planned_there
 from .task import ManipulationTask
-from .task_photo import TaskPhoto, photographed_task
+from .task_scenes import TaskPhoto, photographed_task
+
+PRIOR_WEIGHT = 0.02
+"""Loss of a layout one standard deviation away; progress is worth up to 1."""
+
+
+@dataclass(frozen=True)
+class FeedbackResult:
+    """Layout with the highest progress of a plan."""
+
+    scene: SceneSpec
+    outcome: Outcome
+    executions: int
+
+
+def refine_by_outcome(
+    scene: SceneSpec,
+    plan: TaskPlan,
+    predicate: Predicate,
+    *,
+    options: CEMOptions | None = None,
+    seed: int = 0,
+) -> FeedbackResult:
+    """Move the objects that a task names until a plan succeeds.
+
+    Args:
+        scene: the scene in which the plan fails.
+        plan: the plan, which stays.
+        predicate: what success is; the objects that it names are moved, but for the environment.
+        options: of the Cross-Entropy Method; by default 24 candidates and at most 6 iterations.
+        seed: of the draws.
+
+    Returns:
+        The first candidate that succeeds, else the best.
+    """
+    o = options or CEMOptions(population=24, iterations=6, elite_ratio=0.2, smoothing=0.2)
+    model = compile_scene(scene)
+    moves = np.array([name in named_objects(predicate) for name in model.names])
+    fixed = replace(model, optimised=jnp.asarray(model.optimised) & moves)
+    sigma = initial_sigma(fixed, o)
+    cem = open_cem(model, o)
+    cem = replace(cem, params=replace(cem.params, sigma=sigma))
+    state, key = cem.init(), jax.random.key(seed)
+    best: tuple[float, SceneSpec, Outcome] | None = None
+    executions = 0
+    for _ in range(o.iterations):
+        key, now = jax.random.split(key)
+        layouts = cem.ask(now, state, o.population)
+        poses = model.place(layouts)
+        prior = _prior(layouts, sigma)
+        rewards = []
+        for k in range(o.population):
+            candidate = model.apply(layouts, k, poses)
+            outcome = execute(candidate, plan, predicate)
+            executions += 1
+            reward = outcome.progress + outcome.success - PRIOR_WEIGHT * float(prior[k])
+            rewards.append(reward)
+            if best is None or reward > best[0]:
+                best = (reward, candidate, outcome)
+            if outcome.success:
+                return FeedbackResult(candidate, outcome, executions)
+        state = cem.tell(state, layouts, jnp.asarray(rewards))
+    assert best is not None
+    return FeedbackResult(best[1], best[2], executions)
+
+
+def _prior(layouts: Layout, sigma: Layout) -> np.ndarray:
+    """Return the mean squared displacement of the moved objects in standard deviations [pop]."""
+    total, count = 0.0, 0
+    for leaf, spread in zip(jax.tree.leaves(layouts), jax.tree.leaves(sigma), strict=True):
+        moved = np.asarray(spread)[0] > 0
+        ratio = np.asarray(leaf)[:, moved] / np.asarray(spread)[:, moved]
+        total = total + np.sum(ratio.reshape(len(ratio), -1) ** 2, axis=1)
+        count += int(np.sum(moved))
+    return np.asarray(total) / max(count, 1)
+
+
+MOST_JOINTS = 12
+"""Maximum number of listed joints of an object."""
+
+
+class PlannedTask(BaseModel):
+    """A model's answer: the reasons first, so that the plan follows from them."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reasoning: Annotated[str, Field(max_length=2000)] = ""
+    plan: TaskPlan
+
+
+def plan_request(
+    task: ManipulationTask, scene: SceneSpec, photo: TaskPhoto
+) -> Request[PlannedTask]:
+    """Return the request for a plan, with a picture of the scene and its numbers.
+
+    Args:
+        task: gives the instruction; its ground truth is not part of the request.
+        scene: the scene to plan in, such as a reconstruction.
+        photo: photograph of the task, whose camera the picture is rendered through.
+    """
+    picture, view = _pictured(scene, photo)
+    parts = [
+        _view_in_words(view),
+        f"The scene:\n{scene_in_numbers(scene)}",
+        f"The instruction: {task.instruction}",
+    ]
+    system = package_text(__package__, "planner").removesuffix("\n")
+    pictures = [Picture.of("scene", picture)]
+    prompt = "\n\n".join(parts)
+    return Request("reasoner", f"plan:{task.name}", system, prompt, PlannedTask, pictures)
+
+
+def _pictured(scene: SceneSpec, photo: TaskPhoto) -> tuple[UInt8[np.ndarray, "row column 3"], View]:
+    """Return a picture of a scene, and its camera in the world of the scene."""
+    assert photo.scene.camera is not None
+    view, to_world = View.of(photo.scene.camera), photo.scene_transform.inverse()
+    view = view._replace(eye=to_world.apply(view.eye), axes=rotate(to_world.quat, view.axes.T).T)
+    return render(scene, view).color, view
+
+
+def _view_in_words(view: View) -> str:
+    right, down, ahead = view.axes.T
+    fovx = 2 * np.arctan(np.tan(view.fovy / 2) * view.width / view.height)
+    named = (("position", view.eye), ("right", right), ("down", down), ("ahead", ahead))
+    words = ", ".join(f"{name} {_vector(value)}" for name, value in named)
+    return (
+        f"The picture 'scene' shows it through a camera, in the world's axes: {words}; fields "
+        f"of view {np.degrees(fovx):.1f} degrees across and {np.degrees(view.fovy):.1f} upright."
+    )
+
+
+def scene_in_numbers(scene: SceneSpec) -> str:
+    """Return each object's pose and box in the world, and its joints, as text."""
+    lines = []
+    poses = world_poses(scene)
+    for item in scene.objects:
+        object_pose = poses[item.name]
+        low, high = bounds(item.spec, item.joint_state)
+        edges, middle = high - low, object_pose.apply((low + high) / 2)
+        axes = ", ".join(
+            f"{name} {_vector(rotate(object_pose.quat, row))}" for name, row in _axes()
+        )
+        support = f", carried by {item.parent}" if item.parent else ""
+        immobile = ", cannot move" if item.static else ""
+        lines.append(
+            f"- {item.name} ({item.spec.label or item.spec.name}{support}{immobile}): box of edges "
+            f"{_vector(edges)} along its axes {axes}; middle of the box {_vector(middle)}, origin "
+            f"{_vector(object_pose.pos)}"
+        )
+        part_poses = link_poses(item.spec, item.joint_state)
+        group = welded(item.spec)
+        for joint in [j for j in item.spec.joints if j.type != "fixed"][:MOST_JOINTS]:
+            value = joint_position(item.spec, joint, item.joint_state)
+            base = object_pose.then(part_poses[joint.parent])
+            now = "a ball" if isinstance(value, tuple) else f"now {value:.2f}"
+            limits = (
+                f", {joint.lower:.2f} to {joint.upper:.2f}" if joint.upper > joint.lower else ""
+            )
+            parts = [
+                part.name for part in item.spec.parts if group[part.name] == group[joint.child]
+            ]
+            lines.append(
+                f"  - joint {joint.name} ({joint.type}) of {' and '.join(parts)}: {now}{limits}; "
+                f"axis {_vector(rotate(base.quat, joint.axis))} through "
+                f"{_vector(base.apply(np.array(joint.pos)))}"
+            )
+    return "\n".join(lines)
+
+
+def _axes() -> list[tuple[str, tuple[float, float, float]]]:
+    return [("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0))]
+
+
+def _vector(values: Sequence[float] | np.ndarray) -> str:
+    return "(" + ", ".join(f"{float(v) + 0.0:.3f}" for v in np.round(values, 3)) + ")"
+
 
 SHARES = ("on_truth", "in_scene", "refined_on_truth", "refined_in_scene")
 """Shares of successful plans."""

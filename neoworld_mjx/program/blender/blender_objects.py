@@ -14,15 +14,21 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
-from ..materials import MATERIALS
-from ..part import Joint, Part
-from ..placing import Shape
-from ..program_errors import exception_signal, limit_signal
+from ..execution import exception_signal, limit_signal
+from ..part import Joint, Part, Shape
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
+from ..supports import MATERIALS
 from .blender_process import failure, run_confined
-from .blender_scene import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
-from .mesh_solids import MAX_FACES, shape_of, split_solids
+from .blender_scene import (
+    MAX_FACES,
+    BlenderJoint,
+    BlenderMaterial,
+    BlenderScene,
+    BlenderShape,
+    shape_of,
+    split_solids,
+)
 
 _DYNAMICS = {
     "fixed": (),

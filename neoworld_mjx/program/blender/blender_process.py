@@ -19,7 +19,7 @@ from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..program_errors import ENDLESS_HINT
+from ..execution import ENDLESS_HINT
 from .blender_child import UNAVAILABLE
 from .blender_scene import BlenderScene
 

@@ -16,8 +16,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...render.part_meshes import PartMesh, visible_meshes
 from ...render.scene_images import visible_vertices
+from ...render.tiles import PartMesh, visible_meshes
 from ...spec import JointSpec, SceneObject, SceneSpec, world_poses
 from ...spec.kinematics import joint_keys
 from ...spec.pose import Pose, matrix

@@ -1,4 +1,7 @@
-"""Names of export formats and of the simulators that read them."""
+"""Names of export formats and of the simulators that read them.
+
+Names of the steps of a run, in order.
+"""
 
 from typing import Literal, get_args
 
@@ -19,3 +22,6 @@ PREFERRED_FORMATS: dict[Simulator, tuple[Format, ...]] = {
     "pinocchio": ("urdf",),
 }
 """For each simulator, the formats that preserve most of a scene."""
+
+Step = Literal["parse", "program", "verify", "compose", "refine", "export"]
+STEPS: tuple[Step, ...] = get_args(Step)

@@ -1,16 +1,52 @@
-"""Readers of untrusted text and JSON files."""
+"""Readers of untrusted text and JSON files.
+
+One-line messages for pydantic's validation errors.
+
+Reader of untrusted YAML that limits size and nesting depth and rejects aliases.
+"""
 
 import json
 import re
 from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from pydantic import BaseModel, ValidationError
 
-from ..errors import NeoWorldError
-from .file_options import file_bounds
+from ..errors import ConfigError, NeoWorldError, choices
 from .files import MIB, read_text
-from .validation_message import validation_message
+from .limited_worker import file_bounds
+
+_SECRET = "base_url"
+"""Option whose invalid values are not displayed because they may contain API keys."""
+
+
+def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
+    """Return a one-line message that lists each invalid key with its value or valid choices."""
+    lines = []
+    for item in error.errors():
+        key = ".".join(str(step) for step in item["loc"]) or "(root)"
+        if item["type"] == "extra_forbidden":
+            keys = _keys_at(model, item["loc"][:-1])
+            lines.append(f"unknown key {key}: {choices(str(item['loc'][-1]), keys)}")
+        elif _SECRET in item["loc"]:
+            lines.append(f"{key}: {item['msg']}")
+        else:
+            value = repr(item["input"])
+            value = value if len(value) <= 80 else value[:77] + "..."
+            lines.append(f"{key}: {item['msg']}, got {value}")
+    return "; ".join(lines)
+
+
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    for step in path:
+        field = model.model_fields.get(str(step))
+        inner = field.annotation if field is not None else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return sorted(model.model_fields)
+
 
 T = TypeVar("T", bound=BaseModel)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
@@ -124,3 +160,62 @@ def _too_deep(path: Path) -> str:
 
 def _reject_constant(constant: str) -> Any:
     raise ValueError(f"{constant} is not a JSON number")
+
+
+_MAX_BYTES = 256 << 10
+
+
+class _BoundedLoader(yaml.SafeLoader):
+    """Loader of plain values that rejects deep nesting and aliases.
+
+    Aliases of aliases expand exponentially, so a few lines can exhaust the memory.
+    """
+
+    _depth = 0
+
+    def fetch_flow_collection_start(self, TokenClass: Any) -> None:
+        if self.flow_level >= MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested over {MAX_DEPTH} levels deep")
+        super().fetch_flow_collection_start(TokenClass)
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it holds an alias (*name): write out the values")
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested over {MAX_DEPTH} levels deep")
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the value of a YAML document.
+
+    Raises:
+        ValueError: the document contains something other than plain values, is nested too deeply,
+            or contains aliases.
+    """
+    try:
+        return _BoundedLoader(text).get_single_data()
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+
+
+def read_yaml(path: Path, kind: str) -> Any:
+    """Read a YAML file.
+
+    Args:
+        path: the file.
+        kind: kind of file for messages, such as "config".
+
+    Raises:
+        ConfigError: the file cannot be read, is larger than 256 KiB, or is not YAML of plain
+            values.
+    """
+    try:
+        return parse_yaml(read_text(Path(path), _MAX_BYTES))
+    except OSError as error:
+        raise ConfigError(f"cannot read {kind} {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{kind} {path} is not valid YAML: {error}") from None

@@ -1,0 +1,244 @@
+"""Reader of untrusted .npz files.
+
+Reader of untrusted image files that checks format and size before it decodes pixels.
+
+Reader and writer of Parquet files whose columns have plain types.
+"""
+
+import io
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import arro3.io
+import numpy as np
+from arro3.core import Array, DataType, Table
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..errors import NeoWorldError, RunError
+from .files import MIB, read_bytes, write_output
+from .limited_worker import call_limited, file_bounds
+from .text_files import MAX_VALUES
+
+MAX_ARRAYS = 4096
+
+
+def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
+    """Read the arrays of an .npz file, checking all declared sizes before allocating memory.
+
+    Args:
+        path: the file.
+        error: class of the error to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be read, contains something other than
+            plain arrays, or unpacks to more than `files.max_file_mib`.
+    """
+    limit = file_bounds().max_file_mib * MIB
+    try:
+        data = read_bytes(Path(path), limit)
+    except OSError as problem:
+        raise error(f"cannot read {path}: {problem.strerror}") from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            declared = sum(member.file_size for member in members)
+            if len(members) > MAX_ARRAYS or declared > limit:
+                raise error(
+                    f"{path} unpacks to {declared / MIB:.0f} MiB in {len(members)} arrays; the "
+                    f"limit is {limit // MIB} MiB in {MAX_ARRAYS} arrays (files.max_file_mib)"
+                )
+            return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,
+            NotImplementedError, SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
+        raise error(f"{path} holds no readable arrays: {problem}") from None
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
+    with archive.open(member) as stream:
+        version = npy.read_magic(stream)  # pyright: ignore[reportArgumentType]
+        headers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        if version not in headers:
+            raise ValueError(f"{member.filename} has the unsupported version {version}")
+        shape, fortran, dtype = headers[version](stream)  # pyright: ignore[reportArgumentType]
+        if dtype.hasobject:
+            raise ValueError(f"{member.filename} holds Python objects")
+        if len(shape) > 32 or any(n < 0 for n in shape):
+            raise ValueError(f"{member.filename} has the invalid shape {shape}")
+        size, available = prod(shape) * dtype.itemsize, member.file_size - stream.tell()
+        if size > available:
+            raise ValueError(f"{member.filename} declares {size} bytes but has {available}")
+        array = np.frombuffer(stream.read(size), dtype, prod(shape)).copy()
+    return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
+
+
+IMAGE_FORMATS = (
+    *("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF"),
+    *("AVIF", "JPEG2000", "PPM", "TGA", "ICO"),
+)
+"""Accepted formats. Pillow decodes each of them without an external program, unlike EPS."""
+
+PLAIN_MPX = 16
+"""Maximum size of an image that is decoded without a limited worker [megapixels]."""
+
+
+@contextmanager
+def open_image(
+    data: bytes,
+    name: str,
+    error: type[NeoWorldError],
+    formats: tuple[str, ...] = IMAGE_FORMATS,
+    *,
+    large: bool = False,
+) -> Iterator[Image.Image]:
+    """Open an image, or the first frame of an animation or multi-page file.
+
+    Args:
+        data: contents of the file.
+        name: name of the file for messages.
+        error: class of the error to raise.
+        formats: formats to try.
+        large: if True, allow `files.max_picture_mpx` megapixels instead of `PLAIN_MPX`; for callers
+            that decode the image in a limited worker.
+
+    Yields:
+        The image, before its pixels are decoded.
+
+    Raises:
+        NeoWorldError: of the class `error`: the data is not an image in these formats, has too
+            many pixels, or is damaged. Damage may be detected only when the pixels are decoded.
+    """
+    limit = file_bounds().max_picture_mpx
+    limit = limit if large else min(limit, PLAIN_MPX)
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns about large images; the limit below replaces its warning.
+            warnings.simplefilter("ignore")
+            with _identified(data, formats) as image:
+                width, height = image.size
+                if width * height > limit * 1_000_000:
+                    size = f"{width} x {height} pixels, {width * height / 1e6:.0f}"
+                    raise error(_too_large(name, size, limit))
+                yield image
+    except NeoWorldError:
+        raise
+    except Image.UnidentifiedImageError:
+        raise error(
+            f"{name} is not an image in a supported format; save it as PNG or JPEG"
+        ) from None
+    except Image.DecompressionBombError:
+        raise error(_too_large(name, "over 179", limit)) from None
+    except MemoryError:
+        raise error(f"{name} does not fit into memory; save a smaller copy") from None
+    except Exception as problem:
+        # Decoders raise nearly anything on damaged data: OSError, SyntaxError, struct.error, ...
+        raise error(
+            f"{name} is damaged or truncated ({problem}); get the file again, or save it as PNG"
+        ) from None
+
+
+def _identified(data: bytes, formats: tuple[str, ...]) -> Image.Image:
+    """Open an image, loading the plug-ins of rare formats only if no common format matches."""
+    for load in (Image.preinit, Image.init):
+        load()
+        known = [name for name in formats if name in Image.OPEN]
+        try:
+            return Image.open(io.BytesIO(data), formats=known)
+        except Image.UnidentifiedImageError:
+            continue
+    raise Image.UnidentifiedImageError
+
+
+def _too_large(name: str, megapixels: str, limit: int) -> str:
+    return f"{name}: {megapixels} megapixels; the limit is {limit}; save a smaller copy"
+
+
+MAX_ROWS = 500_000
+_TYPES: dict[type, Any] = {
+    bool: DataType.bool(),
+    int: DataType.int64(),
+    float: DataType.float64(),
+    str: DataType.utf8(),
+}
+
+
+def write_rows(
+    path: Path,
+    rows: Sequence[Mapping[str, Any]],
+    kinds: Mapping[str, type],
+    error: type[NeoWorldError],
+) -> None:
+    """Write rows to a Parquet file, and replace an existing file atomically.
+
+    Args:
+        path: the file.
+        rows: value of each column, for each row; a value has the column's type or is None.
+        kinds: type of each column (bool, int, float or str), in the order of the columns.
+        error: class of the error to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be written.
+    """
+    table = Table.from_pydict(
+        {
+            name: Array([row.get(name) for row in rows], type=_TYPES[kind])
+            for name, kind in kinds.items()
+        }
+    )
+    data = io.BytesIO()
+    arro3.io.write_parquet(table, data, compression="zstd(3)")
+    write_output(path, data.getvalue(), error)
+
+
+def read_rows(
+    path: Path, required: Sequence[str], error: type[NeoWorldError]
+) -> list[dict[str, Any]]:
+    """Return the rows of a Parquet file.
+
+    Args:
+        path: the file.
+        required: columns that the file must have.
+        error: class of the error to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be read, is not a Parquet file, is
+            damaged, lacks a column, or has over `MAX_ROWS` rows or `MAX_VALUES` values.
+    """
+    # A file of a few bytes can expand to any number of rows.
+    return call_limited(_read_rows, path, tuple(required), error=error)
+
+
+def _read_rows(path: Path, required: Sequence[str]) -> list[dict[str, Any]]:
+    try:
+        data = read_bytes(path, file_bounds().max_file_mib * MIB)
+    except OSError as failure:
+        raise RunError(f"cannot read {path}: {failure.strerror}") from None
+    if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
+        raise RunError(f"{path} is not a Parquet file")
+    rows: list[dict[str, Any]] = []
+    try:
+        reader = arro3.io.read_parquet(io.BytesIO(data))
+        names = list(reader.schema.names)
+        for batch in reader:
+            count = len(rows) + batch.num_rows
+            if count > MAX_ROWS or count * len(names) > MAX_VALUES:
+                raise RunError(f"{path} holds over {MAX_ROWS} rows, or over {MAX_VALUES} values")
+            columns = [column.to_pylist() for column in batch.columns]
+            rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+    except (KeyboardInterrupt, SystemExit, MemoryError, RunError):
+        raise
+    except BaseException as failure:  # A panic of the Rust reader raises no Exception.
+        raise RunError(
+            f"{path} is damaged ({type(failure).__name__}); start over with --overwrite"
+        ) from None
+    missing = sorted(set(required) - set(names))
+    if missing:
+        raise RunError(f"{path} has no column {missing[0]}; start over with --overwrite")
+    return rows
