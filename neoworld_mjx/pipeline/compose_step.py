@@ -35,7 +35,7 @@ from .step_context import (
 if TYPE_CHECKING:
     from ..align.alignment import Alignment
     from ..compose.layout_patch import LayoutPatch
-    from .place import PlacedScene
+    from .place import LayoutEstimate
 
 
 def compose_scene(context: StepContext) -> None:
@@ -131,7 +131,7 @@ def _inputs(
     return inputs
 
 
-def _write_fit(run: RunFolder, placed: "PlacedScene", out: Path) -> None:
+def _write_fit(run: RunFolder, placed: "LayoutEstimate", out: Path) -> None:
     """Write the fitted tree and the report of the fit, if there was one."""
     if placed.fit is None:
         return
@@ -180,7 +180,7 @@ def _write_alignment(
         run.note("compose", outcome, reason)
 
 
-def _record_notes(run: RunFolder, placed: "PlacedScene") -> None:
+def _record_notes(run: RunFolder, placed: "LayoutEstimate") -> None:
     for note in (*placed.composed.notes, *placed.notes):
         name, _, change = note.partition(": ")
         record = run.fallback if note in placed.composed.shortfalls else run.note

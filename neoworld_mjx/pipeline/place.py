@@ -48,7 +48,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class PlacedScene:
+class LayoutEstimate:
     """A scene composed and aligned with its evidence."""
 
     tree: SceneTree
@@ -78,7 +78,7 @@ def place(
     *,
     programs: EditablePrograms | None = None,
     name: str = "scene",
-) -> PlacedScene:
+) -> LayoutEstimate:
     """Fit a tree to its built objects, compose the scene, and align it with its evidence (Step 4).
 
     Args:
@@ -102,7 +102,9 @@ def place(
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
-        return PlacedScene(tree, composed, composed.scene, fit, seconds=time.perf_counter() - began)
+        return LayoutEstimate(
+            tree, composed, composed.scene, fit, seconds=time.perf_counter() - began
+        )
     realign = partial(
         align, photo=evidence.photo, options=options.align, measured=tree.camera_measured
     )
@@ -119,7 +121,7 @@ def place(
         composed, alignment = build(freed.specs), freed.alignment
     scene, notes = in_contact(alignment.scene, options, composed=composed.scene)
     seconds = time.perf_counter() - began
-    return PlacedScene(tree, composed, scene, fit, alignment, freed, notes, seconds)
+    return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
 
 
 def _composed(

@@ -24,7 +24,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import transformed_scene
 from .mesh_tree import MeshTree, mesh_tree
-from .place import Evidence, PlacedScene, RefinedPlacement, place, refine_placed
+from .place import Evidence, LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, TREE
 
@@ -45,7 +45,7 @@ class Rescued:
     given: SceneSpec
     """The objects at their given poses, with fixed supports. With a photograph, the whole scene is
     moved so that its camera is above the origin and looks along +x."""
-    placed: PlacedScene
+    placed: LayoutEstimate
     refined: RefinedPlacement
     notes: tuple[str, ...]
 

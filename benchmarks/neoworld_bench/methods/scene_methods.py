@@ -23,7 +23,7 @@ from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_state, settle_scene
-from neoworld_mjx.pipeline.place import PlacedScene, refine_placed
+from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
 from neoworld_mjx.refinement.finishing import compile_for_search
 from neoworld_mjx.spec import SceneSpec
 
@@ -256,7 +256,7 @@ def outcomes_of(
         warm: as for `outcome_of`.
         named: as for `outcome_of`.
     """
-    placed: dict[AlignOptions, PlacedScene] = {}
+    placed: dict[AlignOptions, LayoutEstimate] = {}
     picture = functools.cache(photo)
     for method in methods:
         used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())

@@ -22,7 +22,7 @@ from jaxtyping import UInt8
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
-from neoworld_mjx.pipeline.place import Evidence, PlacedScene, place
+from neoworld_mjx.pipeline.place import Evidence, LayoutEstimate, place
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
@@ -73,7 +73,7 @@ class InitialScene:
         self,
         photo: UInt8[np.ndarray, "row column 3"] | None = None,
         align: AlignOptions | None = None,
-    ) -> PlacedScene:
+    ) -> LayoutEstimate:
         """Fit, compose and align the scene as a run does; see `pipeline.place.place`.
 
         Args:
