@@ -34,7 +34,6 @@ from ..io import read_model
 from ..io.files import irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
 from .requests import InvalidResponse, Rejection, Reply, Request, Usage, is_json, read_response
-from .server import MAX_BODY_BYTES
 
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]

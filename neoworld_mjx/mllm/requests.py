@@ -28,8 +28,11 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Role, RoleOptions
 from ..errors import BudgetError, MissingResponseError, ModelError
+from ..io.files import MIB
 from ..io.text_files import validation_message
 
+MAX_BODY_BYTES = 16 * MIB
+"""Maximum size of a response or an error; a response has some 5 bytes per token."""
 T = TypeVar("T", bound=BaseModel)
 Fallback = tuple[str, str]
 """A skipped stage, and the reason."""

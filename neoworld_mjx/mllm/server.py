@@ -17,18 +17,15 @@ from PIL import Image
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
-from ..io.files import MIB
 from ..io.names import plain_text
 from .panel import environment_key
-from .requests import Picture, Rejection, Reply, Request, response_rule
+from .requests import MAX_BODY_BYTES, Picture, Rejection, Reply, Request, response_rule
 
 RETRIES = 4
 """Maximum number of retries of a call after transient errors: rate limits, overload, lost
 connections. The SDKs wait between 0.5 and 8 s before a retry, or as long as the server asks."""
 CONNECT_S = 10.0
 """Maximum time to connect to a server [s]."""
-MAX_BODY_BYTES = 16 * MIB
-"""Maximum size of a response or an error; a response has some 5 bytes per token."""
 _MAX_PICTURE_BYTES = 3_500_000
 """Maximum size of a picture that is sent as it is; servers reject pictures over 5 MB in base64."""
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..io import binary_files as parquet_files
-from ..io import read_object
+from ..io import parquet_files, read_object
 from ..io.files import write_output
 from ..run_folder import LOCK, lock_folder, refuse_links
 from .plan import plain_value

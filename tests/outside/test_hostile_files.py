@@ -24,8 +24,8 @@ from neoworld_mjx.config import FileOptions, load_config
 from neoworld_mjx.errors import NeoWorldError, PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read_model
-from neoworld_mjx.io.binary_files import read_rows, write_rows
 from neoworld_mjx.io.limited_worker import call_limited
+from neoworld_mjx.io.parquet_files import read_rows, write_rows
 from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.verify.checking import check_object
 
