@@ -33,7 +33,16 @@ from ..errors import ModelError
 from ..io import read_model
 from ..io.files import irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
-from .requests import InvalidResponse, Rejection, Reply, Request, Usage, is_json, read_response
+from .requests import (
+    MAX_BODY_BYTES,
+    InvalidResponse,
+    Rejection,
+    Reply,
+    Request,
+    Usage,
+    is_json,
+    read_response,
+)
 
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]

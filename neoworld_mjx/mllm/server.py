@@ -17,6 +17,7 @@ from PIL import Image
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
+from ..io.files import MIB
 from ..io.names import plain_text
 from .panel import environment_key
 from .requests import MAX_BODY_BYTES, Picture, Rejection, Reply, Request, response_rule

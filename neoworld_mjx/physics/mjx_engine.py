@@ -1,6 +1,4 @@
-"""Distribution of candidates or runs over several devices that compute independently.
-
-Rollouts in JAX: `mjx_step`, vmapped over per-candidate model fields.
+"""Rollouts in JAX: `mjx_step`, vmapped over per-candidate model fields.
 
 MJX has no mj_setConst, so `derived` computes the fields that MuJoCo derives from masses.
 """
@@ -14,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
@@ -33,38 +31,7 @@ from .mjx_model import (
 )
 from .model import SceneModel, StaticScene
 from .recorder import DIVERGED, Recorder, read_states, record_times, simulate_in_chunks
-
-SHARDED, REPLICATED = PartitionSpec("part"), PartitionSpec()
-"""Partition specifications: SHARDED splits an array along its leading axis, REPLICATED copies it.
-"""
-
-
-def device_mesh(devices: Sequence[Any]) -> Mesh | None:
-    """Return a mesh of several devices, or None for a single device."""
-    return Mesh(np.array(devices), ("part",)) if len(devices) > 1 else None
-
-
-def put(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
-    """Put all arrays of a tree on the devices of a mesh."""
-    return jax.device_put(tree, NamedSharding(mesh, spec))
-
-
-def map_shards(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[..., Any]:
-    """Return a function that calls `fn` on every device with that device's part of the arguments.
-
-    The parts must not depend on each other. With automatic sharding instead, XLA would compute some
-    operations, such as `top_k`, for all parts on every device, and the devices would wait for each
-    other in every step.
-
-    Args:
-        fn: function of arrays. Its results must have the leading axis that is split.
-        mesh: the devices; if None, there is a single device, and `fn` itself is returned.
-        specs: for each argument, SHARDED, REPLICATED, or a tree of both.
-    """
-    if mesh is None:
-        return fn
-    return jax.shard_map(fn, mesh=mesh, in_specs=specs, out_specs=SHARDED, check_vma=False)
-
+from .sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
 
 MJX_CHUNK = 8192
 """Largest number of candidates that a device simulates at once."""

@@ -12,11 +12,11 @@ from ..config import RefineOptions
 from ..physics.array_types import AnyArray
 from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Layout, Poses
-from ..physics.mjx_engine import REPLICATED, SHARDED, device_mesh, put
 from ..physics.model import SceneModel
 from ..physics.placed import Placed, measure_in_chunks, measure_settled, place_in_chunks
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
+from ..physics.sharding import REPLICATED, SHARDED, device_mesh, put
 from ..spec import SceneSpec
 from .choosing import Round
 from .finishing import resting_poses

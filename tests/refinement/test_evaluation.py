@@ -8,10 +8,10 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
-from neoworld_mjx.physics.mjx_engine import REPLICATED, SHARDED
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
+from neoworld_mjx.physics.sharding import REPLICATED, SHARDED
 from neoworld_mjx.refinement import evaluation as module
 from neoworld_mjx.refinement.evaluation import (
     Evaluation,
