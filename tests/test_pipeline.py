@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from neoworld_mjx import refinement
 from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.measure import measured
-from neoworld_mjx.pipeline import reconstruct, refine_again
-from neoworld_mjx.refinement import final_alignment
+from neoworld_mjx.pipeline import place, reconstruct, refine_again
 from neoworld_mjx.refinement.final_alignment import FinalAlignment
 from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from tests.support.example_figures import check_figures
@@ -244,7 +242,7 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
         return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))
 
     calls = []
-    monkeypatch.setattr(final_alignment, "align_final", again)
+    monkeypatch.setattr(place, "align_final", again)
     run = shutil.copytree(example_run[0], tmp_path / "run")
     refine_again(run)
     assert calls[0][0] == read_scene(run / "compose" / "scene.json") and not calls[0][2]
@@ -253,9 +251,9 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
     assert note["step"] == "refine" and note["what"].startswith("1 object") and "cup" in note["why"]
     fails = lambda composed, refined, *options, keep: FinalAlignment(refined, failure="singular")
-    monkeypatch.setattr(final_alignment, "align_final", fails)
+    monkeypatch.setattr(place, "align_final", fails)
     assert any(f["why"] == "singular" for f in refine_again(run).fallbacks)
-    monkeypatch.setattr(final_alignment, "align_final", None)  # It is not called.
+    monkeypatch.setattr(place, "align_final", None)  # It is not called.
     refine_again(run, None, {"compose": {"align": {"final": False}}})
 
 
@@ -291,7 +289,7 @@ def test_the_composed_scene_is_drawn_even_if_the_search_fails(
 
     first, config = composed
     out = shutil.copytree(first.folder, tmp_path / "run")
-    monkeypatch.setattr(refinement, "refine", fails)
+    monkeypatch.setattr(place, "refine", fails)
     with pytest.raises(EngineError):
         reconstruct(photo, out, wider(config), resume=True)
     with Image.open(out / "pictures" / "before.png") as before:

@@ -10,7 +10,17 @@ from ..io import read_object
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
 from ..spec import read_scene
-from .step_context import ALIGNED, COMPOSED, GIVEN, PHOTO, RESULT, SCENE, StepContext, read_tree
+from .step_context import (
+    ALIGNED,
+    COMPOSED,
+    GIVEN,
+    PHOTO,
+    RESULT,
+    SCENE,
+    TREE,
+    StepContext,
+    read_tree,
+)
 
 
 def refine_layout(context: StepContext) -> None:
@@ -83,7 +93,8 @@ def refine_layout(context: StepContext) -> None:
             "after": placed.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
-        if not (run.path / GIVEN).is_file():  # Boxes of a rescue are no evidence.
+        # Boxes of a rescue are no evidence.
+        if (run.path / TREE).is_file() and not (run.path / GIVEN).is_file():
             summary["box_iou"] = box_iou(read_tree(run, before="program"), composed, scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=placed.seconds)
