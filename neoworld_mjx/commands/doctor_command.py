@@ -86,11 +86,6 @@ COMPONENTS = (
         "uv sync --inexact --extra metrics",
     ),
     Component(
-        *("extra plot", _installed("matplotlib")),
-        "sweeps draw no figure",
-        "uv sync --inexact --extra plot",
-    ),
-    Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "neoworld doctor --install blender",
