@@ -1,8 +1,6 @@
-"""Reader of untrusted .npz files.
+"""Readers of untrusted binary files: arrays (.npz), images, and Parquet files of plain types.
 
-Reader of untrusted image files that checks format and size before it decodes pixels.
-
-Reader and writer of Parquet files whose columns have plain types.
+Sizes that a file declares are checked before memory is allocated or pixels are decoded.
 """
 
 import io
