@@ -36,8 +36,8 @@ class ParseOptions(Options):
 class JointSweepOptions(Options):
     """Options of the joint sweep in Steps 2 and 3.
 
-    `program` and `verify` both have these options. Set them to the same values; otherwise Step 3
-    may reject an object that Step 2 accepted.
+    `program` and `verify` both have this option. Set both to the same value; otherwise Step 3 may
+    reject an object that Step 2 accepted.
     """
 
     max_depth_m: float = option(
