@@ -1,7 +1,4 @@
-"""The package's cache folder, JAX's persistent compilation cache, and a bound on JAX's caches.
-
-Number and time of JAX compilations.
-"""
+"""The cache folder, JAX's compilation caches, and the number and time of compilations."""
 
 import os
 from pathlib import Path

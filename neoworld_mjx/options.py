@@ -1,6 +1,6 @@
-"""Declaration of options: default, bounds, unit, meaning, and the cost of changing the value.
+"""Declaration of options: default, bounds, unit and meaning.
 
-    population: int = static("sets array shapes", 256, "Candidates per iteration.", ge=2)
+    population: int = option(256, "Candidates per iteration.", ge=2)
 
 `list_options` lists the declarations. The pages that document options are derived from this list.
 """
@@ -10,14 +10,6 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticUndefined
-
-Kind = Literal["host", "traced", "static"]
-"""Cost of changing an option during the search.
-
-- host: no cost, since the value is used outside compiled code.
-- traced: no cost, since the value is an array argument of compiled code.
-- static: a recompilation; the option's `reason` states why.
-"""
 
 
 class PaperDifference(NamedTuple):
@@ -44,9 +36,6 @@ class Option(NamedTuple):
     """Default in JSON form."""
     meaning: str
     unit: str
-    kind: Kind
-    reason: str
-    """Why the option is static, or when a traced option is; otherwise empty."""
     values: tuple[str, ...]
     """Valid names of an enumerated option."""
     bounds: str
@@ -55,44 +44,24 @@ class Option(NamedTuple):
     """Difference from the paper; None if there is none or the paper does not specify the value."""
 
 
-def option(default: Any, meaning: str, **details: Any) -> Any:
-    """Declare an option that is used outside compiled code.
-
-    Args:
-        default: default value.
-        meaning: one or two English sentences.
-        details: `unit`, `difference` from the paper, and the bounds `ge`, `gt`, `le` and `lt`.
-    """
-    return _declare(default, meaning, "host", **details)
-
-
-def traced(default: Any, meaning: str, **details: Any) -> Any:
-    """Declare an option whose value is an array in compiled code.
-
-    Args:
-        default: default value.
-        meaning: one or two English sentences.
-        details: as for `option`, and `reason` (see `Option.reason`).
-    """
-    return _declare(default, meaning, "traced", **details)
-
-
-def static(reason: str, default: Any, meaning: str, **details: Any) -> Any:
-    """Declare an option whose change requires a recompilation; `reason` states why."""
-    return _declare(default, meaning, "static", reason=reason, **details)
-
-
-def _declare(
+def option(
     default: Any,
     meaning: str,
-    kind: Kind,
     *,
     unit: str = "",
-    reason: str = "",
     difference: PaperDifference | None = None,
     **bounds: Any,
 ) -> Any:
-    extra: dict[str, Any] = {"unit": unit, "kind": kind, "reason": reason, "difference": difference}
+    """Declare an option.
+
+    Args:
+        default: default value.
+        meaning: one or two English sentences.
+        unit: unit of the value; empty if it has none.
+        difference: difference from the paper.
+        bounds: `ge`, `gt`, `le` and `lt`.
+    """
+    extra: dict[str, Any] = {"unit": unit, "difference": difference}
     return Field(default=default, description=meaning, json_schema_extra=extra, **bounds)
 
 
@@ -113,9 +82,7 @@ def list_options(group: Options | type[Options], prefix: str = "") -> Iterator[O
             continue
         extra = field.json_schema_extra
         if not isinstance(extra, dict) or field.default is PydanticUndefined:
-            raise TypeError(
-                f"{type(group).__name__}.{name}: declare it with option, traced or static"
-            )
+            raise TypeError(f"{type(group).__name__}.{name}: declare it with option")
         literal = get_origin(field.annotation) is Literal
         yield Option(
             path=prefix + name,

@@ -17,7 +17,11 @@ from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.pipeline import reconstruct
 
 PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
-SMALL = {"render": {"width": 96, "supersample": 1}, "verify": {"duration_s": 0.5}}
+SMALL = {
+    "render": {"width": 96, "supersample": 1},
+    "verify": {"duration_s": 0.5},
+    "refine": {"cem": {"population": 16, "iterations": 2}, "rollout": {"duration_s": 0.3}},
+}
 TIMED = {"run.json", "report.html", "run.log", ".lock"}
 """Files that contain times or process numbers."""
 KILLED = """
@@ -33,14 +37,22 @@ def replaced(*args, **options):
         os.kill(os.getpid(), signal.SIGKILL)
 
 os.replace = replaced
-test_faults.run(test_faults.Path(sys.argv[1]))
+test_faults.run(test_faults.Path(sys.argv[1]), until=sys.argv[3] or None)
 """
 """Program that runs the example until it has written a number of files."""
 
 
-def run(out: Path) -> None:
-    """Run or resume the example up to the checks of its objects."""
-    reconstruct(PHOTO, out, load_config(None, SMALL), resume=out.exists(), until="verify")
+def run(out: Path, until: str | None = "verify") -> None:
+    """Run or resume the example, by default up to the checks of its objects."""
+    reconstruct(PHOTO, out, load_config(None, SMALL), resume=out.exists(), until=until)
+
+
+def killed(out: Path, count: int, until: str = "verify") -> None:
+    """Run the example until it has written a number of files; then it is killed."""
+    words = [sys.executable, "-c", KILLED, str(out), str(count), until]
+    root = Path(__file__).parents[1]
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
 
 
 def contents(out: Path) -> dict[str, bytes]:
@@ -106,10 +118,7 @@ def test_a_run_resumes_after_a_fault_with_the_same_files(
 ):
     out = tmp_path / "out"
     if fault == "killed":
-        words = [sys.executable, "-c", KILLED, str(out), str(count)]
-        root = Path(__file__).parents[1]
-        done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
-        assert done.returncode == -signal.SIGKILL, done.stderr
+        killed(out, count)
     else:
         with monkeypatch.context() as patched:
             fault(patched, count)
@@ -119,3 +128,13 @@ def test_a_run_resumes_after_a_fault_with_the_same_files(
     run(out)
     assert contents(out) == whole
     assert {name: finished(out)[name] for name in done_before} == done_before
+
+
+@pytest.mark.slow
+def test_a_run_killed_at_many_moments_ends_with_the_same_files(tmp_path):
+    run(tmp_path / "whole", until=None)
+    out = tmp_path / "out"
+    for count in (1, 10, 20, 20, 20):
+        killed(out, count, until="")
+    run(out, until=None)
+    assert contents(out) == contents(tmp_path / "whole")

@@ -2,11 +2,9 @@
 
 import io
 import logging
-import re
 
 import pytest
 
-from neoworld_mjx import progress
 from neoworld_mjx.commands.terminal import StatusLine
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import SpecError
@@ -86,31 +84,6 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     code, out, _ = neoworld("check", program)
     assert code == 0 and "unknown" not in out
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
-
-
-def test_the_status_line_shows_step_rate_cost_and_time_left():
-    with StatusLine(io.StringIO(), live=False) as line:
-        log = logging.getLogger("neoworld_mjx.progress")
-        log.addHandler(line)
-        log.setLevel(logging.DEBUG)
-        try:
-            assert line.text() == ""
-            progress.report("refine: begun", step="refine")
-            progress.update(done=3, of=8, unit="iteration", rate=120.4, left_s=9.6)
-            progress.update(calls=4, cost_usd=0.256, unanswered=2)
-            assert re.fullmatch(
-                r"refine 0 s · iteration 3 of 8 · 120 candidates/s · about 10 s left · "
-                r"4 calls, 0.26 USD · waiting for 2 responses",
-                line.text(),
-            )
-            progress.update(unanswered=1)
-            assert line.text().endswith("waiting for 1 response")
-            progress.report("export: begun", step="export")
-            progress.update(unanswered=0)
-            assert line.text() == "export 0 s · 4 calls, 0.26 USD · computing"
-        finally:
-            log.removeHandler(line)
-            log.setLevel(logging.NOTSET)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from ..config import VerifyOptions
 from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.kinematics import with_joint
 from ..spec.opening import opening_alignment
-from .compile_checks import MIN_OPENING_COSINE
+from .compile_checks import MIN_OPENING_COSINE, TOUCH_GAP_M
 from .joint_sweep import (
     JointRange,
     JointSweep,
@@ -36,10 +36,12 @@ CLEARANCE_FRACTION = 0.5
 The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain
 free.
 """
+MAX_PIVOT_OFF = 0.05
+"""Largest distance of a hinge axis from the parts that it connects, over the child's diagonal."""
 GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
 
-The first limit is a multiple of `touch_gap_m`, the second is a fraction of the object's size.
+The first limit is a multiple of `TOUCH_GAP_M`, the second is a fraction of the object's size.
 """
 
 
@@ -64,7 +66,7 @@ def check_joints(
 
     Args:
         spec: the object.
-        options: thresholds and the resolution of the sweep.
+        options: the allowed depth.
         allowances: overlaps that the object's program declares.
     """
     probe = Probe(spec)
@@ -84,8 +86,8 @@ def check_joints(
     if len(sweep.ranges) > 1:
         checks.append(_combinations(sweep, free, options))
     probe.place({})
-    checks += _gaps(probe, options)
-    checks += _pivots(probe, options)
+    checks += _gaps(probe)
+    checks += _pivots(probe)
     checks += _intents(spec)
     return JointChecks(checks, free, overlapping)
 
@@ -227,7 +229,7 @@ def _combinations(
     sweep: JointSweep, free: Mapping[str, tuple[float, float]], options: VerifyOptions
 ) -> Check:
     """Check the largest depth while all joints move at once within their collision-free ranges."""
-    deepest = sweep_combinations(sweep, options, free)
+    deepest = sweep_combinations(sweep, free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
     if pair is not None:
@@ -239,11 +241,11 @@ def _combinations(
     return make_check("joint_range", "depth:together", worst, limit, evidence=evidence)
 
 
-def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+def _gaps(probe: Probe) -> Iterator[Check]:
     """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
-    slack = max(GAP_SLACK * options.touch_gap_m, GAP_FRACTION * size)
+    slack = max(GAP_SLACK * TOUCH_GAP_M, GAP_FRACTION * size)
     reach = 20 * slack
     limit = Limit(slack, "m", Fault.PART_DETACHED)
     for joint in probe.spec.joints:
@@ -259,7 +261,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+def _pivots(probe: Probe) -> Iterator[Check]:
     """Check the distance [m] of each turning joint's axis from the two parts that it connects."""
     for joint in probe.spec.joints:
         placeholders = [is_placeholder(probe.spec.part(n)) for n in (joint.child, joint.parent)]
@@ -275,7 +277,7 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
             # parent may end before the axis.
             distance = max(distance, line_box_distance(point, axis, *parent) / 2)
         size = float(np.linalg.norm(child[1] - child[0]))
-        limit = Limit(max(options.max_pivot_off * size, 0.004), "m", Fault.PIVOT_OFF)
+        limit = Limit(max(MAX_PIVOT_OFF * size, 0.004), "m", Fault.PIVOT_OFF)
         yield make_check(
             "static", f"pivot:{joint.name}", distance, limit, part=joint.child, joint=joint.name,
             evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",

@@ -33,6 +33,8 @@ _DIRECTIONS = [
     if any(direction)
 ]
 """Unit vectors from the center of a cube to its 6 faces, 12 edges and 8 corners."""
+SWEEP_STEPS, SWEEP_COMBINATIONS = 13, 16
+"""Positions over the range of each joint, and states in which all joints are moved at once."""
 _RANGE_END = 0.02
 """Distance of the additional positions from the limits, as a fraction of the range."""
 
@@ -113,7 +115,7 @@ def sweep_joints(
 
     Args:
         probe: the object.
-        options: thresholds and the number of positions.
+        options: the allowed depth.
         allowances: overlaps that the object's program declares.
         ignored: names of placeholder parts, which stand for links without geometry.
     """
@@ -137,7 +139,7 @@ def sweep_joints(
     }
     pairs = [p for p in allowed if p not in at_rest or at_rest[p].depth <= allowed[p]]
     ranges = [
-        sweep_range(probe, joint, pairs, allowed, options.sweep_steps)
+        sweep_range(probe, joint, pairs, allowed, SWEEP_STEPS)
         for joint in spec.joints
         if joint.type != "fixed" and joint.mimic is None
     ]
@@ -239,7 +241,6 @@ def collides_at(
 
 def sweep_combinations(
     sweep: JointSweep,
-    options: JointSweepOptions,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[Pair, Overlap]:
     """Move all joints at once, and return the pairs that overlap too deeply only in combinations.
@@ -248,7 +249,6 @@ def sweep_combinations(
 
     Args:
         sweep: measurements of the object.
-        options: the number of sampled states.
         free: range [rad or m] to which a joint is restricted, by the joint's name.
     """
     free = free or {}
@@ -258,7 +258,7 @@ def sweep_combinations(
     colliding = sweep.colliding
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
-    for k in range(options.sweep_combinations):
+    for k in range(SWEEP_COMBINATIONS):
         # In the first two states, all joints are at the upper end or all at the lower end, where
         # parts often collide.
         state: State = {}
@@ -340,8 +340,8 @@ def overlap_signals(
             for pair, overlap in sweep.too_deep(swept.deepest).items()
         ]
         if not signals:
-            signals += _needless_prerequisites(sweep, swept, options)
-    for pair, overlap in sweep_combinations(sweep, options).items():
+            signals += _needless_prerequisites(sweep, swept)
+    for pair, overlap in sweep_combinations(sweep).items():
         a, b = (probe.names[index] for index in pair)
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
         message = f"parts {a!r} and {b!r} enter each other with {state[:200]}"
@@ -366,9 +366,7 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
     ]
 
 
-def _needless_prerequisites(
-    sweep: JointSweep, swept: JointRange, options: ProgramOptions
-) -> Iterator[Signal]:
+def _needless_prerequisites(sweep: JointSweep, swept: JointRange) -> Iterator[Signal]:
     """Yield an error for each prerequisite that, when closed, does not obstruct the joint.
 
     A prerequisite excludes states from the sweep, so needless prerequisites are not allowed.
@@ -378,7 +376,7 @@ def _needless_prerequisites(
         prerequisite = sweep.probe.spec.joint(name)
         others_open = {key: value for key, value in swept.prerequisites.items() if key != name}
         alone = sweep_range(
-            sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, others_open
+            sweep.probe, joint, swept.pairs, sweep.allowed, SWEEP_STEPS, others_open
         )
         if not sweep.too_deep(alone.deepest):
             message = f"joint {joint.name!r} waits for {name!r}, but {prerequisite.child!r} is not "

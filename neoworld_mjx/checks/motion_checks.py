@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from shapely import MultiPoint, Point
 
-from ..config import VerifyOptions
 from ..physics.mjcf import START, body_name
 from ..spec import bounds, link_poses, pieces
 from ..spec.convex import Piece, box_around
 from ..spec.pose import angle_between, matrix, pose, tilt_between
-from .scenarios import FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
-from .simulation import G, Simulation, Trajectory
+from .scenarios import DROP_HEIGHT_M, FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
+from .simulation import TIMESTEP_S, G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, make_check, skipped
 
 
@@ -128,6 +127,18 @@ SETTLE_WINDOW_S = 0.2
 """Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
 """Largest speed of a settled joint, measured at the far end of the parts that it moves [m/s]."""
+MAX_REST_SPEED = 0.01
+"""Largest speed at the end of a free fall [m/s]."""
+MAX_ENERGY_GAIN = 0.02
+"""Largest increase of mechanical energy without an applied force, over weight times extent."""
+MAX_OVERSHOOT = 0.05
+"""Largest travel beyond a joint limit, as a fraction of the joint's range."""
+MIN_MOBILITY = 0.9
+"""Smallest fraction of its range that a joint covers when it is driven in both directions."""
+MIN_LOSS = 0.05
+"""Smallest fraction of its speed that a coasting joint loses within `COAST_S`."""
+MIN_SLIDE_DEG, MAX_SLIDE_DEG = 5.0, 60.0
+"""Slope on which an object must remain at rest, and slope on which it must slide [deg]."""
 MAX_FREE_MOTION = 0.02
 """Largest motion of a joint on which no force acts, as a fraction of the joint's range."""
 SLIDING_M = 0.001
@@ -210,8 +221,8 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         in_place = Limit(
             max(ROUND_MAX_DRIFT * size, o.max_drift_m), "m", Fault.DRIFTS, hint=ROUND_HINT
         )
-    drop = o.drop_height_m
-    on_floor = Limit(drop + max(o.max_depth_m, 0.01 * size), "m", Fault.SINKS_IN, best=drop)
+    deepest = DROP_HEIGHT_M + max(o.max_depth_m, 0.01 * size)
+    on_floor = Limit(deepest, "m", Fault.SINKS_IN, best=DROP_HEIGHT_M)
     for trajectory in trajectories:
         if trajectory.diverged:
             yield _diverged(trajectory)
@@ -220,8 +231,8 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
         tilted = name not in ("fall", "fall_high")
         if not (rolls and tilted):
-            speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
-            limit = Limit(o.max_rest_speed, "m/s", Fault.RESTLESS)
+            speeds = np.linalg.norm(_last_steps(trajectory.qvel)[:, :3], axis=1)
+            limit = Limit(MAX_REST_SPEED, "m/s", Fault.RESTLESS)
             yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
         yield from _free_run(simulation, trajectory, name)
         if name == "fall":
@@ -269,10 +280,10 @@ def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iter
     # height, the energy of soft contacts would be large for a plate.
     weight = simulation.mass * G * float(simulation.size.max())
     # A push adds energy. Afterwards, the energy must not increase.
-    first = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
+    first = 0 if pushed is None else round(o.push_duration_s / TIMESTEP_S) + 1
     energy = trajectory.energy[first:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
-    limit = Limit(o.max_energy_gain, "", Fault.GAINS_ENERGY)
+    limit = Limit(MAX_ENERGY_GAIN, "", Fault.GAINS_ENERGY)
     yield _check(trajectory, f"energy_gain:{name}", gain, limit, part=pushed)
     yield _overshoot(simulation, trajectory, f"limit_overshoot:{name}")
 
@@ -283,7 +294,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     A released joint must settle, a joint without forces must not move, and a coasting joint must
     lose speed.
     """
-    scenario, o = trajectory.scenario, simulation.options
+    scenario = trajectory.scenario
     name, joint = scenario.name, simulation.joint_of(scenario)
     position, dof = simulation.address(joint.name)
     span = joint.high - joint.low
@@ -296,13 +307,13 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
         limit = Limit(MAX_FREE_MOTION, "of its range", Fault.JOINT_MOVES_ITSELF)
         yield _check(trajectory, name, float(np.abs(q - q[0]).max()) / span, limit, **names)
     elif kind == "coast":
-        step = min(round(COAST_S / o.timestep_s), len(trajectory.time) - 1)
+        step = min(round(COAST_S / TIMESTEP_S), len(trajectory.time) - 1)
         loss = 1.0 - abs(float(trajectory.qvel[step, dof])) / abs(scenario.speeds[joint.name])
-        limit = Limit(o.min_loss, "of it", Fault.JOINT_UNDAMPED, least=True)
+        limit = Limit(MIN_LOSS, "of it", Fault.JOINT_UNDAMPED, least=True)
         yield _check(trajectory, name, loss, limit, **names, time=COAST_S)
     else:
         if span < 2 * np.pi - 1e-6:
-            fastest = float(np.abs(_last_steps(o, trajectory.qvel)[:, dof]).max())
+            fastest = float(np.abs(_last_steps(trajectory.qvel)[:, dof]).max())
             limit = Limit(JOINT_SPEED, "m/s", Fault.RESTLESS)
             speed = fastest * simulation.moment_arm(joint)
             yield _check(trajectory, name, speed, limit, **names)
@@ -315,8 +326,7 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     joint = simulation.joint_of(scenario)
     q = trajectory.qpos[:, simulation.address(joint.name)[0]]
     covered = float(np.ptp(q)) / (joint.high - joint.low)
-    threshold = simulation.options.min_mobility
-    limit = Limit(threshold, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
+    limit = Limit(MIN_MOBILITY, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
     yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
 
 
@@ -327,7 +337,7 @@ def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     if on_wheels(simulation):
         yield skipped(kind, name, "it stands on wheels")
         return
-    begin = round(STILL_S / o.timestep_s)
+    begin = round(STILL_S / TIMESTEP_S)
     sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > SLIDING_M
     tilted = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
     slope = np.degrees(slope_angle(trajectory.time, o.duration_s))
@@ -340,8 +350,8 @@ def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     rate = np.radians(FINAL_SLOPE_DEG) / (o.duration_s - SLOPE_START_S)
     delay = (6 * SLIDING_M / (G * rate)) ** (1 / 3)
     angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
-    shallow = angle < o.min_slide_deg
-    threshold = o.min_slide_deg if shallow else o.max_slide_deg
+    shallow = angle < MIN_SLIDE_DEG
+    threshold = MIN_SLIDE_DEG if shallow else MAX_SLIDE_DEG
     limit = Limit(threshold, "deg", Fault.FRICTION_IMPLAUSIBLE, least=shallow)
     yield _check(trajectory, name, angle, limit, time=trajectory.time[first])
 
@@ -354,12 +364,12 @@ def _diverged(trajectory: Trajectory) -> Check:
     return _check(trajectory, name, float("nan"), limit, part=part, joint=joint, time=time)
 
 
-def _last_steps(options: VerifyOptions, values: NDArray) -> NDArray:
+def _last_steps(values: NDArray) -> NDArray:
     """Return the values of the last steps of a run, during which the object must be settled.
 
     The first axis of the values is time.
     """
-    return values[-max(1, round(SETTLE_WINDOW_S / options.timestep_s)) :]
+    return values[-max(1, round(SETTLE_WINDOW_S / TIMESTEP_S)) :]
 
 
 def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None]:
@@ -381,7 +391,7 @@ def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[floa
 def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Check:
     """Check the largest excess over any joint's limits, relative to the joint's range."""
     model = simulation.model
-    limit = Limit(simulation.options.max_overshoot, "of its range", Fault.LIMIT_SOFT)
+    limit = Limit(MAX_OVERSHOOT, "of its range", Fault.LIMIT_SOFT)
     single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
     limited = np.flatnonzero(model.jnt_limited.astype(bool) & single)
     if not len(limited):

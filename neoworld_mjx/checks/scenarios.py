@@ -28,6 +28,8 @@ STILL_S = 0.1
 """Time before a joint is driven [s]."""
 SLOPE_START_S, FINAL_SLOPE_DEG = 0.3, 70.0
 """Time at which the slope begins to rise [s], and the final angle of the slope [deg]."""
+DROP_HEIGHT_M, HIGH_DROP_M, DROP_TILT_DEG = 0.005, 0.02, 3.0
+"""Heights of the two free falls [m], and the initial tilt of the tilted falls [deg]."""
 DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
@@ -96,21 +98,20 @@ def list_scenarios(
         fixed_base: if True, the base is fixed, and only the scenarios of the joints are returned.
     """
     slope = Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
-    scenarios = [] if fixed_base else [*_falls(options), *_pushes(parts, options), slope]
+    scenarios = [] if fixed_base else [*_falls(), *_pushes(parts, options), slope]
     for joint in joints:
         scenarios += [*_releases(joint), *_drives(joint)]
     return scenarios
 
 
-def _falls(options: VerifyOptions) -> list[Scenario]:
+def _falls() -> list[Scenario]:
     """Return free falls from a small and from a larger height, and tilted about x and about y."""
-    lean = float(np.radians(options.drop_tilt_deg))
-    low, high = options.drop_height_m, options.high_drop_m
+    lean = float(np.radians(DROP_TILT_DEG))
     return [
-        Scenario("free_fall", "fall", "free", height=low),
-        Scenario("free_fall", "fall_high", "free", height=high),
-        Scenario("free_fall", "fall_tilted_x", "free", height=low, tilt=(lean, 0.0)),
-        Scenario("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, lean)),
+        Scenario("free_fall", "fall", "free", height=DROP_HEIGHT_M),
+        Scenario("free_fall", "fall_high", "free", height=HIGH_DROP_M),
+        Scenario("free_fall", "fall_tilted_x", "free", height=DROP_HEIGHT_M, tilt=(lean, 0.0)),
+        Scenario("free_fall", "fall_tilted_y", "free", height=DROP_HEIGHT_M, tilt=(0.0, lean)),
     ]
 
 

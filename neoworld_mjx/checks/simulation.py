@@ -25,6 +25,10 @@ from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
 from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World, slope_angle
 
+TIMESTEP_S = 0.002
+"""Time step of the simulation [s]."""
+JOINT_PUSH_S = 0.5
+"""Time in which a free joint is pushed across its range [s]."""
 FLOOR = "test_floor"
 FIXING_ARMATURE = 1e6
 """Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
@@ -56,13 +60,13 @@ class Simulation:
 
     Args:
         spec: the object.
-        options: time step and duration.
+        options: duration and forces.
         tilt: orientation in which the object rests; scenarios can add a tilt.
     """
 
     def __init__(self, spec: ObjectSpec, options: VerifyOptions, tilt: Quat = IDENTITY) -> None:
         self.spec, self.options, self.tilt = spec, options, np.array(tilt)
-        mjspec = to_mjspec(spec, timestep=options.timestep_s)
+        mjspec = to_mjspec(spec, timestep=TIMESTEP_S)
         floor = mjspec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE)
         floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
         for kind in (mujoco.mjtSensor.mjSENS_E_POTENTIAL, mujoco.mjtSensor.mjSENS_E_KINETIC):
@@ -72,7 +76,7 @@ class Simulation:
         # With soft dry friction, a stuck joint creeps and would appear to move, so friction is
         # stiff. If damping stops a joint within one step, stiff friction would drive the joint.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
-        free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
+        free.dof_solimp[TIMESTEP_S * damping < free.dof_M0, :2] = 0.9999
         self._fixed_joint_models: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
         self.data = mujoco.MjData(free)
         self.root = free.body(spec.name).id
@@ -174,8 +178,8 @@ class Simulation:
     def forces(self, scenario: Scenario, start: NDArray) -> NDArray:
         """Return the forces of a scenario on joints and bodies, shape [t, nv + 6 nbody]."""
         model, data, o = self.model_of(scenario), self.data, self.options
-        steps = round(o.duration_s / o.timestep_s)
-        time = np.arange(steps) * o.timestep_s
+        steps = round(o.duration_s / TIMESTEP_S)
+        time = np.arange(steps) * TIMESTEP_S
         joint = np.zeros((steps, model.nv))
         body = np.zeros((steps, model.nbody, 6))
         if scenario.part is not None or scenario.driven:
@@ -221,7 +225,7 @@ class Simulation:
     def drive_force(self, scenario: Scenario) -> float:
         """Return the force [N] or torque [N m] with which a hand drives a joint.
 
-        The force suffices to move the joint through its range in `joint_push_s` against losses and
+        The force suffices to move the joint through its range in `JOINT_PUSH_S` against losses and
         weight, but does not exceed the force of a hand at the far end of the child.
         """
         model, o = self.model_of(scenario), self.options
@@ -238,8 +242,8 @@ class Simulation:
             inertia = max(inertia, float(_mass_matrix(model, data)[dof, dof]))
             load = max(load, abs(float(data.qfrc_bias[dof])))
         span = joint.high - joint.low
-        required = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
-        required += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
+        required = 2 * inertia * span / JOINT_PUSH_S**2 + 2 * float(model.dof_frictionloss[dof])
+        required += float(model.dof_damping[dof].sum()) * span / JOINT_PUSH_S + 1.5 * load
         # Springs and contacts require a larger force.
         required = max(2 * required, 1e-9)
         child = model.body(body_name(self.spec, joint.child)).id
@@ -268,7 +272,7 @@ class Simulation:
     def run(self, scenarios: Sequence[Scenario], threads: int = 0) -> list[Trajectory]:
         """Roll out all scenarios, in one batch unless the forces need too much memory."""
         threads = threads or os.cpu_count() or 1
-        steps = round(self.options.duration_s / self.options.timestep_s)
+        steps = round(self.options.duration_s / TIMESTEP_S)
         size = max(1, CONTROL_BYTES // (8 * steps * (self.model.nv + 6 * self.model.nbody)))
         data = [mujoco.MjData(self.model) for _ in range(threads)]
         trajectories: list[Trajectory] = []

@@ -42,12 +42,6 @@ def _gpu_in_use() -> bool:
     return which("nvidia-smi") is None or any(d.platform == "gpu" for d in jax.devices())
 
 
-def _cached() -> bool:
-    from ..cache import cache_folder
-
-    return cache_folder().is_dir()
-
-
 def _blender() -> bool:
     from ..program.blender.blender_process import blender_python
 
@@ -86,19 +80,9 @@ COMPONENTS = (
         "uv sync --inexact --extra metrics",
     ),
     Component(
-        *("extra plot", _installed("matplotlib")),
-        "sweeps draw no figure",
-        "uv sync --inexact --extra plot",
-    ),
-    Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "neoworld doctor --install blender",
-    ),
-    Component(
-        *("compilations of an earlier run", _cached),
-        "the first run compiles for 30 s or more",
-        "uv run neoworld reconstruct examples/coffee.png --out out",
     ),
 )
 
@@ -122,11 +106,9 @@ class DoctorCommand(Command):
 
         from ..cache import cache_folder
         from ..engines import ENGINES
-        from ..mllm.provider import bundled_tapes
         from ..run_folder import versions
 
         cache = cache_folder()
-        tapes = sorted(path.name for path in bundled_tapes().glob("*") if path.is_file())
         return {
             "system": platform.platform(),
             "cores": os.cpu_count(),
@@ -134,7 +116,6 @@ class DoctorCommand(Command):
             "engines": {name: _engine(name) for name in ENGINES},
             "cache": {"folder": str(cache), "exists": cache.is_dir()},
             "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
-            "tapes": tapes,
             "missing": [
                 {"name": part.name, "consequence": part.consequence, "remedy": part.remedy}
                 for part in COMPONENTS

@@ -36,28 +36,12 @@ class ParseOptions(Options):
 class JointSweepOptions(Options):
     """Options of the joint sweep in Steps 2 and 3.
 
-    `program` and `verify` both have these options. Set them to the same values; otherwise Step 3
-    may reject an object that Step 2 accepted.
+    `program` and `verify` both have this option. Set both to the same value; otherwise Step 3 may
+    reject an object that Step 2 accepted.
     """
 
     max_depth_m: float = option(
         0.001, "Maximum penetration between two parts of an object.", unit="m", gt=0
-    )
-    touch_gap_m: float = option(
-        0.002,
-        "Maximum gap between a part and the part to which it is attached. Step 3 allows twice this "
-        "gap, or 1 % of the object's size if that is larger.",
-        unit="m",
-        ge=0,
-    )
-    sweep_steps: int = option(
-        13, "Number of positions that are tested over the range of each joint.", ge=3, le=1000
-    )
-    sweep_combinations: int = option(
-        16,
-        "Number of tested configurations in which all joints are moved at once.",
-        ge=0,
-        le=10_000,
     )
 
 
@@ -111,17 +95,6 @@ class ProgramOptions(JointSweepOptions):
         gt=0,
     )
     memory_mib: int = option(64, "Memory limit of the program.", unit="MiB", ge=8)
-    max_recursion: int = option(200, "Maximum recursion depth of the program.", ge=10)
-    max_calls: int = option(5000, "Maximum number of SDK calls.", ge=10)
-    max_output_bytes: int = option(
-        20_000, "Maximum length of the program's output.", unit="B", ge=0
-    )
-    max_text_bytes: int = option(
-        200_000, "Maximum length of the program's source.", unit="B", ge=100
-    )
-    max_parts: int = option(300, "Maximum number of parts of an object.", ge=1)
-    max_geoms: int = option(3000, "Maximum number of visual geoms of an object.", ge=1)
-    max_pieces: int = option(4000, "Maximum number of convex collision geoms of an object.", ge=1)
     blender_timeout_s: float = option(
         20.0,
         "CPU time limit for a program in Blender, and separately for the convex decomposition of "
@@ -144,8 +117,6 @@ class VerifyOptions(JointSweepOptions):
     """Options of Step 3, object-level physics."""
 
     duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", ge=0.5, le=100)
-    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", ge=1e-4, le=0.02)
-    drop_height_m: float = option(0.005, "Height of the free fall.", unit="m", ge=0)
     impulse_ns_per_kg: float = option(
         0.3,
         "Impulse of the force perturbation per unit mass, which equals the change of velocity "
@@ -162,54 +133,12 @@ class VerifyOptions(JointSweepOptions):
     )
     max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
-    max_rest_speed: float = option(
-        0.01, "Maximum speed at the end of the free fall.", unit="m/s", gt=0
-    )
-    max_energy_gain: float = option(
-        0.02,
-        "Maximum increase of mechanical energy without an applied force, relative to the object's "
-        "weight times its extent.",
-        gt=0,
-    )
-    max_overshoot: float = option(
-        0.05, "Maximum travel beyond a joint limit, relative to the joint's range.", gt=0
-    )
-    joint_push_s: float = option(
-        0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0, le=100
-    )
-    min_mobility: float = option(
-        0.9,
-        "Minimum fraction of its range that a joint must cover when it is driven in both "
-        "directions.",
-        gt=0,
-        le=1,
-    )
     hand_force_n: float = option(
         100.0,
         "Maximum force that drives a joint, applied at the far end of the part. Half of the part's "
         "weight is added to this force.",
         unit="N",
         gt=0,
-    )
-    high_drop_m: float = option(0.02, "Height of the second, higher free fall.", unit="m", ge=0)
-    drop_tilt_deg: float = option(3.0, "Initial tilt of the tilted drops.", unit="deg", ge=0, lt=45)
-    min_loss: float = option(
-        0.05,
-        "Minimum fraction of its velocity that a freely moving joint must lose in 0.5 s.",
-        ge=0,
-        lt=1,
-    )
-    min_slide_deg: float = option(
-        5.0, "Slope on which an object must remain at rest.", unit="deg", ge=0
-    )
-    max_slide_deg: float = option(
-        60.0, "Slope on which an object must slide.", unit="deg", gt=0, le=65
-    )
-    max_pivot_off: float = option(
-        0.05,
-        "Maximum distance between a hinge axis and the parts that it connects, relative to the "
-        "child's diagonal.",
-        ge=0,
     )
     rounds: int = option(
         6, "Maximum number of repair attempts per object; 0 leaves objects unchanged.", ge=0

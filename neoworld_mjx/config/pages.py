@@ -26,14 +26,6 @@ YAML file (`--config`) or individually (`--set refine.cem.population=64`).
 
 If you resume a run after you have changed options of a group (`parse`, `program`, `verify`,
 `compose`, `refine`), the step of this group is repeated, and so are all steps that read its files.
-
-The last column gives the cost of changing an option during the search, which is also its cost in a
-[sweep](how-to/sweeps.md):
-
-- **nothing**: the value is used outside compiled code.
-- **nothing, traced**: the value is an array argument of compiled code, so all values in a sweep
-  share one computation.
-- **recompiles**, with the reason: the value is part of the compiled code.
 """
 
 
@@ -123,8 +115,8 @@ def _options_group(group: Options, prefix: str, title: str) -> Iterator[str]:
     options = [o for o in list_options(group, prefix) if "." not in o.path[len(prefix) :]]
     if options:
         yield f"\n## {title}\n\n{_summary(group)}\n\n"
-        yield "| option | default | valid | unit | meaning | cost of a change |\n"
-        yield "|---|---|---|---|---|---|\n"
+        yield "| option | default | valid | unit | meaning |\n"
+        yield "|---|---|---|---|---|\n"
         yield from map(_row, options)
     for name in type(group).model_fields:
         inner = getattr(group, name)
@@ -135,16 +127,8 @@ def _options_group(group: Options, prefix: str, title: str) -> Iterator[str]:
 def _row(option: Option) -> str:
     valid = ", ".join(option.values) or option.bounds
     cells = [f"`{option.path}`", f"`{_flow(option.default)}`", valid, option.unit, option.meaning]
-    escaped = (cell.replace("|", r"\|") for cell in [*cells, _cost(option)])
+    escaped = (cell.replace("|", r"\|") for cell in cells)
     return f"| {' | '.join(escaped)} |\n"
-
-
-def _cost(option: Option) -> str:
-    if option.kind == "static":
-        return f"recompiles: {option.reason}"
-    if option.kind == "traced":
-        return f"nothing, traced; but {option.reason}" if option.reason else "nothing, traced"
-    return "nothing"
 
 
 def _summary(group: Options) -> str:

@@ -1,41 +1,32 @@
-"""Options of Step 5: search, rewards, rollouts, semantic scores and the final check.
-
-Every option is declared as host, traced or static (see `options.Kind`).
-"""
+"""Options of Step 5: search, rewards, rollouts, semantic scores and the final check."""
 
 from typing import Literal
 
 from ..engines import ENGINES_HELP, EngineChoice
-from ..options import Options, PaperDifference, option, static, traced
-
-_PROGRAM, _SHAPE = "changes the compiled code", "sets array shapes"
-_SHARED = "is shared by all candidates of a rollout"
-_EARLY_STOP = "sets the early-stop rule"
-"""Reason of options that are traced in the reward, but static if `rollout.early_stop` is true."""
+from ..options import Options, PaperDifference, option
 
 
 class CEMOptions(Options):
     """Options of the Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
 
-    population: int = static(_SHAPE, 64, "Number of candidates per iteration.", ge=2, le=100_000)
+    population: int = option(64, "Number of candidates per iteration.", ge=2, le=100_000)
     iterations: int = option(8, "Maximum number of iterations.", ge=1, le=10_000)
-    elite_ratio: float = static(
-        _SHAPE,
+    elite_ratio: float = option(
         0.125,
         "Fraction of candidates that are elites: K = elite_ratio * population.",
         gt=0,
         le=1,
     )
-    sigma_xy: float = traced(
+    sigma_xy: float = option(
         0.05,
         "Initial standard deviation of x and y.",
         unit="the object's horizontal bounding-box diagonal",
         ge=0,
     )
-    sigma_yaw_deg: float = traced(
+    sigma_yaw_deg: float = option(
         15.0, "Initial standard deviation of the yaw angle.", unit="deg", ge=0
     )
-    sigma_log_scale: float = traced(
+    sigma_log_scale: float = option(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
     hold_resting: bool = option(
@@ -49,7 +40,7 @@ class CEMOptions(Options):
             False, "Moving an object that already rests where it should can only make it worse."
         ),
     )
-    widest: float = traced(
+    widest: float = option(
         8.0,
         "Upper limit of a factor that multiplies the standard deviations of an object. The factor "
         "doubles in every iteration in which the object rests in no candidate; for yaw and scale "
@@ -63,7 +54,7 @@ class CEMOptions(Options):
             "the support.",
         ),
     )
-    sigma_floor: float = traced(
+    sigma_floor: float = option(
         0.02,
         "Minimum standard deviation, as a fraction of the initial standard deviation.",
         ge=0,
@@ -73,21 +64,19 @@ class CEMOptions(Options):
             "the search.",
         ),
     )
-    smoothing: float = traced(
+    smoothing: float = option(
         0.0,
         "Weight of the previous mean and standard deviation in an update; Algorithm 1 uses 0.",
         ge=0,
         lt=1,
     )
-    zero_candidate: bool = static(
-        _PROGRAM,
+    zero_candidate: bool = option(
         True,
         "Include the mean of the Gaussian as a candidate. In the first iteration, this is the "
         "initial layout.",
         difference=PaperDifference(False, "A valid initial layout should be accepted immediately."),
     )
-    credit: Literal["scene", "object"] = static(
-        _PROGRAM,
+    credit: Literal["scene", "object"] = option(
         "object",
         "Reward that selects the elites until a candidate is valid. scene: the reward of the whole "
         "scene, for all objects. object: a separate reward for each object, from the terms that "
@@ -97,7 +86,7 @@ class CEMOptions(Options):
             "In a scene of many objects, hardly any candidate is good for all objects.",
         ),
     )
-    stop_by: Literal["best", "elites"] = traced(
+    stop_by: Literal["best", "elites"] = option(
         "best",
         "Quantity whose gain decides when the search stops. best: the merit of the best valid "
         "candidate so far. elites: the mean absolute reward of the elites, as in Algorithm 1.",
@@ -105,12 +94,12 @@ class CEMOptions(Options):
             "elites", "The result is the best candidate; the mean of the elites does not matter."
         ),
     )
-    stop_gain: float = traced(
+    stop_gain: float = option(
         0.005,
         "Gain in the quantity of `stop_by` below which an iteration counts toward `patience`.",
         ge=0,
     )
-    patience: int = traced(
+    patience: int = option(
         1,
         "Number of consecutive iterations with a gain below `stop_gain` that end the search; "
         "Algorithm 1 uses 1.",
@@ -121,10 +110,10 @@ class CEMOptions(Options):
 class RewardOptions(Options):
     """Options of the reward R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3)."""
 
-    w_sem: float = traced(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
-    w_pen: float = traced(1.0, "Weight of D_pen, the penetration.", ge=0)
-    w_drift: float = traced(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
-    w_prior: float = traced(
+    w_sem: float = option(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
+    w_pen: float = option(1.0, "Weight of D_pen, the penetration.", ge=0)
+    w_drift: float = option(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
+    w_prior: float = option(
         0.3,
         "Weight of the prior, the mean of (z / sigma)^2 over all objects and their four variables. "
         "z is the distance of a variable from the initial layout, and sigma is its initial "
@@ -136,8 +125,7 @@ class RewardOptions(Options):
             "penetration.",
         ),
     )
-    normalisation: Literal["iteration", "fixed"] = static(
-        _PROGRAM,
+    normalisation: Literal["iteration", "fixed"] = option(
         "fixed",
         "Normalization of D_pen and D_drift. iteration: by their ranges over the candidates of an "
         "iteration. fixed: by `d_pen_cap_m` and `d_drift_cap`.",
@@ -146,17 +134,16 @@ class RewardOptions(Options):
             "Rewards are comparable between iterations, and their bounds are known before physics.",
         ),
     )
-    d_pen_cap_m: float = traced(0.005, "Value at which D_pen is clipped.", unit="m", gt=0)
-    d_drift_cap: float = traced(
+    d_pen_cap_m: float = option(0.005, "Value at which D_pen is clipped.", unit="m", gt=0)
+    d_drift_cap: float = option(
         3.0,
         "Value at which D_drift is clipped; 3 is 3 cm or 15 degrees. A small cap keeps the "
         "difference between valid and nearly valid candidates large compared with the difference "
         "between two bad candidates.",
         unit="drift scales",
-        reason=_EARLY_STOP,
         gt=0,
     )
-    drift_free: float = traced(
+    drift_free: float = option(
         0.1,
         "Drift of an object that costs nothing; 0.1 is 1 mm or 0.5 degrees. Stable objects move by "
         "about this much when they settle.",
@@ -168,27 +155,25 @@ class RewardOptions(Options):
             "candidates.",
         ),
     )
-    pen_scale_m: float = traced(
+    pen_scale_m: float = option(
         0.001,
         "Scale of D_pen in the absolute reward, which is comparable between iterations.",
         unit="m",
         gt=0,
     )
-    drift_scale_m: float = traced(
+    drift_scale_m: float = option(
         0.01,
         "Displacement that counts as a drift of 1 in D_drift.",
         unit="m",
-        reason=_EARLY_STOP,
         gt=0,
     )
-    tilt_scale_deg: float = traced(
+    tilt_scale_deg: float = option(
         5.0,
         "Rotation that counts as a drift of 1 in D_drift.",
         unit="deg",
-        reason=_EARLY_STOP,
         gt=0,
     )
-    terms: dict[str, float] = traced(
+    terms: dict[str, float] = option(
         {},
         'Further reward terms by their import paths "package.module:function", and their weights. '
         "Weights are traced; a change of the terms recompiles.",
@@ -198,9 +183,8 @@ class RewardOptions(Options):
 class RolloutOptions(Options):
     """Options of the free-fall rollouts of candidate layouts."""
 
-    engine: EngineChoice = static(_PROGRAM, "auto", f"{ENGINES_HELP}.")
-    duration_s: float = static(
-        _SHARED,
+    engine: EngineChoice = option("auto", f"{ENGINES_HELP}.")
+    duration_s: float = option(
         1.0,
         "Simulated time. If 0, candidates are scored without simulation, and only the final check "
         "tests stability.",
@@ -208,17 +192,15 @@ class RolloutOptions(Options):
         ge=0,
         le=100,
     )
-    timestep_s: float = static(
-        "is part of the compiled scene",
+    timestep_s: float = option(
         0.004,
         "Time step of the simulation.",
         unit="s",
         ge=1e-4,
         le=0.1,
     )
-    record_every_s: float = static(_SHAPE, 0.1, "Time between recorded poses.", unit="s", ge=0.001)
-    early_stop: bool = static(
-        _PROGRAM,
+    record_every_s: float = option(0.1, "Time between recorded poses.", unit="s", ge=0.001)
+    early_stop: bool = option(
         True,
         "End the rollout of a candidate as soon as its objects have settled, linger beyond the "
         "stability bounds, or have drifted beyond the cap.",
@@ -226,8 +208,8 @@ class RolloutOptions(Options):
             False, "Most candidates settle or fail long before the end of the rollout."
         ),
     )
-    samples_per_object: int = static(
-        _SHAPE, 256, "Number of surface samples per object for D_pen.", ge=16, le=10_000
+    samples_per_object: int = option(
+        256, "Number of surface samples per object for D_pen.", ge=16, le=10_000
     )
 
 
@@ -265,8 +247,7 @@ class SemanticOptions(Options):
 class SettleOptions(Options):
     """Options of settling under guidance, by springs to the placed poses that fade over time."""
 
-    enabled: bool = static(
-        _SHARED,
+    enabled: bool = option(
         True,
         "Settle the composed scene and every candidate under guidance, and score, check and export "
         "the settled poses. If false, the placed poses are used.",
@@ -276,9 +257,8 @@ class SettleOptions(Options):
             "layout can express and only simulation finds.",
         ),
     )
-    duration_s: float = static(_SHARED, 2.0, "Simulated time.", unit="s", gt=0, le=20)
-    rate: float = static(
-        _SHARED,
+    duration_s: float = option(2.0, "Simulated time.", unit="s", gt=0, le=20)
+    rate: float = option(
         12.0,
         "Natural frequency of the critically damped springs on position and rotation. The springs "
         "scale with the mass and inertia of each object, which sags by g / rate^2.",
@@ -286,19 +266,18 @@ class SettleOptions(Options):
         ge=0,
         le=50,
     )
-    fade_s: float = static(
-        _SHARED, 1.4, "Time in which the springs fade linearly to zero.", unit="s", gt=0, le=20
+    fade_s: float = option(
+        1.4, "Time in which the springs fade linearly to zero.", unit="s", gt=0, le=20
     )
-    max_speed_m_s: float = static(
-        _SHARED, 2.0, "Maximum speed of an object while it settles.", unit="m/s", gt=0, le=100
+    max_speed_m_s: float = option(
+        2.0, "Maximum speed of an object while it settles.", unit="m/s", gt=0, le=100
     )
 
 
 class RefineOptions(Options):
     """Options of Step 5, scene refinement: search, rewards, rollouts and the final check."""
 
-    optimizer: str = static(
-        _PROGRAM,
+    optimizer: str = option(
         "cem",
         "Optimizer: cem, random, cma_es, evosax:STRATEGY such as evosax:SNES, or the import path "
         '"package.module:function" of a function that builds an optimizer from the scene and the '
@@ -317,14 +296,14 @@ class RefineOptions(Options):
     )
     max_drift_m: float = option(0.01, "Maximum displacement in the final check.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in the final check.", unit="deg", gt=0)
-    max_depth_m: float = traced(
+    max_depth_m: float = option(
         0.001,
         "Maximum penetration depth in a valid candidate and in the final check.",
         unit="m",
         gt=0,
     )
     settle: SettleOptions = SettleOptions()
-    merit: Literal["fidelity", "absolute"] = traced(
+    merit: Literal["fidelity", "absolute"] = option(
         "fidelity",
         "Value that ranks valid candidates, and whose gain `cem.stop_by: best` tests. All other "
         "candidates rank behind the valid candidates, by absolute reward. fidelity: the absolute "

@@ -1,9 +1,4 @@
-"""Checks the XML of untrusted files before a library parses it.
-
-Readers call these functions in a limited worker (`io.limited_worker`), which bounds the memory and
-the time that files with many or repeated elements take.
-
-Reads triangles from untrusted mesh files.
+"""Reads triangles from untrusted mesh files, and checks untrusted XML before a library parses it.
 
 Readers call these functions in a limited worker (`io.limited_worker`), which bounds the memory and
 the time that a file takes, whatever it declares.

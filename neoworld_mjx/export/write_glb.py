@@ -1,13 +1,11 @@
-"""Mesh and texture files of an object, and formatting of numbers for all text formats.
+"""Visible surfaces of objects: mesh and texture files for all formats, and glTF files.
 
 As in rendered images, the tiles of a pattern are projected onto a triangle along the axis of the
 part's frame that is nearest to the triangle's normal. Prints of the photograph are projected from
 the photograph's camera.
 
-Writes glTF files of the visible surfaces of objects and scenes, and of the photograph's camera.
-
-The root nodes are the objects and the camera. The children of an object's node are its links, and
-the children of a link's node are its geoms.
+A glTF file contains the photograph's camera. Its root nodes are the objects and the camera. The
+children of an object's node are its links, and the children of a link's node are its geoms.
 """
 
 from collections.abc import Iterable

@@ -1,6 +1,6 @@
-"""Limits for untrusted files, and the limits that are active in the current context.
+"""Calls of functions on untrusted files and programs in workers with limited time and memory.
 
-Calls functions on untrusted files and programs in worker processes with limited time and memory.
+The limits are those that are active in the current context (`file_bounds`).
 
 A few bytes of glTF or MJCF can make a library allocate all memory, run for hours or crash. A
 server process, started on the first call, imports the readers once and forks a worker for each

@@ -1,8 +1,6 @@
-"""Readers of untrusted text and JSON files.
+"""Readers of untrusted text, JSON and YAML, with limits on size, nesting and number of values.
 
-One-line messages for pydantic's validation errors.
-
-Reader of untrusted YAML that limits size and nesting depth and rejects aliases.
+What does not fit a pydantic model is reported in one line.
 """
 
 import json

@@ -8,11 +8,8 @@ For each request, the panel
 - adds every call to the ledger, and records every response.
 
 A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
-`run`) and in any event loop (`ask`), even in several loops one after another.
-
-Run a coroutine from synchronous code, even inside a running event loop such as a notebook's.
-
-Keys of model servers, which are read only from the environment and removed from all output.
+`run`) and in any event loop (`ask`), even in several loops one after another. Keys of model
+servers are read only from the environment, and removed from all output.
 """
 
 import asyncio

@@ -23,7 +23,6 @@ def open_panel(
     photo: str | None = None,
     tapes: Sequence[Path] = (),
     mailbox: Path | None = None,
-    mailbox_timeout_s: float | None = None,
     record: Path | None = None,
     made: str = "",
 ) -> Panel:
@@ -38,8 +37,6 @@ def open_panel(
         photo: sha256 of the photo's file, by which its tape is found.
         tapes: tapes and folders of tapes, searched before the tapes of the package.
         mailbox: folder of the mailbox; required for the provider `mailbox`.
-        mailbox_timeout_s: maximum time that a request waits in the mailbox [s]. If None, there is
-            no limit.
         record: tape file. New responses are written to it, and recorded responses are reused.
         made: origin of the responses, written to the recorded tape.
 
@@ -54,7 +51,7 @@ def open_panel(
     if provider == "mailbox":
         if mailbox is None:
             raise ConfigError("provider mailbox needs a folder for its requests")
-        client = Mailbox(mailbox, timeout_s=mailbox_timeout_s)
+        client = Mailbox(mailbox)
     else:
         name = _from_environment(options) if provider == "auto" else provider
         client = _server(name, options) or _replay(provider, photo, tapes)

@@ -6,9 +6,8 @@ from recorded responses (a tape) or from a person.
 
 `Request.key` identifies the content of a request: role, system text, prompt, labels and decoded
 pixels of the pictures, and JSON schema. It does not depend on the name, the model and the
-compression of the pictures, so equal requests have the same key on every machine.
-
-Extraction and validation of the JSON object in a model's text.
+compression of the pictures, so equal requests have the same key on every machine. `read_response`
+finds and validates the JSON object in a model's text.
 """
 
 import hashlib

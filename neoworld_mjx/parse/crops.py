@@ -1,9 +1,9 @@
-"""Crops of objects for the programmer, with outlines of their neighbors and notes on occlusion.
+"""What the photograph shows of each node: crops of objects, and colors of supports.
 
-Colors of supports, measured on pixels that show only the support.
-
-A pixel shows a support if the ray through the pixel hits this support before any other, and if the
-pixel is within the support's 2D box and outside the 2D boxes of all objects.
+A crop has outlines of the object's neighbors and a note on occlusion. A color is measured on pixels
+that show only the support. A pixel shows a support if the ray through the pixel hits this support
+before any other, and if the pixel is within the support's 2D box and outside the 2D boxes of all
+objects.
 """
 
 from dataclasses import dataclass

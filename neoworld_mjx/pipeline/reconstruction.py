@@ -1,9 +1,7 @@
 """Reconstruct a photograph (paper Figure 2), or repeat the refinement of a run.
 
-Steps of a run. Each step reads files of the run folder, calls a package and writes files.
-
-A step declares everything that it reads as its inputs. The run folder repeats a step if its inputs
-have changed.
+Each step reads files of the run folder, calls a package and writes files. A step declares
+everything that it reads as its inputs. The run folder repeats a step if its inputs have changed.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,7 +1,4 @@
-"""Context of the steps of a run, and the files that they share.
-
-Pictures of the scene, rendered in a thread while the next steps of the run proceed.
-"""
+"""Context of the steps of a run: the files that they share, and pictures rendered in a thread."""
 
 import contextlib
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -29,11 +29,13 @@ from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
 from .part import Geom, Joint, Part, Shape
 from .sdk_object import Object
-from .session import LimitExceeded, Session, use_session
+from .session import MAX_OUTPUT_BYTES, LimitExceeded, Session, use_session
 
 MODULE = "neoworld_mjx.program.sdk"
 """The only module of the package that a program may import."""
 
+MAX_RECURSION, MAX_CALLS = 200, 5000
+"""Limits on a program's depth of recursion and on its calls of the SDK."""
 IMPORT_HINT = (
     f"import only from {MODULE}, math, random, itertools, functools, dataclasses and typing"
 )
@@ -292,12 +294,12 @@ def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple
         session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
     """
-    printed = monty.CollectString(max_bytes=options.max_output_bytes)
+    printed = monty.CollectString(max_bytes=MAX_OUTPUT_BYTES)
     limits: monty.ResourceLimits = {
         "max_feed_duration_secs": WALL_FACTOR * options.timeout_s,
         "max_memory": options.memory_mib << 20,
-        "max_recursion_depth": options.max_recursion,
-        "max_suspensions": options.max_calls,
+        "max_recursion_depth": MAX_RECURSION,
+        "max_suspensions": MAX_CALLS,
     }
     policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
     errors: list[Signal] = []
@@ -367,10 +369,10 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}
-    elif found.code == "memory" and f"> {options.max_output_bytes} bytes" in found.message:
-        update = {"code": "output", "hint": f"print at most {options.max_output_bytes} bytes"}
+    elif found.code == "memory" and f"> {MAX_OUTPUT_BYTES} bytes" in found.message:
+        update = {"code": "output", "hint": f"print at most {MAX_OUTPUT_BYTES} bytes"}
     elif isinstance(inner, RuntimeError) and "suspension" in found.message:
-        hint = f"make at most {options.max_calls} calls of the SDK"
+        hint = f"make at most {MAX_CALLS} calls of the SDK"
         update = {"code": "too_many_calls", "hint": hint}
     return found.model_copy(update=update)
 
@@ -396,7 +398,7 @@ def run_in_process(
         return output.getvalue(), [_raised(error, session)]
     if session.exceeded is not None:
         return output.getvalue(), [limit_signal(session.exceeded, session)]
-    return output.getvalue()[: options.max_output_bytes], []
+    return output.getvalue()[:MAX_OUTPUT_BYTES], []
 
 
 def _raised(error: BaseException, session: Session) -> Signal:

@@ -31,7 +31,7 @@ from .execution import (
     run_in_process,
     run_sandboxed,
 )
-from .session import LimitExceeded, Session
+from .session import MAX_TEXT_BYTES, LimitExceeded, Session
 
 _NEEDS = ("scipy.spatial", "manifold3d", "neoworld_mjx.program.sdk")
 """Modules that are imported before the worker starts, so that no program's time includes them."""
@@ -145,9 +145,7 @@ def _result(
     limited: bool = False,
 ) -> BuildResult:
     """Run a program with a function for its language, and assemble its object."""
-    session = Session(
-        max_parts=options.max_parts, max_geoms=options.max_geoms, max_pieces=options.max_pieces
-    )
+    session = Session()
     spec: ObjectSpec | None = None
     printed, errors = "", []
     try:
@@ -178,7 +176,7 @@ def _result(
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
     """Return an error if the text cannot be run, and an empty list otherwise."""
-    size, limit = len(text.encode("utf-8", "replace")), options.max_text_bytes
+    size, limit = len(text.encode("utf-8", "replace")), MAX_TEXT_BYTES
     if size > limit:
         message = "the program's text is too long"
         return [error_signal("too_long", message, value=size, threshold=limit)]

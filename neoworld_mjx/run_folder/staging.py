@@ -1,6 +1,4 @@
-"""Files of a run folder: the lock, moves of finished files into place, and disk errors.
-
-Earlier versions of files that a later step of a run has replaced.
+"""Files of a run folder: the lock, moves of finished files into place, and earlier versions.
 
 A step may replace a file of an earlier step, for example the scene tree or the program of an
 object. The earlier version is kept next to the file as history/STEP/NAME, where STEP is the step

@@ -1,6 +1,6 @@
-"""Nodes of a scene on a page: the surfaces and colliders of its parts, and the photograph.
+"""A scene on a page: surfaces and colliders of its parts, the photograph, and free fall.
 
-Simulation of the scene on the page in C MuJoCo, at most as fast as real time.
+C MuJoCo simulates the scene on the page, at most as fast as real time.
 """
 
 import threading

@@ -15,7 +15,6 @@ from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
 OBJECT_FILES = (".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of files that `import_object` reads, or refuses with the name of a converter."""
-"""Suffixes of object files."""
 SHOWN_PX = 1024
 """Longest side of the photograph on the page, in pixels."""
 
@@ -47,14 +46,14 @@ def open_target(path: Path, config: Config) -> ViewTarget:
         refuse_links(path)
         if (path / "run.json").is_file():
             return _run_target(path)
-        for name in ("scene.json", "resized.py", "program.py", "verified.json", "spec.json"):
+        for name in ("scene.json", "program.py", "spec.json"):
             if (path / name).is_file():
                 return open_target(path / name, config)
         raise SpecError(
             f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name "
             "a run folder, a scene.json, a program (.py), or a URDF or MJCF file"
         )
-    is_spec = path.name in ("spec.json", "verified.json")
+    is_spec = path.name == "spec.json"
     if is_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
         from ..verify.checking import object_of_file
 

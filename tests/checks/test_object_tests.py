@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks import scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, format_quantity, make_check
-from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
     AuthoredInertia,
     Box,
@@ -156,10 +156,10 @@ def test_joint_damping_does_not_hide_toppling():
     assert named(verdict, "drive:slide").fault is Fault.JOINT_STUCK
 
 
-def test_depth_at_impact_is_not_resting_depth():
+def test_depth_at_impact_is_not_resting_depth(monkeypatch):
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
-    options = VerifyOptions(high_drop_m=0.1)
-    tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
+    monkeypatch.setattr(scenarios, "HIGH_DROP_M", 0.1)
+    tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))))
     trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall_high")
     assert trajectory.qpos[:, 2].min() < -0.001
     assert named(tests.verdict, "resting_depth:fall_high").value < 1e-4

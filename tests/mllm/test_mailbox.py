@@ -1,7 +1,6 @@
 """The mailbox asks by folders, waits, rejects with a reason, and takes up what was begun."""
 
 import json
-import logging
 import os
 import threading
 import time
@@ -63,17 +62,6 @@ def test_a_folder_holds_the_whole_request(make, tmp_path):
         assert part in prompt
     assert json.loads((folder / "schema.json").read_text()) == requests.json_schema
     assert (folder / "1-the-photo.png").read_bytes() == requests.pictures[0].data
-
-
-def test_a_request_announces_itself_on_stderr_with_its_name_and_path(
-    make, tmp_path, capsys, monkeypatch
-):
-    # A command of another test may have given the package's log to its terminal.
-    monkeypatch.setattr(logging.getLogger("neoworld_mjx"), "handlers", [])
-    with panel_of(tmp_path, timeout_s=0.1) as panel, pytest.raises(ModelError):
-        panel.ask_sync(make.request(name="program:cup"))
-    response = tmp_path / "0001-program-cup" / "response.json"
-    assert f"mailbox: program:cup (reasoner) waits for {response}" in capsys.readouterr().err
 
 
 def test_invalid_responses_are_moved_aside_with_a_reason(make, tmp_path):

@@ -2,15 +2,14 @@
 
 import asyncio
 import json
-import sys
 import time
 from typing import Any
 
 import pytest
 
-from neoworld_mjx.config import MLLMOptions, RoleOptions
+from neoworld_mjx.config import RoleOptions
 from neoworld_mjx.errors import BudgetError, ModelError
-from neoworld_mjx.mllm import Panel, Tape, open_panel
+from neoworld_mjx.mllm import Panel, Tape
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.mllm.requests import Reply
 from tests.mllm.conftest import KEY, ask_all
@@ -144,13 +143,6 @@ def test_one_panel_serves_several_event_loops(connect, make):
     assert asyncio.run(ask_within_a_running_loop()).value.name == "red"
     panel.close()
     assert panel.ask_sync(make.request(prompt="anew")).value.name == "red"
-
-
-def test_openai_without_its_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "openai", None)
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    with pytest.raises(ModelError, match=r"uv sync --inexact --extra openai"):
-        open_panel(MLLMOptions(), "openai")
 
 
 def test_waiting_time_of_concurrent_requests_counts_once(make, monkeypatch):

@@ -137,7 +137,7 @@ def test_results_are_cached_by_content_and_version(tmp_path, monkeypatch):
     )
     assert verify_and_repair(spec) == first
     with pytest.raises(pytest.fail.Exception):
-        verify_and_repair(spec, VerifyOptions(drop_height_m=0.006))
+        verify_and_repair(spec, VerifyOptions(impulse_ns_per_kg=0.31))
     with pytest.raises(pytest.fail.Exception):
         verify_and_repair(objects.cupboard())
     monkeypatch.setattr(verification, "VERSION", "another")

@@ -313,27 +313,6 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
     assert "<script" not in write_report(finished).read_text()
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{half", "compose/align.json cannot be read"),
-        ("[]", "compose/align.json cannot be read"),
-        ("{}", "unexpected structure: KeyError"),
-        ('{"objects": {"cup": {}}}', "unexpected structure: KeyError"),
-        (
-            '{"pitch_deg": 0, "roll_deg": 0, "fovy_deg": 0, "height_m": 0, '
-            '"objects": {"cup": {"uncertainty": 3}}}',
-            "unexpected structure: TypeError",
-        ),
-    ],
-)
-def test_a_damaged_alignment_affects_only_its_section(finished, text, message):
-    (finished / "compose").mkdir(exist_ok=True)
-    (finished / "compose" / "align.json").write_text(text)
-    assert message in _photograph(finished)
-    assert "✓ pass table and ball: penetration" in _words(write_report(finished).read_text())
-
-
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunError, match="not a run folder"):
         write_report(tmp_path)
@@ -353,13 +332,6 @@ def test_the_iterations_of_a_search_are_listed(tmp_path):
     assert search.NOT_SAMPLED == choosing.NOT_SAMPLED
     assert "s_sem × 2" in words and "1 0.2000 0.1000 3 2 0" in words
     assert "2 0.7000 0.4000 8 4 1" in words and "0.625" in words
-
-
-def _change(name, place, scale=1.0, refused=""):
-    box = {"position": [0.5, 0.1, 0.0], "size": [0.1, 0.2, 0.3], "yaw": 0.5}
-    change = {"before": box, "after": box, "distance_m": place, "size_ratio": [scale] * 3}
-    change |= {"yaw_deg": 0.0, "hidden": [False, True, False, False], "refused": refused}
-    return {name: change}
 
 
 def test_changes_by_each_step_are_those_of_the_accepted_round_and_of_the_search(tmp_path):
@@ -392,15 +364,3 @@ def test_changes_by_each_step_are_those_of_the_accepted_round_and_of_the_search(
         assert moves["cup"][SHAPES] == "unchanged"
         assert moves["jug"][BOXES] == "unchanged: the fit was rejected"
         assert moves["cup"][SEARCH].endswith(words)
-
-
-def test_objects_that_were_not_tested_do_not_pass(finished):
-    """The report counts as passing only objects that were tested alone."""
-    for name in ("cup", "saucer"):
-        (finished / "objects" / name).mkdir(exist_ok=True)
-    words = _words(write_report(finished).read_text())
-    assert "2 of 3 were not tested alone" in words and "All 3 pass" not in words
-    (finished / "objects" / "jar" / "verify.json").unlink()
-    words = _words(write_report(finished).read_text())
-    assert "3 of 3 were not tested alone" in words
-    assert "the object tests, in which" not in words

@@ -80,30 +80,6 @@ def test_sliders_pose_the_object_as_its_kinematics_do(tmp_path, make):
     assert changed(slid, alone) > 0.01, "the table is hidden"
 
 
-@pytest.mark.slow
-def test_dragging_turns_and_wheel_zooms(tmp_path):
-    url = _write(tmp_path / "page.html", _scene(scenes.cabinet()))
-    with opened(url, offline=True) as page:
-        pictures = [_picture(page)]
-        box = page.page.locator("canvas").bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.page.mouse.move(x, y)
-        page.page.mouse.down()
-        page.page.mouse.move(x + 120, y + 40)
-        page.page.mouse.up()
-        page.page.wait_for_timeout(300)
-        pictures.append(_picture(page))
-        page.page.mouse.wheel(0, 600)
-        page.page.wait_for_timeout(300)
-        pictures.append(_picture(page))
-        page.page.mouse.dblclick(x, y)
-        page.page.wait_for_timeout(300)
-        assert changed(pictures[0], _picture(page)) < 1e-4
-        assert page.errors == []
-    assert changed(pictures[0], pictures[1]) > 0.02
-    assert changed(pictures[1], pictures[2]) > 0.02
-
-
 def test_no_other_script_may_run_and_names_are_escaped():
     evil = scenes.cabinet().model_copy(update={"label": "</script><script>alert(1)</script>"})
     page = document("t", [scene_3d.scene_3d(_scene(evil))], [scene_3d.script_hash()])

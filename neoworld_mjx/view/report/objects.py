@@ -10,7 +10,7 @@ from markupsafe import Markup
 from ...checks.verdict import Check
 from ...measure import object_moves
 from ...spec import read_scene
-from .page import cropped_picture, elements, film_strip, read_json, size_cm, support_of
+from .page import cropped_picture, elements, read_json, size_cm, support_of
 
 TITLE = "Objects"
 BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
@@ -18,8 +18,6 @@ LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
 """Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
 MARGIN = 0.12
 """Margin around an object in its picture, relative to the longer edge of its box."""
-FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
-"""Stems of the film files that an object's folder may contain, and captions of the films."""
 
 
 def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Markup:
@@ -172,7 +170,7 @@ def _pictures(folder: Path, node: Mapping[str, Any], camera: Any) -> list[Markup
 
 
 def _checks(object_folder: Path, verified: Mapping[str, Any] | None) -> Markup:
-    """Return the signals of an object's program, its checks in verify.json, and its films."""
+    """Return the signals of an object's program, and its checks in verify.json."""
     signals = [
         [signal["code"].replace("_", " "), signal["message"]]
         for signal in (read_json(object_folder / "program.json") or {}).get("signals", [])
@@ -192,5 +190,4 @@ def _checks(object_folder: Path, verified: Mapping[str, Any] | None) -> Markup:
     if findings := verified.get("seen"):
         heads = ["findings of the critic in key frames"]
         parts.append(elements.table(heads, [[finding] for finding in findings]))
-    parts += [film_strip(object_folder / f"{kind}.gif", name) for kind, name in FILMS.items()]
     return Markup("").join(parts)

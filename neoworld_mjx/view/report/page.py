@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
@@ -101,22 +100,6 @@ def cropped_picture(
         return Markup()
     crop.thumbnail((2 * height, height), Image.Resampling.LANCZOS)
     return _figure(crop, caption)
-
-
-def film_strip(path: Path, name: str, frames: int = 5) -> Markup:
-    """Embed frames of an animation side by side, or nothing if the file is missing or damaged."""
-    try:
-        raw = read_bytes(path, file_bounds().max_file_mib * MIB)
-        with open_image(raw, path.name, RunError) as image:
-            count = getattr(image, "n_frames", 1)
-            pixels = []
-            for index in np.linspace(0, count - 1, min(frames, count)).astype(int):
-                image.seek(int(index))
-                pixels.append(np.asarray(image.convert("RGB")))
-    except (EOFError, OSError, RunError):
-        return Markup()
-    strip = Image.fromarray(np.concatenate(pixels, axis=1))
-    return _figure(strip, f"{name}, {len(pixels)} frames of {path.name}")
 
 
 @contextmanager
