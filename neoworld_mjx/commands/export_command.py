@@ -27,8 +27,8 @@ class ExportCommand(ConfiguredCommand):
     """Format to write; repeatable. Default: all."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
     """Simulator for which files are written, by default in the formats that suit it best. For mjx,
-    colliders are converted to supported ones. For newton, the layer newton.usda is
-    written in addition to the USD file, with Newton's settings of contacts and joints."""
+    colliders are converted to supported ones. For newton and isaac, a layer newton.usda or
+    isaac.usda is written in addition to the USD file, with this simulator's contacts and joints."""
     floor: bool = False
     """Add an infinite floor plane (MJCF)."""
     overwrite: bool = False

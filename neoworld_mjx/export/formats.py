@@ -1,7 +1,7 @@
 """Files of a scene or an object: those of a run folder, and those of `neoworld export`."""
 
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from pxr import Sdf, UsdUtils
@@ -12,7 +12,7 @@ from ..names import Format, Simulator
 from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
-from .newton_layer import newton_text
+from .usd_layers import isaac_text, newton_text
 from .write_drives import drives_text
 from .write_glb import glb_bytes, mesh_files, texture_files
 from .write_mjcf import mjcf_text
@@ -24,6 +24,10 @@ from .write_usd import usd_layer
 SceneOrObject = SceneSpec | ObjectSpec
 RUN_FORMATS: tuple[Format, ...] = ("mjcf", "urdf", "usd", "sdf")
 """Formats of a run folder, which contains USD as text."""
+LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
+    "newton": newton_text, "isaac": isaac_text,
+}  # fmt: skip
+"""Functions that return a USD layer with the settings of a simulator, by simulator."""
 LOSSES: dict[Format, tuple[str, ...]] = {
     "mjcf": ("velocity limits of joints",),
     "urdf": (
@@ -94,15 +98,16 @@ def write_formats(
         out: the folder.
         kinds: the formats.
         simulator: simulator that will load the files: "mjx" restricts MJCF to colliders that MJX
-            supports; "newton" adds a USD layer, newton.usda.
+            supports; "newton" and "isaac" add a USD layer, newton.usda or isaac.usda.
         floor: if True, MJCF contains an infinite floor at the height of the lowest collider.
 
     Raises:
         ExportError: a file cannot be written.
     """
     files = _files(described, kinds, mjx=simulator == "mjx", floor=floor)
-    if simulator == "newton" and "usd" in kinds:
-        files["newton.usda"] = newton_text(described, f"{_stem(described)}.usdc").encode()
+    if simulator in LAYERS and "usd" in kinds:
+        text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
+        files[f"{simulator}.usda"] = text.encode()
     _write(files, out)
     return sorted(files)
 
