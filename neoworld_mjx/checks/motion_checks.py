@@ -15,11 +15,10 @@ from scipy.spatial import ConvexHull, QhullError
 from shapely import MultiPoint, Point
 
 from ..config import VerifyOptions
-from ..physics.mjcf import START, body_name
-from ..spec import bounds, link_poses, pieces
+from ..physics.mjcf import START
+from ..spec import link_poses, pieces
 from ..spec.convex import Piece, box_around
 from ..spec.pose import angle_between, matrix, pose, tilt_between
-from .scenarios import FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
 from .simulation import G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, make_check, skipped
 
@@ -108,30 +107,12 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     return points[points[:, 2] <= reach + 1e-9][:, :2].reshape(-1, 2)
 
 
-def on_wheels(simulation: Simulation) -> bool:
-    """Return True if a part on a continuous joint touches the floor."""
-    data, model = simulation.data, simulation.model
-    data.qpos[:], data.qvel[:] = model.key_qpos[0], 0.0
-    low, _ = bounds(simulation.spec, {}, tuple(simulation.tilt.tolist()))
-    data.qpos[:7] = [0, 0, -low[2] - 1e-4, *simulation.tilt]
-    mujoco.mj_forward(model, data)
-    pairs = data.contact.geom[: data.ncon]
-    touching_bodies = model.geom_bodyid[pairs[(pairs == simulation.floor).any(axis=1)]]
-    return any(
-        model.body(body_name(simulation.spec, joint.child)).id in touching_bodies
-        for joint in simulation.spec.joints
-        if joint.type == "continuous"
-    )
-
-
 SETTLE_WINDOW_S = 0.2
 """Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
 """Largest speed of a settled joint, measured at the far end of the parts that it moves [m/s]."""
 MAX_FREE_MOTION = 0.02
 """Largest motion of a joint on which no force acts, as a fraction of the joint's range."""
-SLIDING_M = 0.001
-"""Displacement on a slope from which an object counts as sliding [m]."""
 COAST_S = 0.5
 """Time after which the loss of speed of a coasting joint is measured [s]."""
 MIN_RANGE_M, MIN_RANGE_RAD = 0.08, 0.6
@@ -168,7 +149,6 @@ def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> 
         yield skipped("free_fall", "rests", "base is fixed")
     yield from _pushes(simulation, by_kind["force_perturbation"])
     for kind, checks_of in (
-        ("tilt_until_slide", _slope),
         ("joint_release", _release),
         ("joint_drive", _drive),
     ):
@@ -218,7 +198,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
             continue
         name, qpos = trajectory.scenario.name, trajectory.qpos
         # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
-        tilted = name not in ("fall", "fall_high")
+        tilted = name != "fall"
         if not (rolls and tilted):
             speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
             limit = Limit(o.max_rest_speed, "m/s", Fault.RESTLESS)
@@ -318,32 +298,6 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     threshold = simulation.options.min_mobility
     limit = Limit(threshold, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
     yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
-
-
-def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
-    """Check the slope at which an object begins to slide, unless it topples or rolls first."""
-    o, qpos = simulation.options, trajectory.qpos
-    kind, name = "tilt_until_slide", "slide"
-    if on_wheels(simulation):
-        yield skipped(kind, name, "it stands on wheels")
-        return
-    begin = round(STILL_S / o.timestep_s)
-    sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > SLIDING_M
-    tilted = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
-    slope = np.degrees(slope_angle(trajectory.time, o.duration_s))
-    first = int(np.argmax(sliding)) if sliding.any() else len(slope) - 1
-    if tilted[: first + 1].any():
-        degrees = slope[int(np.argmax(tilted))]
-        yield skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
-        return
-    # The ground continues to tilt while the object slides by SLIDING_M: x = g rate t^3 / 6.
-    rate = np.radians(FINAL_SLOPE_DEG) / (o.duration_s - SLOPE_START_S)
-    delay = (6 * SLIDING_M / (G * rate)) ** (1 / 3)
-    angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
-    shallow = angle < o.min_slide_deg
-    threshold = o.min_slide_deg if shallow else o.max_slide_deg
-    limit = Limit(threshold, "deg", Fault.FRICTION_IMPLAUSIBLE, least=shallow)
-    yield _check(trajectory, name, angle, limit, time=trajectory.time[first])
 
 
 def _diverged(trajectory: Trajectory) -> Check:

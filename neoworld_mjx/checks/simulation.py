@@ -23,7 +23,7 @@ from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
-from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World, slope_angle
+from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World
 
 FLOOR = "test_floor"
 FIXING_ARMATURE = 1e6
@@ -100,17 +100,7 @@ class Simulation:
         fixed_base.opt.tolerance = 1e-15
         weightless = copy.copy(fixed_base)
         weightless.opt.gravity[:] = 0.0
-        # By default, contacts creep under a constant force. On the slope, they must stick until
-        # the object slides.
-        gripping = copy.copy(free)
-        gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        gripping.opt.impratio = 100.0
-        return {
-            "free": free,
-            "fixed_base": fixed_base,
-            "weightless": weightless,
-            "gripping": gripping,
-        }
+        return {"free": free, "fixed_base": fixed_base, "weightless": weightless}
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -185,38 +175,13 @@ class Simulation:
             pushed, during = model.body(body_name(self.spec, scenario.part)).id, o.push_duration_s
             mass = float(model.body_subtreemass[pushed])
             body[time < during, pushed, :3] = np.array(scenario.impulse) * mass / during
-            if scenario.twist:
-                torque = scenario.twist * self._inertia_about_vertical(pushed) / during
-                body[time < during, pushed, 5] = torque
         if scenario.driven and scenario.joint is not None:
             _, dof = self.address(scenario.joint)
             force = self.drive_force(scenario)
             half = STILL_S + (o.duration_s - STILL_S) / 2
             joint[(time >= STILL_S) & (time < half), dof] = force
             joint[time >= half, dof] = -force
-        if scenario.slope:
-            angle = slope_angle(time, o.duration_s)
-            pull = np.zeros((steps, 3))
-            pull[:, 1], pull[:, 2] = G * np.sin(angle), G * (1 - np.cos(angle))
-            body[:, self.root :, :3] = pull[:, None] * model.body_mass[self.root :, None]
         return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
-
-    def _inertia_about_vertical(self, body: int) -> float:
-        """Return the inertia of a body's subtree about the vertical through its center of mass.
-
-        The unit is kg m^2.
-        """
-        model, data, total = self.model, self.data, 0.0
-        centre = data.subtree_com[body]
-        subtree = {body}
-        for b in range(body, model.nbody):
-            if b == body or int(model.body_parentid[b]) in subtree:
-                subtree.add(b)
-                arm = data.xipos[b] - centre
-                rotation = data.ximat[b].reshape(3, 3)
-                about_centre = float((rotation[2] ** 2) @ model.body_inertia[b])
-                total += about_centre + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
-        return total
 
     def drive_force(self, scenario: Scenario) -> float:
         """Return the force [N] or torque [N m] with which a hand drives a joint.

@@ -191,19 +191,12 @@ class VerifyOptions(JointSweepOptions):
         unit="N",
         gt=0,
     )
-    high_drop_m: float = option(0.02, "Height of the second, higher free fall.", unit="m", ge=0)
     drop_tilt_deg: float = option(3.0, "Initial tilt of the tilted drops.", unit="deg", ge=0, lt=45)
     min_loss: float = option(
         0.05,
         "Minimum fraction of its velocity that a freely moving joint must lose in 0.5 s.",
         ge=0,
         lt=1,
-    )
-    min_slide_deg: float = option(
-        5.0, "Slope on which an object must remain at rest.", unit="deg", ge=0
-    )
-    max_slide_deg: float = option(
-        60.0, "Slope on which an object must slide.", unit="deg", gt=0, le=65
     )
     max_pivot_off: float = option(
         0.05,

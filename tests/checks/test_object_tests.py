@@ -158,24 +158,11 @@ def test_joint_damping_does_not_hide_toppling():
 
 def test_depth_at_impact_is_not_resting_depth():
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
-    options = VerifyOptions(high_drop_m=0.1)
+    options = VerifyOptions(drop_height_m=0.1)
     tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
-    trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall_high")
+    trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall")
     assert trajectory.qpos[:, 2].min() < -0.001
-    assert named(tests.verdict, "resting_depth:fall_high").value < 1e-4
-
-
-def test_the_slope_measures_the_objects_friction():
-    def on(friction):
-        slab = Material(name="wood", density=600, friction=friction)
-        spec = scenes.single("b", (Box(size=(0.2, 0.2, 0.04)), (0, 0, 0)), material=slab)
-        return named(verify(spec), "slide")
-
-    for friction in (0.2, 0.5, 1.0):
-        assert on(friction).value == pytest.approx(math.degrees(math.atan(friction)), abs=3.0)
-    assert on(0.01).fault is Fault.FRICTION_IMPLAUSIBLE
-    assert on(0.01).value < 5.0
-    assert on(6.0).fault is Fault.FRICTION_IMPLAUSIBLE
+    assert named(tests.verdict, "resting_depth:fall").value < 1e-4
 
 
 def test_undamped_and_stuck_joints_fail():
@@ -266,10 +253,10 @@ def test_a_check_states_value_bound_direction_and_unit():
     assert least.phrase() == "covered 50 % of its range, at least 90 % of its range"
 
 
-def test_every_part_is_pushed_in_six_directions_and_twisted():
+def test_every_part_is_pushed_in_six_directions():
     names = [run.scenario.name for run in run_object_tests(chest()).trajectories]
     for part in ("carcass", "drawer"):
-        assert sum(name.startswith(f"push:{part}:") for name in names) == 7
+        assert sum(name.startswith(f"push:{part}:") for name in names) == 6
 
 
 def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
