@@ -97,11 +97,6 @@ class ProgramOptions(JointSweepOptions):
     export_critic: bool = option(
         True, "With three stages, let the critic rate the object as imported from its URDF."
     )
-    sandbox: Literal["monty", "cpython"] = option(
-        "monty",
-        "monty: run programs in a sandbox. cpython: run programs in this process without "
-        "isolation; use this only for trusted programs.",
-    )
     type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
         1.0,

@@ -1,6 +1,6 @@
-"""Execution of a program: in the Monty sandbox, or by CPython without isolation.
+"""Execution of a program in the Monty sandbox.
 
-In the sandbox, the program is first type-checked against the stubs of the SDK, and then interpreted
+The program is first type-checked against the stubs of the SDK, and then interpreted
 by a separate process. This process has no access to files or the network, and can import only the
 SDK, `math` and similar modules. Memory, recursion, output and calls are limited. The SDK's objects
 remain in the calling process, which is itself a worker with limited time and memory; the program
@@ -12,11 +12,9 @@ Conversion of exceptions and type errors of programs into error signals with hin
 import contextlib
 import difflib
 import inspect
-import io
 import json
 import re
 import signal
-import traceback
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -29,7 +27,7 @@ from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
 from .part import Geom, Joint, Part, Shape
 from .sdk_object import Object
-from .session import LimitExceeded, Session, use_session
+from .session import LimitExceeded, Session
 
 MODULE = "neoworld_mjx.program.sdk"
 """The only module of the package that a program may import."""
@@ -373,36 +371,3 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
         hint = f"make at most {options.max_calls} calls of the SDK"
         update = {"code": "too_many_calls", "hint": hint}
     return found.model_copy(update=update)
-
-
-def run_in_process(
-    text: str, session: Session, options: ProgramOptions
-) -> tuple[str, list[Signal]]:
-    """Run a program in this process, and return its printed text and its errors.
-
-    The limits of `session` on parts and shapes apply. The limits on time, memory, recursion and SDK
-    calls do not apply.
-    """
-    session.filename = "<program.py>"
-    output = io.StringIO()
-    try:
-        code = compile(text, session.filename, "exec", dont_inherit=True)
-        with contextlib.redirect_stdout(output), use_session(session):
-            exec(code, {"__name__": "__main__", "__file__": "program.py"})
-    except SyntaxError as error:
-        place = {"line": error.lineno, "column": error.offset}
-        return output.getvalue(), [error_signal("syntax", str(error.msg), **place)]
-    except (Exception, SystemExit) as error:
-        return output.getvalue(), [_raised(error, session)]
-    if session.exceeded is not None:
-        return output.getvalue(), [limit_signal(session.exceeded, session)]
-    return output.getvalue()[: options.max_output_bytes], []
-
-
-def _raised(error: BaseException, session: Session) -> Signal:
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == session.filename]
-    line = lines[-1] if lines else None
-    if isinstance(error, LimitExceeded):
-        return limit_signal(error, session).model_copy(update={"line": line})
-    return exception_signal(error, line)

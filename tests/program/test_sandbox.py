@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.export import object_files
 from neoworld_mjx.program.sandbox import run
 
@@ -45,17 +44,6 @@ knob.add(sphere(0.02), at=door.anchor("front"), by="back")
 cab.continuous("turn", door, knob, at=knob.anchor("centre"), axis=(1, 0, 0), mimic=hinge)
 """
 )
-
-
-@pytest.mark.parametrize("text", [CUP, CABINET])
-def test_both_sandboxes_give_the_same_bytes(text: str):
-    walled = run(text)
-    trusted = run(text, ProgramOptions(sandbox="cpython"))
-    assert walled.signals == () and trusted.signals == ()
-    assert walled.spec is not None and trusted.spec is not None
-    assert walled.spec.to_json() == trusted.spec.to_json()
-    assert walled.lines == trusted.lines
-    assert walled.printed == trusted.printed
 
 
 def test_the_object_stands_on_its_origin():
@@ -163,9 +151,8 @@ o.ball("neck", p, q, at="centre", swing=0.4)
 
 
 def test_csg_and_balls_have_the_same_bytes_everywhere():
-    built, trusted = run(COMBINED), run(COMBINED, ProgramOptions(sandbox="cpython"))
-    assert built.spec is not None and trusted.spec is not None, built.signals
-    assert built.spec.to_json() == trusted.spec.to_json()
+    built = run(COMBINED)
+    assert built.spec is not None, built.signals
     tell = (
         "import hashlib, sys\n"
         "from neoworld_mjx.export import object_files\n"

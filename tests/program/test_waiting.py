@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import open_state
@@ -56,8 +55,6 @@ def test_a_tray_slides_out_once_its_flap_is_open(given: str):
     joint = spec.joints[1]
     assert joint.after == ("flap_hinge",)
     assert prerequisite_state(spec, joint) == {"flap_hinge": 1.5}
-    trusted = run(text, ProgramOptions(sandbox="cpython")).spec
-    assert trusted is not None and trusted.to_json() == spec.to_json()
     assert ObjectSpec.model_validate_json(spec.to_json()) == spec
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Template
 
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import Intent, ObjectSpec, Vec3
@@ -240,7 +239,7 @@ def valid_object(name: str, k: int) -> ObjectSpec:
     family = FAMILIES[name]
     text = Template(_HEAD + family.text).substitute(name=f"{name}_{k}", **family.sizes[k])
     text = text.replace("sdk import *", "sdk import " + ", ".join(_CALLED))
-    built = build(text, ProgramOptions(sandbox="cpython"))
+    built = build(text)
     if built.spec is None or not built.ok:
         errors = "; ".join(s.phrase() for s in built.signals if s.severity == "error")
         raise ProgramError(f"valid object {name}_{k}: {errors}")
