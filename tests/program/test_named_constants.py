@@ -67,12 +67,6 @@ def test_line_ends_and_the_object_stay():
     assert build(edited).ok
 
 
-def test_text_without_constants():
-    assert named_constants("box = 1\nfor W in (0.1,): pass\n") == ()
-    assert named_constants("W = 0.1 +\n") == ()
-    assert named_constants("A = 0.1\rB = 0.2\n") == ()
-
-
 def test_edits_of_another_text_or_to_no_length_are_refused():
     constant = next(c for c in named_constants(SHELF) if c.name == "Z")
     with pytest.raises(ValueError, match="does not hold Z"):
