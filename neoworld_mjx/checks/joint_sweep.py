@@ -151,9 +151,10 @@ def sweep_range(
     pairs: Sequence[Pair],
     allowed: Mapping[Pair, float],
     steps: int,
-    prerequisites: State | None = None,
 ) -> JointRange:
     """Measure the deepest overlap of each pair over the range of one joint.
+
+    The joint's prerequisites are open.
 
     Args:
         probe: the object.
@@ -161,11 +162,9 @@ def sweep_range(
         pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        prerequisites: positions of the other joints; by default, those in which the joint's
-            prerequisites are open.
     """
     spec = probe.spec
-    prerequisites = prerequisite_state(spec, joint) if prerequisites is None else prerequisites
+    prerequisites = prerequisite_state(spec, joint)
     moving = frozenset(probe.names.index(name) for name in moving_parts(spec, joint))
     changed = [pair for pair in pairs if (pair[0] in moving) != (pair[1] in moving)]
     if followers(spec, joint):
@@ -339,8 +338,6 @@ def overlap_signals(
             _in_motion(probe, swept, pair, overlap, sweep.allowed[pair])
             for pair, overlap in sweep.too_deep(swept.deepest).items()
         ]
-        if not signals:
-            signals += _needless_prerequisites(sweep, swept, options)
     for pair, overlap in sweep_combinations(sweep, options).items():
         a, b = (probe.names[index] for index in pair)
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
@@ -364,27 +361,6 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
         for pair, closest in probe.depths(pairs).items()
         if -closest.distance > limit
     ]
-
-
-def _needless_prerequisites(
-    sweep: JointSweep, swept: JointRange, options: ProgramOptions
-) -> Iterator[Signal]:
-    """Yield an error for each prerequisite that, when closed, does not obstruct the joint.
-
-    A prerequisite excludes states from the sweep, so needless prerequisites are not allowed.
-    """
-    joint = swept.joint
-    for name in joint.after:
-        prerequisite = sweep.probe.spec.joint(name)
-        others_open = {key: value for key, value in swept.prerequisites.items() if key != name}
-        alone = sweep_range(
-            sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, others_open
-        )
-        if not sweep.too_deep(alone.deepest):
-            message = f"joint {joint.name!r} waits for {name!r}, but {prerequisite.child!r} is not "
-            message += "in its way when closed"
-            names = {"joint": joint.name, "part": joint.child}
-            yield error_signal("after_needless", message, hint="leave after= out", **names)
 
 
 def _at_rest(probe: Probe, pair: Pair, overlap: Overlap, allowed: float) -> Signal:

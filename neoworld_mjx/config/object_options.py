@@ -76,7 +76,7 @@ class ProgramOptions(JointSweepOptions):
     language: Language = option(
         "sdk",
         "sdk: programs call the SDK. blender: programs use Blender's Python API, which requires "
-        "`neoworld doctor --install blender` and runs in a confined process.",
+        "the package bpy in an environment of its own and runs in a confined process.",
         difference=PaperDifference(
             "blender",
             "The SDK needs no installation, and its shapes provide their convex decomposition.",
