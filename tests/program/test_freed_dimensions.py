@@ -121,14 +121,6 @@ def test_a_right_program_is_not_changed(five, shot, right):
 WRONG = BRICK.replace("0.12, 0.07, 0.06  #", "0.12, 0.077, 0.06  #")
 
 
-def test_a_program_without_constants_is_left(five, shot):
-    text = WRONG.replace("DEPTH, WIDTH, HEIGHT = 0.12, 0.077, 0.06  # of the box\n", "").replace(
-        "(DEPTH, WIDTH, HEIGHT)", "(0.12, 0.077, 0.06)"
-    )
-    result, composed = freed(five, shot, text)
-    assert result.composed == composed and result.texts == {}
-
-
 def test_a_change_that_fails_the_checks_is_refused(five, shot):
     result, composed = freed(five, shot, WRONG, check=lambda text: "it fails free_fall drift")
     assert result.texts == {} and result.composed == composed

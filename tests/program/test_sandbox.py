@@ -107,27 +107,6 @@ def test_default_losses_follow_from_the_child():
     assert (hinge.damping, hinge.friction) == (0, 0.25)
 
 
-def test_parts_made_in_one_loop_may_each_have_a_shape_of_the_same_name():
-    text = (
-        HEAD
-        + """
-stove = Object("stove")
-body = stove.part("body", material="steel")
-body.add(box((0.2, 0.3, 0.1)), at=(0, 0, 0.05), name="cap")
-for i in range(2):
-    knob = stove.part(f"knob_{i}", material="abs")
-    knob.add(cylinder(0.01, 0.02), at=(0.1, i * 0.1, 0.05), rpy=(0, 1.57, 0), by="back", name="cap")
-    stove.continuous(f"turn_{i}", body, knob, at=(0.1, i * 0.1, 0.05), axis=(1, 0, 0))
-"""
-    )
-    built = run(text)
-    assert built.spec is not None, built.signals
-    names = [geom.name for part in built.spec.parts for geom in part.geoms]
-    assert names == ["cap", "knob_0_cap", "knob_1_cap"]
-    twice = run(text.replace("for i in", "body.add(sphere(0.02), name='cap')\nfor i in"))
-    assert "taken by another shape of the part" in twice.signals[0].message
-
-
 def test_programs_run_at_once_without_mixing():
     texts = [CUP, CABINET, COMBINED]
     alone = [run(text) for text in texts]

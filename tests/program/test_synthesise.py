@@ -343,12 +343,6 @@ def test_the_critic_of_a_stage_revises_that_stage_alone():
     assert [attempt.file for attempt in outcome.rounds].count("geometry") == 1
 
 
-def test_a_moving_part_of_the_photo_must_be_a_part_of_the_geometry():
-    script = ScriptedModel(written(DOORLESS), *IN_THREE)
-    assert synthesised(script, THREE).spec is not None
-    assert "missing_part" in script.requests[1].prompt
-
-
 def test_an_object_of_one_part_needs_no_articulation_request():
     script = ScriptedModel(
         *(written(DOORLESS), shape_verdict(9, accept=True)), *(written("# fine"), EXPORT_GOOD)
