@@ -36,6 +36,8 @@ CLEARANCE_FRACTION = 0.5
 The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain
 free.
 """
+PIVOT_FRACTION = 0.05
+"""Largest distance of a hinge axis from its parts, over the child's diagonal."""
 GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
 
@@ -85,7 +87,7 @@ def check_joints(
         checks.append(_combinations(sweep, free, options))
     probe.place({})
     checks += _gaps(probe, options)
-    checks += _pivots(probe, options)
+    checks += _pivots(probe)
     checks += _intents(spec)
     return JointChecks(checks, free, overlapping)
 
@@ -259,7 +261,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+def _pivots(probe: Probe) -> Iterator[Check]:
     """Check the distance [m] of each turning joint's axis from the two parts that it connects."""
     for joint in probe.spec.joints:
         placeholders = [is_placeholder(probe.spec.part(n)) for n in (joint.child, joint.parent)]
@@ -275,7 +277,7 @@ def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
             # parent may end before the axis.
             distance = max(distance, line_box_distance(point, axis, *parent) / 2)
         size = float(np.linalg.norm(child[1] - child[0]))
-        limit = Limit(max(options.max_pivot_off * size, 0.004), "m", Fault.PIVOT_OFF)
+        limit = Limit(max(PIVOT_FRACTION * size, 0.004), "m", Fault.PIVOT_OFF)
         yield make_check(
             "static", f"pivot:{joint.name}", distance, limit, part=joint.child, joint=joint.name,
             evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",

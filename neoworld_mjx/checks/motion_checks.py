@@ -107,6 +107,16 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     return points[points[:, 2] <= reach + 1e-9][:, :2].reshape(-1, 2)
 
 
+MAX_REST_SPEED = 0.01
+"""Largest speed at the end of a fall [m/s]."""
+MAX_ENERGY_GAIN = 0.02
+"""Largest gain of energy without a force, over the object's weight times its extent."""
+MAX_OVERSHOOT = 0.05
+"""Largest travel beyond a joint's limit, as a fraction of the joint's range."""
+MIN_MOBILITY = 0.9
+"""Smallest fraction of its range that a joint covers when it is driven up and down."""
+MIN_LOSS = 0.05
+"""Smallest fraction of its speed that a coasting joint loses in `COAST_S`."""
 SETTLE_WINDOW_S = 0.2
 """Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
@@ -201,7 +211,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         tilted = name != "fall"
         if not (rolls and tilted):
             speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
-            limit = Limit(o.max_rest_speed, "m/s", Fault.RESTLESS)
+            limit = Limit(MAX_REST_SPEED, "m/s", Fault.RESTLESS)
             yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
         yield from _free_run(simulation, trajectory, name)
         if name == "fall":
@@ -252,7 +262,7 @@ def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iter
     first = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
     energy = trajectory.energy[first:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
-    limit = Limit(o.max_energy_gain, "", Fault.GAINS_ENERGY)
+    limit = Limit(MAX_ENERGY_GAIN, "", Fault.GAINS_ENERGY)
     yield _check(trajectory, f"energy_gain:{name}", gain, limit, part=pushed)
     yield _overshoot(simulation, trajectory, f"limit_overshoot:{name}")
 
@@ -278,7 +288,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     elif kind == "coast":
         step = min(round(COAST_S / o.timestep_s), len(trajectory.time) - 1)
         loss = 1.0 - abs(float(trajectory.qvel[step, dof])) / abs(scenario.speeds[joint.name])
-        limit = Limit(o.min_loss, "of it", Fault.JOINT_UNDAMPED, least=True)
+        limit = Limit(MIN_LOSS, "of it", Fault.JOINT_UNDAMPED, least=True)
         yield _check(trajectory, name, loss, limit, **names, time=COAST_S)
     else:
         if span < 2 * np.pi - 1e-6:
@@ -295,8 +305,7 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     joint = simulation.joint_of(scenario)
     q = trajectory.qpos[:, simulation.address(joint.name)[0]]
     covered = float(np.ptp(q)) / (joint.high - joint.low)
-    threshold = simulation.options.min_mobility
-    limit = Limit(threshold, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
+    limit = Limit(MIN_MOBILITY, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
     yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
 
 
@@ -335,7 +344,7 @@ def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[floa
 def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Check:
     """Check the largest excess over any joint's limits, relative to the joint's range."""
     model = simulation.model
-    limit = Limit(simulation.options.max_overshoot, "of its range", Fault.LIMIT_SOFT)
+    limit = Limit(MAX_OVERSHOOT, "of its range", Fault.LIMIT_SOFT)
     single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
     limited = np.flatnonzero(model.jnt_limited.astype(bool) & single)
     if not len(limited):

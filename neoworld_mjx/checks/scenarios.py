@@ -22,6 +22,8 @@ World = Literal["free", "fixed_base", "weightless"]
 """
 SINGLE_DOF_TYPES = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom. Ball joints are neither released nor driven."""
+FALL_TILT_DEG = 3.0
+"""Initial tilt of the tilted falls [deg]."""
 STILL_S = 0.1
 """Time before a joint is driven [s]."""
 DIRECTIONS = {
@@ -92,7 +94,7 @@ def list_scenarios(
 
 def _falls(options: VerifyOptions) -> list[Scenario]:
     """Return free falls: upright, tilted about x, and tilted about y."""
-    lean = float(np.radians(options.drop_tilt_deg))
+    lean = float(np.radians(FALL_TILT_DEG))
     height = options.drop_height_m
     return [
         Scenario("free_fall", "fall", "free", height=height),

@@ -28,6 +28,10 @@ from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World
 FLOOR = "test_floor"
 FIXING_ARMATURE = 1e6
 """Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
+DRIVE_S = 0.5
+"""Time in which the force on a free joint moves it across its range [s]."""
+HAND_FORCE_N = 100.0
+"""Largest force that drives a joint, at the far end of the part, plus half of its weight [N]."""
 CONTROL_BYTES = 64 << 20
 """Limit on the memory for the forces of a batch; further scenarios are run in the next batch."""
 G = 9.81
@@ -186,10 +190,10 @@ class Simulation:
     def drive_force(self, scenario: Scenario) -> float:
         """Return the force [N] or torque [N m] with which a hand drives a joint.
 
-        The force suffices to move the joint through its range in `joint_push_s` against losses and
+        The force suffices to move the joint through its range in `DRIVE_S` against losses and
         weight, but does not exceed the force of a hand at the far end of the child.
         """
-        model, o = self.model_of(scenario), self.options
+        model = self.model_of(scenario)
         joint = self.joint_of(scenario)
         position, dof = self.address(joint.name)
         data = mujoco.MjData(model)
@@ -203,13 +207,13 @@ class Simulation:
             inertia = max(inertia, float(_mass_matrix(model, data)[dof, dof]))
             load = max(load, abs(float(data.qfrc_bias[dof])))
         span = joint.high - joint.low
-        required = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
-        required += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
+        required = 2 * inertia * span / DRIVE_S**2 + 2 * float(model.dof_frictionloss[dof])
+        required += float(model.dof_damping[dof].sum()) * span / DRIVE_S + 1.5 * load
         # Springs and contacts require a larger force.
         required = max(2 * required, 1e-9)
         child = model.body(body_name(self.spec, joint.child)).id
         weight = G * float(model.body_subtreemass[child])
-        return min(required, self.moment_arm(joint) * (o.hand_force_n + 0.5 * weight) + load)
+        return min(required, self.moment_arm(joint) * (HAND_FORCE_N + 0.5 * weight) + load)
 
     def moment_arm(self, single: SingleJoint) -> float:
         """Return the distance [m] from a joint's axis to the far end of the parts that it moves.

@@ -106,17 +106,6 @@ class ProgramOptions(JointSweepOptions):
         gt=0,
     )
     memory_mib: int = option(64, "Memory limit of the program.", unit="MiB", ge=8)
-    max_recursion: int = option(200, "Maximum recursion depth of the program.", ge=10)
-    max_calls: int = option(5000, "Maximum number of SDK calls.", ge=10)
-    max_output_bytes: int = option(
-        20_000, "Maximum length of the program's output.", unit="B", ge=0
-    )
-    max_text_bytes: int = option(
-        200_000, "Maximum length of the program's source.", unit="B", ge=100
-    )
-    max_parts: int = option(300, "Maximum number of parts of an object.", ge=1)
-    max_geoms: int = option(3000, "Maximum number of visual geoms of an object.", ge=1)
-    max_pieces: int = option(4000, "Maximum number of convex collision geoms of an object.", ge=1)
     blender_timeout_s: float = option(
         20.0,
         "CPU time limit for a program in Blender, and separately for the convex decomposition of "
@@ -157,48 +146,6 @@ class VerifyOptions(JointSweepOptions):
     )
     max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
-    max_rest_speed: float = option(
-        0.01, "Maximum speed at the end of the free fall.", unit="m/s", gt=0
-    )
-    max_energy_gain: float = option(
-        0.02,
-        "Maximum increase of mechanical energy without an applied force, relative to the object's "
-        "weight times its extent.",
-        gt=0,
-    )
-    max_overshoot: float = option(
-        0.05, "Maximum travel beyond a joint limit, relative to the joint's range.", gt=0
-    )
-    joint_push_s: float = option(
-        0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0, le=100
-    )
-    min_mobility: float = option(
-        0.9,
-        "Minimum fraction of its range that a joint must cover when it is driven in both "
-        "directions.",
-        gt=0,
-        le=1,
-    )
-    hand_force_n: float = option(
-        100.0,
-        "Maximum force that drives a joint, applied at the far end of the part. Half of the part's "
-        "weight is added to this force.",
-        unit="N",
-        gt=0,
-    )
-    drop_tilt_deg: float = option(3.0, "Initial tilt of the tilted drops.", unit="deg", ge=0, lt=45)
-    min_loss: float = option(
-        0.05,
-        "Minimum fraction of its velocity that a freely moving joint must lose in 0.5 s.",
-        ge=0,
-        lt=1,
-    )
-    max_pivot_off: float = option(
-        0.05,
-        "Maximum distance between a hinge axis and the parts that it connects, relative to the "
-        "child's diagonal.",
-        ge=0,
-    )
     rounds: int = option(
         6, "Maximum number of repair attempts per object; 0 leaves objects unchanged.", ge=0
     )

@@ -181,6 +181,10 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
 
 WALL_FACTOR = 30.0
 """Ratio of the wall time limit, which ends programs that wait, to the processor time limit."""
+MAX_RECURSION, MAX_CALLS = 200, 5000
+"""Limits on the recursion depth of a program, and on its calls of the SDK."""
+MAX_PRINTED_BYTES = 20_000
+"""Limit on the text that a program prints."""
 _START_S = 30.0
 """Time limit for starting the interpreter [s]."""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
@@ -260,12 +264,12 @@ def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple
         session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
     """
-    printed = monty.CollectString(max_bytes=options.max_output_bytes)
+    printed = monty.CollectString(max_bytes=MAX_PRINTED_BYTES)
     limits: monty.ResourceLimits = {
         "max_feed_duration_secs": WALL_FACTOR * options.timeout_s,
         "max_memory": options.memory_mib << 20,
-        "max_recursion_depth": options.max_recursion,
-        "max_suspensions": options.max_calls,
+        "max_recursion_depth": MAX_RECURSION,
+        "max_suspensions": MAX_CALLS,
     }
     policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
     errors: list[Signal] = []
@@ -335,9 +339,9 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}
-    elif found.code == "memory" and f"> {options.max_output_bytes} bytes" in found.message:
-        update = {"code": "output", "hint": f"print at most {options.max_output_bytes} bytes"}
+    elif found.code == "memory" and f"> {MAX_PRINTED_BYTES} bytes" in found.message:
+        update = {"code": "output", "hint": f"print at most {MAX_PRINTED_BYTES} bytes"}
     elif isinstance(inner, RuntimeError) and "suspension" in found.message:
-        hint = f"make at most {options.max_calls} calls of the SDK"
+        hint = f"make at most {MAX_CALLS} calls of the SDK"
         update = {"code": "too_many_calls", "hint": hint}
     return found.model_copy(update=update)

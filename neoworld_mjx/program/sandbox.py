@@ -33,6 +33,8 @@ from .session import LimitExceeded, Session
 
 _NEEDS = ("scipy.spatial", "manifold3d", "neoworld_mjx.program.sdk")
 """Modules that are imported before the worker starts, so that no program's time includes them."""
+MAX_TEXT_BYTES = 200_000
+"""Limit on the text of a program."""
 _SHAPES_MIB = 1024
 """Address space for the SDK's shapes, in addition to the program's memory [MiB]."""
 _INTERNAL = "this is a fault of the SDK, not of the program"
@@ -140,9 +142,7 @@ def _result(
     limited: bool = False,
 ) -> BuildResult:
     """Run a program with a function for its language, and assemble its object."""
-    session = Session(
-        max_parts=options.max_parts, max_geoms=options.max_geoms, max_pieces=options.max_pieces
-    )
+    session = Session()
     spec: ObjectSpec | None = None
     printed, errors = "", []
     try:
@@ -173,7 +173,7 @@ def _result(
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
     """Return an error if the text cannot be run, and an empty list otherwise."""
-    size, limit = len(text.encode("utf-8", "replace")), options.max_text_bytes
+    size, limit = len(text.encode("utf-8", "replace")), MAX_TEXT_BYTES
     if size > limit:
         message = "the program's text is too long"
         return [error_signal("too_long", message, value=size, threshold=limit)]

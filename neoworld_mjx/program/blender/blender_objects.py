@@ -47,7 +47,6 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
         text,
         timeout_s=options.blender_timeout_s,
         memory_mib=options.blender_memory_mib,
-        printed_bytes=options.max_output_bytes,
     )
     if output.scene is None:
         return output.printed, [failure(output, options.blender_timeout_s)]

@@ -18,7 +18,7 @@ from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..execution import ENDLESS_HINT
+from ..execution import ENDLESS_HINT, MAX_PRINTED_BYTES
 from .blender_child import UNAVAILABLE
 from .blender_scene import BlenderScene
 
@@ -109,9 +109,7 @@ class BlenderOutput:
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
 
 
-def run_confined(
-    text: str, *, timeout_s: float, memory_mib: int, printed_bytes: int = 20_000
-) -> BlenderOutput:
+def run_confined(text: str, *, timeout_s: float, memory_mib: int) -> BlenderOutput:
     """Run a program in a confined Blender process.
 
     Args:
@@ -120,7 +118,6 @@ def run_confined(
             the processor time, including the time for loading Blender.
         memory_mib: limit on the address space of the process [MiB], of which Blender takes about
             1300 MiB.
-        printed_bytes: limit on the size of the printed text [bytes].
     """
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
@@ -152,7 +149,7 @@ def run_confined(
             finally:
                 child.kill()
                 child.wait()
-        out, err = (_read(path, printed_bytes) for path in paths[1:3])
+        out, err = (_read(path, MAX_PRINTED_BYTES) for path in paths[1:3])
         if timed_out or code:
             return BlenderOutput(
                 None, code or -9, out, err, timed_out=timed_out or code in _KILL_CODES
