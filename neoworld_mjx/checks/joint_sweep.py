@@ -5,7 +5,7 @@ at once. The compile checks of Step 2 and the object tests of Step 3 compare equ
 equal thresholds, so the two steps agree on which overlaps are too deep. Depths are exact
 (`mj_geomDistance`), and include pairs of parent and child.
 
-Signals for parts that overlap, with joints at zero, over a joint's range or in combinations.
+`overlap_signals` reports the overlaps to the programmer of Step 2.
 """
 
 import itertools

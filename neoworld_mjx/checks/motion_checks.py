@@ -1,6 +1,7 @@
 """Dynamic checks of an object: each check compares a measurement in one scenario with a limit.
 
-Support polygon of an object at rest: its width, and the margin of the center of mass.
+The balance of an object at rest follows from its support polygon: the polygon's width, and the
+margin of the center of mass.
 """
 
 import itertools

@@ -1,10 +1,9 @@
-"""Static checks of an object: masses, inertias and colliders.
+"""Static checks of an object: masses, inertias, friction and colliders; and a probe of distances.
 
-Exact distances between the parts of an object in any joint state.
-
-MuJoCo's contact list omits pairs of parent and child, but `mj_geomDistance` measures every pair.
-The model has no dynamics: every convex piece is a geom of the world body, and its pose is set from
-the object's kinematics.
+`Probe` measures exact distances between the parts of an object in any joint state. MuJoCo's contact
+list omits pairs of parent and child, but `mj_geomDistance` measures every pair. The model has no
+dynamics: every convex piece is a geom of the world body, and its pose is set from the object's
+kinematics.
 """
 
 import time

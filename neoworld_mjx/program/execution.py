@@ -1,12 +1,12 @@
 """Execution of a program in the Monty sandbox.
 
-The program is first type-checked against the stubs of the SDK, and then interpreted
-by a separate process. This process has no access to files or the network, and can import only the
+The program is first type-checked against the stubs of the SDK, and then interpreted by a separate
+process. This process has no access to files or the network, and can import only the
 SDK, `math` and similar modules. Memory, recursion, output and calls are limited. The SDK's objects
 remain in the calling process, which is itself a worker with limited time and memory; the program
 has only handles of them. The SDK validates every value that a program passes.
 
-Conversion of exceptions and type errors of programs into error signals with hints.
+Exceptions and type errors of programs become error signals with hints.
 """
 
 import contextlib

@@ -2,8 +2,6 @@
 
 The SDK reads the current session from a context variable, so programs share no state.
 
-Validation of the arguments that programs pass to the SDK.
-
 A sandboxed program may pass values of any type: a string instead of a number, or a list with a
 million entries. Every value is validated here before a spec is built from it. Each function returns
 a valid value, and raises TypeError or ValueError for an invalid value. Every message mentions the

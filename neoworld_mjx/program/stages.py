@@ -4,7 +4,7 @@ With `one`, the programmer writes a whole program. With `three`, as in the paper
 first writes a geometry program, then an articulation program that continues the accepted geometry
 program, and then an export program that continues both. The joined texts form one program.
 
-Comparison of an object with its parsed node, and of a revised program with its predecessor.
+After each stage, the object is compared with its parsed node and with that of the last program.
 """
 
 import tempfile
