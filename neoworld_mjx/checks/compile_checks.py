@@ -30,7 +30,7 @@ from ..spec import (
 from ..spec.mass import LEAST_KG
 from ..spec.opening import opening_alignment
 from ..spec.shapes import faceted
-from .joint_sweep import overlap_signals, rest_overlap_signals
+from .joint_sweep import TOUCH_GAP_M, overlap_signals, rest_overlap_signals
 from .signals import Allowance, Signal, deduplicated, error_signal, radians_hint
 from .static_checks import OutOfTime, Probe, line_box_distance
 
@@ -130,7 +130,7 @@ def check(
 
     Args:
         spec: the object.
-        options: thresholds and the number of positions of the joint sweep.
+        options: the allowed depth and the limit on processor time.
         lines: line of the program that creates each part and joint, as in `BuildResult.lines`.
         allowances: overlaps that the program declares.
 
@@ -153,7 +153,7 @@ def check(
     ]
 
     def measure(probe: Probe) -> Iterator[Signal]:
-        yield from _loose_shapes(probe, options)
+        yield from _loose_shapes(probe)
         yield from _joints(probe)
         yield from overlap_signals(probe, options, allowances)
 
@@ -173,7 +173,7 @@ def check_geometry(
 
     def measure(probe: Probe) -> Iterator[Signal]:
         # The joints, which are declared later, decide to which part a part is attached.
-        yield from (s for s in _loose_shapes(probe, options) if s.code != "detached_part")
+        yield from (s for s in _loose_shapes(probe) if s.code != "detached_part")
         yield from rest_overlap_signals(probe, options)
 
     return _check(spec, options, lines, measure)
@@ -209,12 +209,12 @@ def _with_line(signal: Signal, lines: Mapping[str, int]) -> Signal:
     return signal
 
 
-def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
+def _loose_shapes(probe: Probe) -> Iterator[Signal]:
     """Yield errors for shapes that touch neither the rest of their part nor the part's parent.
 
     If no shape of a part touches the parent, the error is that the part is detached.
     """
-    reach = options.touch_gap_m + 1e-6
+    reach = TOUCH_GAP_M + 1e-6
     joints = {joint.child: joint for joint in probe.spec.joints}
     for index, part in enumerate(probe.spec.parts):
         indices = probe.of_part(index)
@@ -232,7 +232,7 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
                 component_pieces = np.concatenate([pieces[geom] for geom in shapes])
                 attached[k] = probe.nearest(component_pieces, parent, reach) is not None
             if not any(attached):
-                yield _detached(probe, indices, joint, options)
+                yield _detached(probe, indices, joint)
                 attached[0] = True
         # The main component is the largest of those that touch the parent, or else the largest.
         # All other components must touch the parent.
@@ -245,12 +245,12 @@ def _loose_shapes(probe: Probe, options: ProgramOptions) -> Iterator[Signal]:
                     "loose_shape",
                     f"part {part.name!r}: {', '.join(names[:4])} {verb} nothing else of the part",
                     part=part.name,
-                    threshold=options.touch_gap_m,
+                    threshold=TOUCH_GAP_M,
                     hint="move the shape until it touches, or add what holds it",
                 )
 
 
-def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramOptions) -> Signal:
+def _detached(probe: Probe, pieces: NDArray, joint: JointSpec) -> Signal:
     """Return the error of a joint whose child does not touch its parent, with the gap [m]."""
     closest = probe.nearest(pieces, probe.of_part(probe.names.index(joint.parent)), 100.0)
     return error_signal(
@@ -259,7 +259,7 @@ def _detached(probe: Probe, pieces: NDArray, joint: JointSpec, options: ProgramO
         "attaches it to",
         part=joint.child,
         value=None if closest is None else closest.distance,
-        threshold=options.touch_gap_m,
+        threshold=TOUCH_GAP_M,
         hint="close the gap, or attach the part to the one that it touches",
     )
 

@@ -16,6 +16,7 @@ from ..spec.kinematics import with_joint
 from ..spec.opening import opening_alignment
 from .compile_checks import MIN_OPENING_COSINE
 from .joint_sweep import (
+    TOUCH_GAP_M,
     JointRange,
     JointSweep,
     collides_at,
@@ -41,7 +42,7 @@ PIVOT_FRACTION = 0.05
 GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
 
-The first limit is a multiple of `touch_gap_m`, the second is a fraction of the object's size.
+The first limit is a multiple of `TOUCH_GAP_M`, the second is a fraction of the object's size.
 """
 
 
@@ -229,7 +230,7 @@ def _combinations(
     sweep: JointSweep, free: Mapping[str, tuple[float, float]], options: VerifyOptions
 ) -> Check:
     """Check the largest depth while all joints move at once within their collision-free ranges."""
-    deepest = sweep_combinations(sweep, options, free)
+    deepest = sweep_combinations(sweep, free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
     if pair is not None:
@@ -245,7 +246,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
-    slack = max(GAP_SLACK * options.touch_gap_m, GAP_FRACTION * size)
+    slack = max(GAP_SLACK * TOUCH_GAP_M, GAP_FRACTION * size)
     reach = 20 * slack
     limit = Limit(slack, "m", Fault.PART_DETACHED)
     for joint in probe.spec.joints:

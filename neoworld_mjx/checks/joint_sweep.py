@@ -33,6 +33,10 @@ _DIRECTIONS = [
     if any(direction)
 ]
 """Unit vectors from the center of a cube to its 6 faces, 12 edges and 8 corners."""
+TOUCH_GAP_M = 0.002
+"""Largest gap between a part and the part to which it is attached [m]."""
+SWEEP_STEPS, COMBINATIONS = 13, 16
+"""Number of positions over the range of a joint, and of states in which all joints move at once."""
 _RANGE_END = 0.02
 """Distance of the additional positions from the limits, as a fraction of the range."""
 
@@ -113,7 +117,7 @@ def sweep_joints(
 
     Args:
         probe: the object.
-        options: thresholds and the number of positions.
+        options: the allowed depth.
         allowances: overlaps that the object's program declares.
         ignored: names of placeholder parts, which stand for links without geometry.
     """
@@ -137,7 +141,7 @@ def sweep_joints(
     }
     pairs = [p for p in allowed if p not in at_rest or at_rest[p].depth <= allowed[p]]
     ranges = [
-        sweep_range(probe, joint, pairs, allowed, options.sweep_steps)
+        sweep_range(probe, joint, pairs, allowed)
         for joint in spec.joints
         if joint.type != "fixed" and joint.mimic is None
     ]
@@ -150,7 +154,6 @@ def sweep_range(
     joint: JointSpec,
     pairs: Sequence[Pair],
     allowed: Mapping[Pair, float],
-    steps: int,
 ) -> JointRange:
     """Measure the deepest overlap of each pair over the range of one joint.
 
@@ -161,7 +164,6 @@ def sweep_range(
         joint: the joint.
         pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
-        steps: number of positions.
     """
     spec = probe.spec
     prerequisites = prerequisite_state(spec, joint)
@@ -169,7 +171,7 @@ def sweep_range(
     changed = [pair for pair in pairs if (pair[0] in moving) != (pair[1] in moving)]
     if followers(spec, joint):
         changed += [pair for pair in pairs if pair[0] in moving and pair[1] in moving]
-    values = joint_positions(joint, steps)
+    values = joint_positions(joint, SWEEP_STEPS)
     ratios = np.zeros(len(values))
     deepest: dict[Pair, Overlap] = {}
     for k, value in enumerate(values):
@@ -238,7 +240,6 @@ def collides_at(
 
 def sweep_combinations(
     sweep: JointSweep,
-    options: JointSweepOptions,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[Pair, Overlap]:
     """Move all joints at once, and return the pairs that overlap too deeply only in combinations.
@@ -247,7 +248,6 @@ def sweep_combinations(
 
     Args:
         sweep: measurements of the object.
-        options: the number of sampled states.
         free: range [rad or m] to which a joint is restricted, by the joint's name.
     """
     free = free or {}
@@ -257,7 +257,7 @@ def sweep_combinations(
     colliding = sweep.colliding
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
-    for k in range(options.sweep_combinations):
+    for k in range(COMBINATIONS):
         # In the first two states, all joints are at the upper end or all at the lower end, where
         # parts often collide.
         state: State = {}
@@ -338,7 +338,7 @@ def overlap_signals(
             _in_motion(probe, swept, pair, overlap, sweep.allowed[pair])
             for pair, overlap in sweep.too_deep(swept.deepest).items()
         ]
-    for pair, overlap in sweep_combinations(sweep, options).items():
+    for pair, overlap in sweep_combinations(sweep).items():
         a, b = (probe.names[index] for index in pair)
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
         message = f"parts {a!r} and {b!r} enter each other with {state[:200]}"

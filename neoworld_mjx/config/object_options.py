@@ -34,30 +34,14 @@ class ParseOptions(Options):
 
 
 class JointSweepOptions(Options):
-    """Options of the joint sweep in Steps 2 and 3.
+    """Option of the joint sweep in Steps 2 and 3.
 
-    `program` and `verify` both have these options. Set them to the same values; otherwise Step 3
-    may reject an object that Step 2 accepted.
+    `program` and `verify` both have it. Set it to the same value; otherwise Step 3 may reject an
+    object that Step 2 accepted.
     """
 
     max_depth_m: float = option(
         0.001, "Maximum penetration between two parts of an object.", unit="m", gt=0
-    )
-    touch_gap_m: float = option(
-        0.002,
-        "Maximum gap between a part and the part to which it is attached. Step 3 allows twice this "
-        "gap, or 1 % of the object's size if that is larger.",
-        unit="m",
-        ge=0,
-    )
-    sweep_steps: int = option(
-        13, "Number of positions that are tested over the range of each joint.", ge=3, le=1000
-    )
-    sweep_combinations: int = option(
-        16,
-        "Number of tested configurations in which all joints are moved at once.",
-        ge=0,
-        le=10_000,
     )
 
 

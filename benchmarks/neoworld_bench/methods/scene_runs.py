@@ -55,7 +55,7 @@ def part_depth(spec: ObjectSpec) -> float:
     for swept in sweep.ranges:
         overlaps += swept.deepest.values()
     strict = replace(sweep, allowed=dict.fromkeys(sweep.allowed, P_PEN_M))
-    overlaps += sweep_combinations(strict, o).values()
+    overlaps += sweep_combinations(strict).values()
     return max((overlap.depth for overlap in overlaps if overlap.depth > 0), default=0.0)
 
 
