@@ -24,13 +24,13 @@ def faulty_objects(kind, every):
 
 
 def check_faults(kind, specs):
-    """Assert that every fault is detected and named, and that 95 % of the repairs succeed."""
+    """Assert that every fault is detected and named, and that 90 % of the repairs succeed."""
     repaired = 0
     for spec in specs:
         first = run(spec)
         assert first.verdict.cause in kind.causes, spec.name
         repaired += kind.repairable and repair(spec, run, first=first).after.passed
-    assert not kind.repairable or repaired >= 0.95 * len(specs)
+    assert not kind.repairable or repaired >= 0.9 * len(specs)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
