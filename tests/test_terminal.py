@@ -28,7 +28,11 @@ o.revolute("hinge", p, q, at=(-0.05, -0.051, 0), axis=(0, 0, -1), range=(0, {mos
 @pytest.mark.parametrize(
     ("program", "code", "hint"),
     [
-        (GOOD.replace("box((0.1, 0.1, 0.1))", "box(0.1, 0.1, 0.1)"), "type", "three numbers in"),
+        (
+            GOOD.replace("box((0.1, 0.1, 0.1))", "box(0.1, 0.1, 0.1)"),
+            "type",
+            "numbers in one tuple",
+        ),
         (GOOD.replace("Object, box", "Object, boks"), "type", "did you mean box?"),
         (GOOD.replace("p.add", "p.ad"), "type", "did you mean add?"),
         (GOOD.replace("neoworld_mjx.program.sdk", "sdk"), "type", "import Object, box"),
@@ -38,7 +42,7 @@ o.revolute("hinge", p, q, at=(-0.05, -0.051, 0), axis=(0, 0, -1), range=(0, {mos
         (GOOD.replace("at=(0, 0, 0.05)", "rpy=(0, 10, 0)"), "degrees", "math.radians(10)"),
         (DOOR.format(y=-0.062, most=5), "degrees", "math.radians(5)"),
         (GOOD.replace("0.1))", "0.1), 0.1)"), "type", "it takes size"),
-        (GOOD + "o.hinge(p)", "type", "a hinge is Object.revolute"),
+        (GOOD + "o.hinge(p)", "type", "the SDK has only"),
     ],
 )
 def test_common_mistakes_get_a_hint(program, code, hint):

@@ -98,8 +98,6 @@ class FreedObject:
     """Changes of the dimensions of an object's program."""
 
     edits: tuple[DimensionEdit, ...]
-    reason: str = ""
-    """Reason why no dimension changed; empty if at least one did."""
     outline_before_px: float | None = None
     """Distance of the object's outline from the photograph's before the change; see
     `outline_errors`."""
@@ -174,8 +172,7 @@ class Alignment:
                     phrase = f"in the photograph joint {joint} {opening.phrase()}"
                     yield f"{name} with a joint opened differently than composed", phrase
         for name, freed in self.dimensions.items():
-            if freed.edits:
-                yield f"{name} has other dimensions than its program", freed.phrase()
+            yield f"{name} has other dimensions than its program", freed.phrase()
 
     def to_json(self) -> dict[str, Any]:
         """Return the changes as JSON data, without the scene."""

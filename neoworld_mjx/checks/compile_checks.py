@@ -6,8 +6,6 @@ A valid object satisfies the following conditions:
 - No two parts overlap over the range of any joint, or in sampled combinations of joint positions.
 - The axis of a joint passes through its child, and the joint's range moves the child.
 - Sizes and masses are plausible for a real object.
-
-Plausibility checks: are sizes, masses and wall thicknesses those of a real object?
 """
 
 import itertools
@@ -21,50 +19,32 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..config import ProgramOptions
 from ..spec import (
-    Extrusion,
     JointSpec,
-    Lathe,
     ObjectSpec,
     PartSpec,
-    Prism,
-    Shape,
-    Sweep,
     bounds,
     inertial,
     is_too_light,
     pieces,
 )
-from ..spec.convex import extent
 from ..spec.mass import LEAST_KG
 from ..spec.opening import opening_alignment
 from ..spec.shapes import faceted
-from .joint_sweep import overlap_signals, rest_overlap_signals
-from .signals import Allowance, Severity, Signal, deduplicated, error_signal, radians_hint
+from .joint_sweep import TOUCH_GAP_M, overlap_signals, rest_overlap_signals
+from .signals import Allowance, Signal, deduplicated, error_signal, radians_hint
 from .static_checks import OutOfTime, Probe, line_box_distance
 
-TOUCH_GAP_M = 0.002
-"""Largest gap between a part and the part to which it is attached [m]."""
 SMALLEST_M, LARGEST_M = 0.01, 20.0
 """Limits on the longest edge of an object [m]."""
 HEAVIEST_KG = 2000.0
-SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
-"""Limits on a part's mass over the volume of the part's convex hull.
-
-Only solid metal exceeds the first limit, and few tabletop objects exceed the second limit.
-"""
-WEIGHED_KG, LIFTED_KG = 1.0, 8.0
-"""Masses above which the two limits on density apply.
-
-A dense part that is lighter than the first mass is a fitting. A part that is heavier than the
-second mass is hard to lift.
-"""
-LIGHTEST_KG_M3 = 1.0
-THINNEST_M = 0.0004
-"""Thickness below which pieces can pass through each other within a time step."""
+SOLID_KG_M3 = 3000.0
+"""Largest mass of a part over the volume of its convex hull; only solid metal exceeds it."""
+WEIGHED_KG = 1.0
+"""Mass above which the limit on density applies; a lighter part is a fitting."""
 
 
 def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
-    """Yield signals for implausible sizes, masses and wall thicknesses of an object."""
+    """Yield signals for implausible sizes and masses of an object."""
     low, high = bounds(spec)
     yield from _size(high - low)
     total = 0.0
@@ -82,7 +62,6 @@ def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
             continue
         if part.mass is None:
             yield from _density(part.name, inertia.mass, inertia.mass / _hull_volume(part))
-        yield from _thickness(part)
     if total > HEAVIEST_KG:
         hint = "lengths are in metres; make it hollow, or choose a lighter material"
         message = f"the object weighs {total:.4g} kg"
@@ -101,55 +80,17 @@ def _size(size: np.ndarray) -> Iterator[Signal]:
 
 def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
     """Check a part's density [kg/m^3], which is the mass over the volume of the convex hull."""
-    message = f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans"
-    severity: Severity = "warning"
     if mass > WEIGHED_KG and density > SOLID_KG_M3:
-        severity, code, limit = "error", "too_heavy", SOLID_KG_M3
-        message += ": that is solid metal"
-        hint = "make it a shell (lathe with thickness, hollow_box); if it is solid, say so by mass="
-    elif mass > LIFTED_KG and density > DENSE_KG_M3:
-        code, limit = "heavy", DENSE_KG_M3
-        hint = "is it hollow in the picture? then make it a shell"
-    elif density < LIGHTEST_KG_M3:
-        code, limit = "light", LIGHTEST_KG_M3
-        hint = "are the walls too thin, or is a shape missing?"
-    else:
-        return
-    yield Signal(
-        severity=severity, code=code, part=part, message=message, hint=hint, value=density,
-        threshold=limit,
-    )  # fmt: skip
-
-
-def _thickness(part: PartSpec) -> Iterator[Signal]:
-    """Check the smallest thickness [m] of a part's shapes and convex pieces."""
-    walls = [(_wall(geom.shape), geom.name) for geom in part.geoms if geom.role != "visual"]
-    for geom, piece, _ in pieces(part):
-        if piece.kind != "mesh":  # For meshes, `_wall` returns the thickness that the shape states.
-            width = min(extent(piece, axis) + extent(piece, -axis) for axis in np.eye(3))
-            walls.append((width, geom.name))
-    thickness, shape = min(walls, key=lambda wall: wall[0], default=(np.inf, ""))
-    if thickness < THINNEST_M:
-        yield Signal(
-            severity="warning",
-            code="thin",
-            part=part.name,
-            message=f"part {part.name!r}: {shape} is very thin",
-            value=float(thickness),
-            threshold=THINNEST_M,
-            hint="things fall through such a wall; 1 mm and more is safe",
+        yield error_signal(
+            "too_heavy",
+            f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans: "
+            "that is solid metal",
+            part=part,
+            value=density,
+            threshold=SOLID_KG_M3,
+            hint="make it a shell (lathe with thickness, hollow_box); if it is solid, say so by "
+            "mass=",
         )
-
-
-def _wall(shape: Shape) -> float:
-    """Return the thickness [m] that a shape states, or infinity if it states none."""
-    if isinstance(shape, Lathe):
-        return shape.thickness or np.inf
-    if isinstance(shape, Prism | Extrusion):
-        return shape.height
-    if isinstance(shape, Sweep):
-        return min(*shape.width, *shape.thickness)
-    return np.inf
 
 
 def _hull_volume(part: PartSpec) -> float:
@@ -189,7 +130,7 @@ def check(
 
     Args:
         spec: the object.
-        options: the allowed depth, and the time allowed.
+        options: the allowed depth and the limit on processor time.
         lines: line of the program that creates each part and joint, as in `BuildResult.lines`.
         allowances: overlaps that the program declares.
 
@@ -226,7 +167,7 @@ def check_geometry(
 
     Args:
         spec: the object, in which every part is fixed to the first part.
-        options: the allowed depth, and the time allowed.
+        options: thresholds.
         lines: line of the program that creates each part.
     """
 

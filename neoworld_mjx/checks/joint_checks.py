@@ -14,8 +14,9 @@ from ..config import VerifyOptions
 from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.kinematics import with_joint
 from ..spec.opening import opening_alignment
-from .compile_checks import MIN_OPENING_COSINE, TOUCH_GAP_M
+from .compile_checks import MIN_OPENING_COSINE
 from .joint_sweep import (
+    TOUCH_GAP_M,
     JointRange,
     JointSweep,
     collides_at,
@@ -36,8 +37,8 @@ CLEARANCE_FRACTION = 0.5
 The full allowed depth applies if less than `BLOCKED_FRACTION` of the joint's range would remain
 free.
 """
-MAX_PIVOT_OFF = 0.05
-"""Largest distance of a hinge axis from the parts that it connects, over the child's diagonal."""
+PIVOT_FRACTION = 0.05
+"""Largest distance of a hinge axis from its parts, over the child's diagonal."""
 GAP_SLACK, GAP_FRACTION = 2.0, 0.01
 """Limits on the gap between a part and its parent; the larger limit applies.
 
@@ -66,7 +67,7 @@ def check_joints(
 
     Args:
         spec: the object.
-        options: the allowed depth.
+        options: thresholds and the resolution of the sweep.
         allowances: overlaps that the object's program declares.
     """
     probe = Probe(spec)
@@ -86,7 +87,7 @@ def check_joints(
     if len(sweep.ranges) > 1:
         checks.append(_combinations(sweep, free, options))
     probe.place({})
-    checks += _gaps(probe)
+    checks += _gaps(probe, options)
     checks += _pivots(probe)
     checks += _intents(spec)
     return JointChecks(checks, free, overlapping)
@@ -241,7 +242,7 @@ def _combinations(
     return make_check("joint_range", "depth:together", worst, limit, evidence=evidence)
 
 
-def _gaps(probe: Probe) -> Iterator[Check]:
+def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
@@ -277,7 +278,7 @@ def _pivots(probe: Probe) -> Iterator[Check]:
             # parent may end before the axis.
             distance = max(distance, line_box_distance(point, axis, *parent) / 2)
         size = float(np.linalg.norm(child[1] - child[0]))
-        limit = Limit(max(MAX_PIVOT_OFF * size, 0.004), "m", Fault.PIVOT_OFF)
+        limit = Limit(max(PIVOT_FRACTION * size, 0.004), "m", Fault.PIVOT_OFF)
         yield make_check(
             "static", f"pivot:{joint.name}", distance, limit, part=joint.child, joint=joint.name,
             evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",

@@ -5,7 +5,7 @@ at once. The compile checks of Step 2 and the object tests of Step 3 compare equ
 equal thresholds, so the two steps agree on which overlaps are too deep. Depths are exact
 (`mj_geomDistance`), and include pairs of parent and child.
 
-Signals for parts that overlap, with joints at zero, over a joint's range or in combinations.
+`overlap_signals` reports the overlaps to the programmer of Step 2.
 """
 
 import itertools
@@ -33,8 +33,10 @@ _DIRECTIONS = [
     if any(direction)
 ]
 """Unit vectors from the center of a cube to its 6 faces, 12 edges and 8 corners."""
-SWEEP_STEPS, SWEEP_COMBINATIONS = 13, 16
-"""Positions over the range of each joint, and states in which all joints are moved at once."""
+TOUCH_GAP_M = 0.002
+"""Largest gap between a part and the part to which it is attached [m]."""
+SWEEP_STEPS, COMBINATIONS = 13, 16
+"""Number of positions over the range of a joint, and of states in which all joints move at once."""
 _RANGE_END = 0.02
 """Distance of the additional positions from the limits, as a fraction of the range."""
 
@@ -139,7 +141,7 @@ def sweep_joints(
     }
     pairs = [p for p in allowed if p not in at_rest or at_rest[p].depth <= allowed[p]]
     ranges = [
-        sweep_range(probe, joint, pairs, allowed, SWEEP_STEPS)
+        sweep_range(probe, joint, pairs, allowed)
         for joint in spec.joints
         if joint.type != "fixed" and joint.mimic is None
     ]
@@ -152,27 +154,24 @@ def sweep_range(
     joint: JointSpec,
     pairs: Sequence[Pair],
     allowed: Mapping[Pair, float],
-    steps: int,
-    prerequisites: State | None = None,
 ) -> JointRange:
     """Measure the deepest overlap of each pair over the range of one joint.
+
+    The joint's prerequisites are open.
 
     Args:
         probe: the object.
         joint: the joint.
         pairs: pairs of parts to measure; pairs whose distance the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
-        steps: number of positions.
-        prerequisites: positions of the other joints; by default, those in which the joint's
-            prerequisites are open.
     """
     spec = probe.spec
-    prerequisites = prerequisite_state(spec, joint) if prerequisites is None else prerequisites
+    prerequisites = prerequisite_state(spec, joint)
     moving = frozenset(probe.names.index(name) for name in moving_parts(spec, joint))
     changed = [pair for pair in pairs if (pair[0] in moving) != (pair[1] in moving)]
     if followers(spec, joint):
         changed += [pair for pair in pairs if pair[0] in moving and pair[1] in moving]
-    values = joint_positions(joint, steps)
+    values = joint_positions(joint, SWEEP_STEPS)
     ratios = np.zeros(len(values))
     deepest: dict[Pair, Overlap] = {}
     for k, value in enumerate(values):
@@ -258,7 +257,7 @@ def sweep_combinations(
     colliding = sweep.colliding
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
-    for k in range(SWEEP_COMBINATIONS):
+    for k in range(COMBINATIONS):
         # In the first two states, all joints are at the upper end or all at the lower end, where
         # parts often collide.
         state: State = {}
@@ -339,8 +338,6 @@ def overlap_signals(
             _in_motion(probe, swept, pair, overlap, sweep.allowed[pair])
             for pair, overlap in sweep.too_deep(swept.deepest).items()
         ]
-        if not signals:
-            signals += _needless_prerequisites(sweep, swept)
     for pair, overlap in sweep_combinations(sweep).items():
         a, b = (probe.names[index] for index in pair)
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
@@ -364,25 +361,6 @@ def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
         for pair, closest in probe.depths(pairs).items()
         if -closest.distance > limit
     ]
-
-
-def _needless_prerequisites(sweep: JointSweep, swept: JointRange) -> Iterator[Signal]:
-    """Yield an error for each prerequisite that, when closed, does not obstruct the joint.
-
-    A prerequisite excludes states from the sweep, so needless prerequisites are not allowed.
-    """
-    joint = swept.joint
-    for name in joint.after:
-        prerequisite = sweep.probe.spec.joint(name)
-        others_open = {key: value for key, value in swept.prerequisites.items() if key != name}
-        alone = sweep_range(
-            sweep.probe, joint, swept.pairs, sweep.allowed, SWEEP_STEPS, others_open
-        )
-        if not sweep.too_deep(alone.deepest):
-            message = f"joint {joint.name!r} waits for {name!r}, but {prerequisite.child!r} is not "
-            message += "in its way when closed"
-            names = {"joint": joint.name, "part": joint.child}
-            yield error_signal("after_needless", message, hint="leave after= out", **names)
 
 
 def _at_rest(probe: Probe, pair: Pair, overlap: Overlap, allowed: float) -> Signal:

@@ -1,6 +1,7 @@
 """Dynamic checks of an object: each check compares a measurement in one scenario with a limit.
 
-Support polygon of an object at rest: its width, and the margin of the center of mass.
+The balance of an object at rest follows from its support polygon: the polygon's width, and the
+margin of the center of mass.
 """
 
 import itertools
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from shapely import MultiPoint, Point
 
-from ..physics.mjcf import START, body_name
-from ..spec import bounds, link_poses, pieces
+from ..config import VerifyOptions
+from ..physics.mjcf import START
+from ..spec import link_poses, pieces
 from ..spec.convex import Piece, box_around
 from ..spec.pose import angle_between, matrix, pose, tilt_between
-from .scenarios import DROP_HEIGHT_M, FINAL_SLOPE_DEG, SLOPE_START_S, STILL_S, slope_angle
+from .scenarios import DROP_HEIGHT_M
 from .simulation import TIMESTEP_S, G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, make_check, skipped
 
@@ -107,42 +109,22 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     return points[points[:, 2] <= reach + 1e-9][:, :2].reshape(-1, 2)
 
 
-def on_wheels(simulation: Simulation) -> bool:
-    """Return True if a part on a continuous joint touches the floor."""
-    data, model = simulation.data, simulation.model
-    data.qpos[:], data.qvel[:] = model.key_qpos[0], 0.0
-    low, _ = bounds(simulation.spec, {}, tuple(simulation.tilt.tolist()))
-    data.qpos[:7] = [0, 0, -low[2] - 1e-4, *simulation.tilt]
-    mujoco.mj_forward(model, data)
-    pairs = data.contact.geom[: data.ncon]
-    touching_bodies = model.geom_bodyid[pairs[(pairs == simulation.floor).any(axis=1)]]
-    return any(
-        model.body(body_name(simulation.spec, joint.child)).id in touching_bodies
-        for joint in simulation.spec.joints
-        if joint.type == "continuous"
-    )
-
-
+MAX_REST_SPEED = 0.01
+"""Largest speed at the end of a fall [m/s]."""
+MAX_ENERGY_GAIN = 0.02
+"""Largest gain of energy without a force, over the object's weight times its extent."""
+MAX_OVERSHOOT = 0.05
+"""Largest travel beyond a joint's limit, as a fraction of the joint's range."""
+MIN_MOBILITY = 0.9
+"""Smallest fraction of its range that a joint covers when it is driven up and down."""
+MIN_LOSS = 0.05
+"""Smallest fraction of its speed that a coasting joint loses in `COAST_S`."""
 SETTLE_WINDOW_S = 0.2
 """Time at the end of a run during which the object and its joints must be settled [s]."""
 JOINT_SPEED = 0.03
 """Largest speed of a settled joint, measured at the far end of the parts that it moves [m/s]."""
-MAX_REST_SPEED = 0.01
-"""Largest speed at the end of a free fall [m/s]."""
-MAX_ENERGY_GAIN = 0.02
-"""Largest increase of mechanical energy without an applied force, over weight times extent."""
-MAX_OVERSHOOT = 0.05
-"""Largest travel beyond a joint limit, as a fraction of the joint's range."""
-MIN_MOBILITY = 0.9
-"""Smallest fraction of its range that a joint covers when it is driven in both directions."""
-MIN_LOSS = 0.05
-"""Smallest fraction of its speed that a coasting joint loses within `COAST_S`."""
-MIN_SLIDE_DEG, MAX_SLIDE_DEG = 5.0, 60.0
-"""Slope on which an object must remain at rest, and slope on which it must slide [deg]."""
 MAX_FREE_MOTION = 0.02
 """Largest motion of a joint on which no force acts, as a fraction of the joint's range."""
-SLIDING_M = 0.001
-"""Displacement on a slope from which an object counts as sliding [m]."""
 COAST_S = 0.5
 """Time after which the loss of speed of a coasting joint is measured [s]."""
 MIN_RANGE_M, MIN_RANGE_RAD = 0.08, 0.6
@@ -179,7 +161,6 @@ def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> 
         yield skipped("free_fall", "rests", "base is fixed")
     yield from _pushes(simulation, by_kind["force_perturbation"])
     for kind, checks_of in (
-        ("tilt_until_slide", _slope),
         ("joint_release", _release),
         ("joint_drive", _drive),
     ):
@@ -221,17 +202,17 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         in_place = Limit(
             max(ROUND_MAX_DRIFT * size, o.max_drift_m), "m", Fault.DRIFTS, hint=ROUND_HINT
         )
-    deepest = DROP_HEIGHT_M + max(o.max_depth_m, 0.01 * size)
-    on_floor = Limit(deepest, "m", Fault.SINKS_IN, best=DROP_HEIGHT_M)
+    drop = DROP_HEIGHT_M
+    on_floor = Limit(drop + max(o.max_depth_m, 0.01 * size), "m", Fault.SINKS_IN, best=drop)
     for trajectory in trajectories:
         if trajectory.diverged:
             yield _diverged(trajectory)
             continue
         name, qpos = trajectory.scenario.name, trajectory.qpos
         # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
-        tilted = name not in ("fall", "fall_high")
+        tilted = name != "fall"
         if not (rolls and tilted):
-            speeds = np.linalg.norm(_last_steps(trajectory.qvel)[:, :3], axis=1)
+            speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
             limit = Limit(MAX_REST_SPEED, "m/s", Fault.RESTLESS)
             yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
         yield from _free_run(simulation, trajectory, name)
@@ -294,7 +275,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     A released joint must settle, a joint without forces must not move, and a coasting joint must
     lose speed.
     """
-    scenario = trajectory.scenario
+    scenario, o = trajectory.scenario, simulation.options
     name, joint = scenario.name, simulation.joint_of(scenario)
     position, dof = simulation.address(joint.name)
     span = joint.high - joint.low
@@ -313,7 +294,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
         yield _check(trajectory, name, loss, limit, **names, time=COAST_S)
     else:
         if span < 2 * np.pi - 1e-6:
-            fastest = float(np.abs(_last_steps(trajectory.qvel)[:, dof]).max())
+            fastest = float(np.abs(_last_steps(o, trajectory.qvel)[:, dof]).max())
             limit = Limit(JOINT_SPEED, "m/s", Fault.RESTLESS)
             speed = fastest * simulation.moment_arm(joint)
             yield _check(trajectory, name, speed, limit, **names)
@@ -330,32 +311,6 @@ def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
 
 
-def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
-    """Check the slope at which an object begins to slide, unless it topples or rolls first."""
-    o, qpos = simulation.options, trajectory.qpos
-    kind, name = "tilt_until_slide", "slide"
-    if on_wheels(simulation):
-        yield skipped(kind, name, "it stands on wheels")
-        return
-    begin = round(STILL_S / TIMESTEP_S)
-    sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > SLIDING_M
-    tilted = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
-    slope = np.degrees(slope_angle(trajectory.time, o.duration_s))
-    first = int(np.argmax(sliding)) if sliding.any() else len(slope) - 1
-    if tilted[: first + 1].any():
-        degrees = slope[int(np.argmax(tilted))]
-        yield skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
-        return
-    # The ground continues to tilt while the object slides by SLIDING_M: x = g rate t^3 / 6.
-    rate = np.radians(FINAL_SLOPE_DEG) / (o.duration_s - SLOPE_START_S)
-    delay = (6 * SLIDING_M / (G * rate)) ** (1 / 3)
-    angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
-    shallow = angle < MIN_SLIDE_DEG
-    threshold = MIN_SLIDE_DEG if shallow else MAX_SLIDE_DEG
-    limit = Limit(threshold, "deg", Fault.FRICTION_IMPLAUSIBLE, least=shallow)
-    yield _check(trajectory, name, angle, limit, time=trajectory.time[first])
-
-
 def _diverged(trajectory: Trajectory) -> Check:
     """Return the failed check of a simulation that diverged."""
     scenario, time = trajectory.scenario, trajectory.time[-1] if len(trajectory.time) else 0.0
@@ -364,7 +319,7 @@ def _diverged(trajectory: Trajectory) -> Check:
     return _check(trajectory, name, float("nan"), limit, part=part, joint=joint, time=time)
 
 
-def _last_steps(values: NDArray) -> NDArray:
+def _last_steps(options: VerifyOptions, values: NDArray) -> NDArray:
     """Return the values of the last steps of a run, during which the object must be settled.
 
     The first axis of the values is time.

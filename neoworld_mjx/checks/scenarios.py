@@ -1,4 +1,4 @@
-"""Scenarios of an object: falls, pushes, joint releases, joint drives and a slope.
+"""Scenarios of an object: falls, pushes, joint releases and joint drives.
 
 A scenario consists of an initial state of the object and of forces over time. `Simulation.run` runs
 all scenarios of an object in one batch. The two standard scenarios of the paper (Section 3.2, Step
@@ -9,27 +9,25 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from .verdict import ScenarioKind
 
-World = Literal["free", "gripping", "fixed_base", "weightless"]
+World = Literal["free", "fixed_base", "weightless"]
 """Environment of a scenario.
 
 - "free": the object is free on the floor.
-- "gripping": the object is free on a floor on which contacts do not creep.
 - "fixed_base": the object's base is fixed, and there is no floor.
 - "weightless": the object's base is fixed, and there is neither floor nor gravity.
 """
 SINGLE_DOF_TYPES = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom. Ball joints are neither released nor driven."""
+DROP_HEIGHT_M = 0.005
+"""Height of the free falls [m]."""
+FALL_TILT_DEG = 3.0
+"""Initial tilt of the tilted falls [deg]."""
 STILL_S = 0.1
 """Time before a joint is driven [s]."""
-SLOPE_START_S, FINAL_SLOPE_DEG = 0.3, 70.0
-"""Time at which the slope begins to rise [s], and the final angle of the slope [deg]."""
-DROP_HEIGHT_M, HIGH_DROP_M, DROP_TILT_DEG = 0.005, 0.02, 3.0
-"""Heights of the two free falls [m], and the initial tilt of the tilted falls [deg]."""
 DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
@@ -57,17 +55,10 @@ class Scenario:
     """Part that is pushed; None in scenarios without a push."""
     impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Impulse of the push over the mass of the part and all parts that it carries [m/s]."""
-    twist: float = 0.0
-    """Angular velocity about the vertical that the push would give the part alone [rad/s].
-
-    The part includes all parts that it carries.
-    """
     joint: str | None = None
     """Joint that is released or driven."""
     driven: bool = False
     """True if a force drives the joint up its range and down again."""
-    slope: bool = False
-    """True if the ground tilts."""
 
 
 @dataclass(frozen=True)
@@ -94,29 +85,28 @@ def list_scenarios(
     Args:
         parts: one part of each group of parts that are fixed to each other, the root first.
         joints: joints with one degree of freedom that follow no other joint.
-        options: heights and impulses.
+        options: height and impulse.
         fixed_base: if True, the base is fixed, and only the scenarios of the joints are returned.
     """
-    slope = Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
-    scenarios = [] if fixed_base else [*_falls(), *_pushes(parts, options), slope]
+    scenarios = [] if fixed_base else [*_falls(), *_pushes(parts, options)]
     for joint in joints:
         scenarios += [*_releases(joint), *_drives(joint)]
     return scenarios
 
 
 def _falls() -> list[Scenario]:
-    """Return free falls from a small and from a larger height, and tilted about x and about y."""
-    lean = float(np.radians(DROP_TILT_DEG))
+    """Return free falls: upright, tilted about x, and tilted about y."""
+    lean = float(np.radians(FALL_TILT_DEG))
+    height = DROP_HEIGHT_M
     return [
-        Scenario("free_fall", "fall", "free", height=DROP_HEIGHT_M),
-        Scenario("free_fall", "fall_high", "free", height=HIGH_DROP_M),
-        Scenario("free_fall", "fall_tilted_x", "free", height=DROP_HEIGHT_M, tilt=(lean, 0.0)),
-        Scenario("free_fall", "fall_tilted_y", "free", height=DROP_HEIGHT_M, tilt=(0.0, lean)),
+        Scenario("free_fall", "fall", "free", height=height),
+        Scenario("free_fall", "fall_tilted_x", "free", height=height, tilt=(lean, 0.0)),
+        Scenario("free_fall", "fall_tilted_y", "free", height=height, tilt=(0.0, lean)),
     ]
 
 
 def _pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
-    """Return force perturbations: pushes of each part in six directions, and a twist."""
+    """Return force perturbations: pushes of each part in six directions."""
     speed = options.impulse_ns_per_kg
     scenarios = []
     for part in parts:
@@ -124,7 +114,6 @@ def _pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
         for name, (x, y, z) in DIRECTIONS.items():
             impulse = (speed * x, speed * y, speed * z)
             scenarios.append(replace(push, name=push.name + name, impulse=impulse))
-        scenarios.append(replace(push, name=f"{push.name}twist", twist=3 * speed))
     return scenarios
 
 
@@ -165,14 +154,3 @@ def _drives(joint: SingleJoint) -> list[Scenario]:
         )
         for name, world in worlds.items()
     ]  # fmt: skip
-
-
-def slope_angle(time: NDArray, duration: float) -> NDArray:
-    """Return the angle of the ground at times of a run [rad].
-
-    Args:
-        time: the times [s], shape [t].
-        duration: length of the run [s].
-    """
-    fraction = np.clip((time - SLOPE_START_S) / (duration - SLOPE_START_S), 0.0, 1.0)
-    return np.radians(FINAL_SLOPE_DEG) * fraction

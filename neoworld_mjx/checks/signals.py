@@ -1,8 +1,7 @@
 """Signals: findings about a program, each with a code, a location, a value and a hint.
 
-Running a program that fails returns signals instead of raising an exception.
-
-Overlaps of parts that a program declares as intended.
+Running a program that fails returns signals instead of raising an exception. An allowance is an
+overlap of parts that a program declares as intended.
 """
 
 import math

@@ -23,15 +23,17 @@ from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
-from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World, slope_angle
+from .scenarios import SINGLE_DOF_TYPES, STILL_S, Scenario, SingleJoint, World
 
-TIMESTEP_S = 0.002
-"""Time step of the simulation [s]."""
-JOINT_PUSH_S = 0.5
-"""Time in which a free joint is pushed across its range [s]."""
 FLOOR = "test_floor"
 FIXING_ARMATURE = 1e6
 """Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
+TIMESTEP_S = 0.002
+"""Time step of the simulation [s]."""
+DRIVE_S = 0.5
+"""Time in which the force on a free joint moves it across its range [s]."""
+HAND_FORCE_N = 100.0
+"""Largest force that drives a joint, at the far end of the part, plus half of its weight [N]."""
 CONTROL_BYTES = 64 << 20
 """Limit on the memory for the forces of a batch; further scenarios are run in the next batch."""
 G = 9.81
@@ -60,7 +62,7 @@ class Simulation:
 
     Args:
         spec: the object.
-        options: duration and forces.
+        options: time step and duration.
         tilt: orientation in which the object rests; scenarios can add a tilt.
     """
 
@@ -104,17 +106,7 @@ class Simulation:
         fixed_base.opt.tolerance = 1e-15
         weightless = copy.copy(fixed_base)
         weightless.opt.gravity[:] = 0.0
-        # By default, contacts creep under a constant force. On the slope, they must stick until
-        # the object slides.
-        gripping = copy.copy(free)
-        gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        gripping.opt.impratio = 100.0
-        return {
-            "free": free,
-            "fixed_base": fixed_base,
-            "weightless": weightless,
-            "gripping": gripping,
-        }
+        return {"free": free, "fixed_base": fixed_base, "weightless": weightless}
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -189,46 +181,21 @@ class Simulation:
             pushed, during = model.body(body_name(self.spec, scenario.part)).id, o.push_duration_s
             mass = float(model.body_subtreemass[pushed])
             body[time < during, pushed, :3] = np.array(scenario.impulse) * mass / during
-            if scenario.twist:
-                torque = scenario.twist * self._inertia_about_vertical(pushed) / during
-                body[time < during, pushed, 5] = torque
         if scenario.driven and scenario.joint is not None:
             _, dof = self.address(scenario.joint)
             force = self.drive_force(scenario)
             half = STILL_S + (o.duration_s - STILL_S) / 2
             joint[(time >= STILL_S) & (time < half), dof] = force
             joint[time >= half, dof] = -force
-        if scenario.slope:
-            angle = slope_angle(time, o.duration_s)
-            pull = np.zeros((steps, 3))
-            pull[:, 1], pull[:, 2] = G * np.sin(angle), G * (1 - np.cos(angle))
-            body[:, self.root :, :3] = pull[:, None] * model.body_mass[self.root :, None]
         return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
-
-    def _inertia_about_vertical(self, body: int) -> float:
-        """Return the inertia of a body's subtree about the vertical through its center of mass.
-
-        The unit is kg m^2.
-        """
-        model, data, total = self.model, self.data, 0.0
-        centre = data.subtree_com[body]
-        subtree = {body}
-        for b in range(body, model.nbody):
-            if b == body or int(model.body_parentid[b]) in subtree:
-                subtree.add(b)
-                arm = data.xipos[b] - centre
-                rotation = data.ximat[b].reshape(3, 3)
-                about_centre = float((rotation[2] ** 2) @ model.body_inertia[b])
-                total += about_centre + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
-        return total
 
     def drive_force(self, scenario: Scenario) -> float:
         """Return the force [N] or torque [N m] with which a hand drives a joint.
 
-        The force suffices to move the joint through its range in `JOINT_PUSH_S` against losses and
+        The force suffices to move the joint through its range in `DRIVE_S` against losses and
         weight, but does not exceed the force of a hand at the far end of the child.
         """
-        model, o = self.model_of(scenario), self.options
+        model = self.model_of(scenario)
         joint = self.joint_of(scenario)
         position, dof = self.address(joint.name)
         data = mujoco.MjData(model)
@@ -242,13 +209,13 @@ class Simulation:
             inertia = max(inertia, float(_mass_matrix(model, data)[dof, dof]))
             load = max(load, abs(float(data.qfrc_bias[dof])))
         span = joint.high - joint.low
-        required = 2 * inertia * span / JOINT_PUSH_S**2 + 2 * float(model.dof_frictionloss[dof])
-        required += float(model.dof_damping[dof].sum()) * span / JOINT_PUSH_S + 1.5 * load
+        required = 2 * inertia * span / DRIVE_S**2 + 2 * float(model.dof_frictionloss[dof])
+        required += float(model.dof_damping[dof].sum()) * span / DRIVE_S + 1.5 * load
         # Springs and contacts require a larger force.
         required = max(2 * required, 1e-9)
         child = model.body(body_name(self.spec, joint.child)).id
         weight = G * float(model.body_subtreemass[child])
-        return min(required, self.moment_arm(joint) * (o.hand_force_n + 0.5 * weight) + load)
+        return min(required, self.moment_arm(joint) * (HAND_FORCE_N + 0.5 * weight) + load)
 
     def moment_arm(self, single: SingleJoint) -> float:
         """Return the distance [m] from a joint's axis to the far end of the parts that it moves.

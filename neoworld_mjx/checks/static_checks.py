@@ -1,10 +1,9 @@
-"""Static checks of an object: masses, inertias and colliders.
+"""Static checks of an object: masses, inertias, friction and colliders; and a probe of distances.
 
-Exact distances between the parts of an object in any joint state.
-
-MuJoCo's contact list omits pairs of parent and child, but `mj_geomDistance` measures every pair.
-The model has no dynamics: every convex piece is a geom of the world body, and its pose is set from
-the object's kinematics.
+`Probe` measures exact distances between the parts of an object in any joint state. MuJoCo's contact
+list omits pairs of parent and child, but `mj_geomDistance` measures every pair. The model has no
+dynamics: every convex piece is a geom of the world body, and its pose is set from the object's
+kinematics.
 """
 
 import time
@@ -34,6 +33,8 @@ DENSEST, LIGHTEST = 22000.0, 0.5
 The largest is close to the density of osmium, and the smallest is below the density of any foam.
 """
 HEAVIEST_KG = 2000.0
+SLIPPERIEST, ROUGHEST = 0.09, 1.75
+"""Friction with which an object begins to slide on a slope of 5 and of 60 degrees."""
 INERTIA_RATIO = 30.0
 """Largest ratio of the inertia from volume and density to an authored inertia.
 
@@ -48,7 +49,7 @@ MAX_COLLIDER_EXCESS = 0.04
 
 
 def check_statics(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield checks of authored inertias and masses, of the total mass, and of colliders."""
+    """Yield checks of authored inertias and masses, the total mass, friction and colliders."""
     for part in spec.parts:
         yield from _inertia(spec, part)
     total = 0.0
@@ -57,6 +58,13 @@ def check_statics(spec: ObjectSpec) -> Iterator[Check]:
         yield from _mass(spec, part)
     limit = Limit(HEAVIEST_KG, "kg", Fault.MASS_IMPLAUSIBLE)
     yield make_check("static", "mass", total, limit)
+    colliding = {g.material for part in spec.parts for g in part.geoms if g.role != "visual"}
+    for material in spec.materials:
+        if material.name not in colliding:
+            continue
+        low = material.friction < SLIPPERIEST
+        limit = Limit(SLIPPERIEST if low else ROUGHEST, "", Fault.FRICTION_IMPLAUSIBLE, least=low)
+        yield make_check("static", f"friction:{material.name}", material.friction, limit)
     for part in spec.parts:
         yield from _colliders(spec, part)
 

@@ -19,7 +19,6 @@ ScenarioKind = Literal[
     "force_perturbation",
     "joint_release",
     "joint_drive",
-    "tilt_until_slide",
 ]
 
 

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from ..errors import NeoWorldError
 from ..quantities import count
@@ -82,7 +82,7 @@ COMPONENTS = (
     Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
-        "neoworld doctor --install blender",
+        "the two uv commands in docs/how-to/blender-programs.md",
     ),
 )
 
@@ -91,15 +91,8 @@ COMPONENTS = (
 class DoctorCommand(Command):
     """List installed components, available engines, and what missing components prevent."""
 
-    install: Literal["blender"] | None = None
-    """Install a component. blender is installed into a separate environment in the cache folder."""
-
     def run(self) -> CommandResult:
         """Inspect this machine."""
-        if self.install == "blender":
-            from ..program.blender.blender_process import install_blender
-
-            return {"installed": "blender", "folder": str(install_blender())}
         import platform
 
         import jax
@@ -126,8 +119,6 @@ class DoctorCommand(Command):
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
-        if "installed" in result:
-            return [f"installed: {result['installed']} in {result['folder']}"]
         versions, engines = result["versions"], result["engines"]
         unavailable = [name for name, state in engines.items() if state != "ready"]
         packages = ", ".join(

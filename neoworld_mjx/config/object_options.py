@@ -34,10 +34,10 @@ class ParseOptions(Options):
 
 
 class JointSweepOptions(Options):
-    """Options of the joint sweep in Steps 2 and 3.
+    """Option of the joint sweep in Steps 2 and 3.
 
-    `program` and `verify` both have this option. Set both to the same value; otherwise Step 3 may
-    reject an object that Step 2 accepted.
+    `program` and `verify` both have it. Set it to the same value; otherwise Step 3 may reject an
+    object that Step 2 accepted.
     """
 
     max_depth_m: float = option(
@@ -60,7 +60,7 @@ class ProgramOptions(JointSweepOptions):
     language: Language = option(
         "sdk",
         "sdk: programs call the SDK. blender: programs use Blender's Python API, which requires "
-        "`neoworld doctor --install blender` and runs in a confined process.",
+        "the package bpy in an environment of its own and runs in a confined process.",
         difference=PaperDifference(
             "blender",
             "The SDK needs no installation, and its shapes provide their convex decomposition.",
@@ -80,11 +80,6 @@ class ProgramOptions(JointSweepOptions):
     )
     export_critic: bool = option(
         True, "With three stages, let the critic rate the object as imported from its URDF."
-    )
-    sandbox: Literal["monty", "cpython"] = option(
-        "monty",
-        "monty: run programs in a sandbox. cpython: run programs in this process without "
-        "isolation; use this only for trusted programs.",
     )
     type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
@@ -133,13 +128,6 @@ class VerifyOptions(JointSweepOptions):
     )
     max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
-    hand_force_n: float = option(
-        100.0,
-        "Maximum force that drives a joint, applied at the far end of the part. Half of the part's "
-        "weight is added to this force.",
-        unit="N",
-        gt=0,
-    )
     rounds: int = option(
         6, "Maximum number of repair attempts per object; 0 leaves objects unchanged.", ge=0
     )

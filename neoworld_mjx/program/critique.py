@@ -1,6 +1,6 @@
 """Requests to the critics of Step 2 (geometry, articulation, export), and their verdicts.
 
-An object to be programmed, and phrases for requests about its parts, its view and its tilt.
+Requests describe the object's moving parts, its view and its tilt in the phrases of this module.
 """
 
 import math

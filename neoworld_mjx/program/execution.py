@@ -1,22 +1,20 @@
-"""Execution of a program: in the Monty sandbox, or by CPython without isolation.
+"""Execution of a program in the Monty sandbox.
 
-In the sandbox, the program is first type-checked against the stubs of the SDK, and then interpreted
-by a separate process. This process has no access to files or the network, and can import only the
+The program is first type-checked against the stubs of the SDK, and then interpreted by a separate
+process. This process has no access to files or the network, and can import only the
 SDK, `math` and similar modules. Memory, recursion, output and calls are limited. The SDK's objects
 remain in the calling process, which is itself a worker with limited time and memory; the program
 has only handles of them. The SDK validates every value that a program passes.
 
-Conversion of exceptions and type errors of programs into error signals with hints.
+Exceptions and type errors of programs become error signals with hints.
 """
 
 import contextlib
 import difflib
 import inspect
-import io
 import json
 import re
 import signal
-import traceback
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -29,13 +27,11 @@ from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
 from .part import Geom, Joint, Part, Shape
 from .sdk_object import Object
-from .session import MAX_OUTPUT_BYTES, LimitExceeded, Session, use_session
+from .session import LimitExceeded, Session
 
 MODULE = "neoworld_mjx.program.sdk"
 """The only module of the package that a program may import."""
 
-MAX_RECURSION, MAX_CALLS = 200, 5000
-"""Limits on a program's depth of recursion and on its calls of the SDK."""
 IMPORT_HINT = (
     f"import only from {MODULE}, math, random, itertools, functools, dataclasses and typing"
 )
@@ -84,15 +80,7 @@ _UNKNOWN_LENGTH = re.compile(rf"found `tuple\[{_NUMBER}(?: \| {_NUMBER})*, \.\.\
 The SDK counts the entries of such a tuple at run time.
 """
 _OWN_MODULES = ("neoworld_mjx", "sdk")
-_FOREIGN_NAMES = {
-    **dict.fromkeys(("hinge", "rotate_joint"), "Object.revolute"),
-    **dict.fromkeys(("slide", "slider"), "Object.prismatic"),
-    **dict.fromkeys(("link", "body"), "Object.part"),
-    **dict.fromkeys(("weld", "attach"), "Object.fixed"),
-    **dict.fromkeys(("translate", "rotate", "transform"), "Shape.moved"),
-}
-"""Names in other tools, and the members of the SDK that correspond to them."""
-_NUMERALS = {2: "two", 3: "three"}
+_LISTED = "the SDK has only what the guide lists"
 
 
 def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
@@ -141,22 +129,15 @@ def _hint(code: str, message: str) -> str:
     if code == "unresolved-import" and names:
         return _import_hint(names)
     if code == "unresolved-attribute" and len(names) > 1:
-        return _nearest_member(names[-1], names[0])
+        return _nearest(names[-1], _members(names[0])) or _LISTED
     if code == "unknown-argument" and len(names) > 1:
         arguments = _arguments(names[-1])
         valid = f"; it takes {', '.join(arguments)}" if arguments else ""
-        return (
-            _nearest(names[0], arguments) or "the SDK has only the arguments that the guide lists"
-        ) + valid
+        return (_nearest(names[0], arguments) or _LISTED) + valid
     if code == "too-many-positional-arguments" and names:
         arguments = _arguments(names[0])
         return f"it takes {', '.join(arguments)}" if arguments else ""
-    numbers = _TUPLE.search(message)
-    if numbers is not None:
-        count = numbers.group(1).count("float")
-        example = "(x, y, z)" if count == 3 else "(low, high)"
-        return f"give {_NUMERALS.get(count, count)} numbers in one tuple: {example}"
-    return ""
+    return "give the numbers in one tuple" if _TUPLE.search(message) else ""
 
 
 def _import_hint(names: Sequence[str]) -> str:
@@ -164,25 +145,10 @@ def _import_hint(names: Sequence[str]) -> str:
     sdk_names = import_module(MODULE).__all__
     module, name = names[0], names[-1] if len(names) > 1 else ""
     if module == MODULE:
-        return _nearest(name, sdk_names) or "the SDK has only what the guide lists"
+        return _nearest(name, sdk_names) or _LISTED
     if module.split(".")[0] in _OWN_MODULES:
         return f"write: from {MODULE} import {name if name in sdk_names else 'Object, box'}"
     return IMPORT_HINT
-
-
-def _nearest_member(name: str, kind: str) -> str:
-    if name in _FOREIGN_NAMES:
-        return f"a {name} is {_FOREIGN_NAMES[name]}"
-    return _nearest(name, _members(kind)) or _owner(name)
-
-
-def _owner(name: str) -> str:
-    """Return a hint that states which class of the SDK has a member with a similar name."""
-    for kind in _ERROR_CLASSES:
-        matches = difflib.get_close_matches(name, _members(kind), n=1, cutoff=0.8)
-        if matches:
-            return f"{matches[0]} belongs to {kind}"
-    return "the SDK has only what the guide lists"
 
 
 def _nearest(name: str, valid: Sequence[str]) -> str:
@@ -215,6 +181,10 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
 
 WALL_FACTOR = 30.0
 """Ratio of the wall time limit, which ends programs that wait, to the processor time limit."""
+MAX_RECURSION, MAX_CALLS = 200, 5000
+"""Limits on the recursion depth of a program, and on its calls of the SDK."""
+MAX_PRINTED_BYTES = 20_000
+"""Limit on the text that a program prints."""
 _START_S = 30.0
 """Time limit for starting the interpreter [s]."""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
@@ -294,7 +264,7 @@ def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple
         session: collects the program's objects and counts the resources that the program uses.
         options: the limits.
     """
-    printed = monty.CollectString(max_bytes=MAX_OUTPUT_BYTES)
+    printed = monty.CollectString(max_bytes=MAX_PRINTED_BYTES)
     limits: monty.ResourceLimits = {
         "max_feed_duration_secs": WALL_FACTOR * options.timeout_s,
         "max_memory": options.memory_mib << 20,
@@ -369,42 +339,9 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}
-    elif found.code == "memory" and f"> {MAX_OUTPUT_BYTES} bytes" in found.message:
-        update = {"code": "output", "hint": f"print at most {MAX_OUTPUT_BYTES} bytes"}
+    elif found.code == "memory" and f"> {MAX_PRINTED_BYTES} bytes" in found.message:
+        update = {"code": "output", "hint": f"print at most {MAX_PRINTED_BYTES} bytes"}
     elif isinstance(inner, RuntimeError) and "suspension" in found.message:
         hint = f"make at most {MAX_CALLS} calls of the SDK"
         update = {"code": "too_many_calls", "hint": hint}
     return found.model_copy(update=update)
-
-
-def run_in_process(
-    text: str, session: Session, options: ProgramOptions
-) -> tuple[str, list[Signal]]:
-    """Run a program in this process, and return its printed text and its errors.
-
-    The limits of `session` on parts and shapes apply. The limits on time, memory, recursion and SDK
-    calls do not apply.
-    """
-    session.filename = "<program.py>"
-    output = io.StringIO()
-    try:
-        code = compile(text, session.filename, "exec", dont_inherit=True)
-        with contextlib.redirect_stdout(output), use_session(session):
-            exec(code, {"__name__": "__main__", "__file__": "program.py"})
-    except SyntaxError as error:
-        place = {"line": error.lineno, "column": error.offset}
-        return output.getvalue(), [error_signal("syntax", str(error.msg), **place)]
-    except (Exception, SystemExit) as error:
-        return output.getvalue(), [_raised(error, session)]
-    if session.exceeded is not None:
-        return output.getvalue(), [limit_signal(session.exceeded, session)]
-    return output.getvalue()[:MAX_OUTPUT_BYTES], []
-
-
-def _raised(error: BaseException, session: Session) -> Signal:
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == session.filename]
-    line = lines[-1] if lines else None
-    if isinstance(error, LimitExceeded):
-        return limit_signal(error, session).model_copy(update={"line": line})
-    return exception_signal(error, line)

@@ -24,8 +24,6 @@ from .named_constants import (
     Contours,
     best_candidate,
     named_constants,
-    sensitivities,
-    significant,
     with_value,
 )
 
@@ -40,9 +38,6 @@ are not, so the limit is far above 0.
 """
 STEPS = 3
 """Largest number of rounds; in each round, changes are proposed and the scene is aligned again."""
-UNCHANGED = "its outline agrees with its proportions"
-UNFAVORED = "the pixels favor no change of a dimension"
-NO_CONSTANT = "no named constant of its program changes its proportions alone"
 
 
 @dataclass(frozen=True)
@@ -55,8 +50,6 @@ class EditablePrograms:
     """Builds an object from its name and a program; if it cannot be built, returns the reason."""
     check: Callable[[str, str], str]
     """Returns why the object with a name and a program is invalid; empty if it is valid."""
-    unchangeable: Mapping[str, str] = field(default_factory=dict)
-    """Why an object is not in `texts`, by object name."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +78,6 @@ class _Proposal:
     def name(self) -> str:
         return self.candidate.constant.name
 
-    def rejection(self, reason: str) -> str:
-        value = self.candidate.constant.value
-        return f"{self.name} {value:.4g} -> {self.candidate.value:.4g}: {reason}"
-
 
 @dataclass(frozen=True)
 class _Object:
@@ -107,14 +96,13 @@ class _Object:
     """Name of the constant that was just changed and may be changed further; empty if none."""
     edited: tuple[str, ...] = ()
     """Names of the changed constants."""
-    refused: Mapping[str, str] = field(default_factory=dict)
-    """Reason why a change was refused, by name of the constant."""
-    reason: str = UNCHANGED
+    refused: frozenset[str] = frozenset()
+    """Names of the constants whose changes were refused."""
     current: bool = True
     """False if the last alignment was made with a shape that was refused."""
 
-    def without(self, name: str, reason: str) -> "_Object":
-        return replace(self, refused={**self.refused, name: reason}, changed="", reason=reason)
+    def without(self, name: str) -> "_Object":
+        return replace(self, refused=self.refused | {name}, changed="")
 
 
 def free_dimensions(
@@ -145,7 +133,7 @@ def free_dimensions(
     programs = replace(programs, build=cache(programs.build))
     best = FreedScene(composed, alignment)
     contours = _contours(alignment, photo)
-    objects, excluded = _states(contours, alignment, programs)
+    objects = _states(contours, alignment, programs)
     for _ in range(STEPS):
         proposals: dict[str, _Proposal] = {}
         for name, state in objects.items():
@@ -167,26 +155,21 @@ def free_dimensions(
         # The last alignment was made with changes that were refused.
         scene = compose(_specs(objects))
         best = FreedScene(scene, align(scene), {}, _specs(objects))
-    return _result(best, objects, excluded, photo)
+    return _result(best, objects, photo)
 
 
 def _states(
     contours: Contours, alignment: Alignment, programs: EditablePrograms
-) -> tuple[dict[str, _Object], dict[str, str]]:
-    """Return the objects whose programs may be changed, and why the others may not, by name."""
-    objects, excluded, texts = {}, {}, programs.texts
+) -> dict[str, _Object]:
+    """Return the objects whose programs may be changed: the pixels determine their poses."""
+    objects, texts = {}, programs.texts
     for name in alignment.objects:
         k = alignment.scene.index(name)
-        if k not in contours.fitted.shapes:
-            excluded[name] = "the pixels do not determine its pose"
-        elif name not in texts:
-            excluded[name] = programs.unchangeable.get(name, "it has no program")
-        elif not (values := {c.name: c.value for c in named_constants(texts[name])}):
-            excluded[name] = "its program has no named constants"
-        else:
+        if k in contours.fitted.shapes and name in texts:
+            values = {c.name: c.value for c in named_constants(texts[name])}
             px = contours.outlines.get(name)
             objects[name] = _Object(texts[name], values, contours.rendered.owner == k, px, px)
-    return objects, excluded
+    return objects
 
 
 def _contours(alignment: Alignment, photo: UInt8[np.ndarray, "row column 3"]) -> Contours:
@@ -207,8 +190,7 @@ def _propose(
     """Propose a change of an object.
 
     Returns:
-        The updated state of the object, which holds the reason if no change is proposed; and the
-        proposal, or None.
+        The updated state of the object, and the proposal, or None.
     """
     k = contours.fitted.unknowns.scene.index(name)
     if k not in contours.fitted.shapes or not state.current:
@@ -230,19 +212,12 @@ def _propose(
             if repeated:
                 state = replace(state, changed="")
                 continue
-            if significant(contours.fitted.shapes[k]) and not state.refused:
-                fits = sensitivities(state.text, build)
-                state = replace(state, reason=UNFAVORED if fits else NO_CONSTANT)
             return state, None
         text = with_value(state.text, candidate.constant, candidate.value)
         spec = build(text)
-        proposal = (
-            None if isinstance(spec, str) else _Proposal(candidate, text, spec, bool(repeated))
-        )
-        if proposal is not None:
-            return state, proposal
-        constant = candidate.constant.name
-        state = state.without(constant, f"{constant} -> {candidate.value:.4g}: {spec}")
+        if not isinstance(spec, str):
+            return state, _Proposal(candidate, text, spec, bool(repeated))
+        state = state.without(candidate.constant.name)
 
 
 def _accept_favored(
@@ -265,13 +240,9 @@ def _accept_favored(
         worse = None not in (state.outline_px, updated.outline_px) and (
             float(updated.outline_px or 0) >= float(state.outline_px or 0)
         )
-        if gain(updated.shown, state.shown, trial.bins) <= min_gain or worse:
-            reason = "the pixels do not favor it"
-        else:
-            reason = programs.check(name, proposal.text)
-        if reason:
-            rejected = state.without(proposal.name, proposal.rejection(reason))
-            states[name] = replace(rejected, current=False)
+        unfavored = gain(updated.shown, state.shown, trial.bins) <= min_gain or worse
+        if unfavored or programs.check(name, proposal.text):
+            states[name] = replace(state.without(proposal.name), current=False)
             continue
         states[name] = replace(
             updated,
@@ -286,21 +257,19 @@ def _accept_favored(
 def _result(
     best: FreedScene,
     objects: Mapping[str, _Object],
-    excluded: Mapping[str, str],
     photo: UInt8[np.ndarray, "row column 3"],
 ) -> FreedScene:
     outlines = outline_errors(best.alignment.scene, photo)
-    dimensions = {name: FreedObject((), reason) for name, reason in excluded.items()}
+    dimensions = {}
     for name, state in objects.items():
+        if not state.edited:
+            continue
         values = {c.name: c.value for c in named_constants(state.text)}
         edits = tuple(
             DimensionEdit(constant, state.original[constant], values[constant])
             for constant in dict.fromkeys(state.edited)
         )
-        if edits:
-            dimensions[name] = FreedObject(edits, "", state.first_px, outlines.get(name))
-        else:
-            dimensions[name] = FreedObject((), state.reason)
+        dimensions[name] = FreedObject(edits, state.first_px, outlines.get(name))
     alignment = replace(best.alignment, dimensions=dimensions)
     texts = {name: state.text for name, state in objects.items() if state.spec is not None}
     return replace(best, alignment=alignment, texts=texts)

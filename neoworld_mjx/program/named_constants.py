@@ -4,7 +4,7 @@ A program assigns its dimensions to names at top level, as the guide for program
 are `X, Y, Z = 0.60, 0.90, 0.45`, and `depth = 0.55  # 0.4 to 0.7 m` in a template. An edit replaces
 only the literal.
 
-Candidate changes of one dimension of a program, rated by the pixels of the photograph.
+`best_candidate` rates changes of one constant by the pixels of the photograph.
 """
 
 import ast

@@ -1,10 +1,9 @@
 """Execution of programs, and checks of the objects that they build.
 
-Errors of a program are returned as signals. Programs call the SDK. The sandbox `monty`, the
-default, runs a program in a worker process whose processor time and address space the operating
-system limits. `cpython` runs a program in this process without isolation and limits of time; use it
-only for programs that you trust. Equal texts build byte-identical
-objects. With `program.language: blender`, a program that imports bpy runs in Blender (`blender/`).
+Errors of a program are returned as signals. Programs call the SDK. A program runs in a worker
+process whose processor time and address space the operating system limits. Equal texts build
+byte-identical objects. With `program.language: blender`, a program that imports bpy runs in
+Blender (`blender/`).
 """
 
 import errno
@@ -28,7 +27,6 @@ from .execution import (
     WALL_FACTOR,
     limit_signal,
     limited_calls,
-    run_in_process,
     run_sandboxed,
 )
 from .session import MAX_TEXT_BYTES, LimitExceeded, Session
@@ -98,12 +96,9 @@ def run(
     errors = _check_text(text, options)
     if errors:
         return BuildResult(None, tuple(errors))
-    in_blender = options.language == "blender" and _BPY.search(text) is not None
-    if in_blender:
+    if options.language == "blender" and _BPY.search(text) is not None:
         require_blender()
-    if in_blender or options.sandbox == "cpython":
-        language = run_blender if in_blender else run_in_process
-        return _result(language, text, options, without_joints=without_joints)
+        return _result(run_blender, text, options, without_joints=without_joints)
     return _run_in_worker(text, options, without_joints=without_joints)
 
 

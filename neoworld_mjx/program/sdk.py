@@ -6,8 +6,8 @@ by joints. All coordinates are in the frame of the object with all joints at zer
 moves it to the center of the bounding box's bottom face.
 
 A call with invalid arguments raises ValueError or TypeError. `neoworld_mjx.program.build` checks
-the whole object and returns signals. Programs are type-checked against `sdk.pyi`, which
-`python -m neoworld_mjx.program.stubs --write` generates from the signatures.
+the whole object and returns signals. Programs are type-checked against the
+signatures in `sdk.pyi`, which a test compares with those of the SDK.
 """
 
 from .part import Geom, Joint, Part, Shape

@@ -2,8 +2,6 @@
 
 The SDK reads the current session from a context variable, so programs share no state.
 
-Validation of the arguments that programs pass to the SDK.
-
 A sandboxed program may pass values of any type: a string instead of a number, or a list with a
 million entries. Every value is validated here before a spec is built from it. Each function returns
 a valid value, and raises TypeError or ValueError for an invalid value. Every message mentions the
@@ -12,7 +10,6 @@ argument.
 
 import math
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -49,10 +46,8 @@ class Session:
     max_geoms: int = 3000
     max_pieces: int = 4000
     """Limit on the number of convex pieces of all shapes together."""
-    filename: str | None = None
-    """File name with which CPython compiles the program's text; None in the sandbox."""
     line: int | None = None
-    """Current line of the program in the sandbox, counted from 1."""
+    """Current line of the program, counted from 1; None if it is unknown."""
     objects: list[Any] = field(default_factory=list)
     warnings: list[Signal] = field(default_factory=list)
     """Warnings of SDK calls, at most `MAX_WARNINGS`."""
@@ -117,14 +112,7 @@ def warn(code: str, message: str, hint: str) -> None:
 def current_line() -> int | None:
     """Return the program's current line, counted from 1, or None if it is unknown."""
     session = _current.get()
-    if session is None:
-        return None
-    if session.filename is None:
-        return session.line
-    frame = sys._getframe(1)
-    while frame is not None and frame.f_code.co_filename != session.filename:
-        frame = frame.f_back
-    return None if frame is None else frame.f_lineno
+    return None if session is None else session.line
 
 
 MAX_COORDINATE_M = 100.0

@@ -4,10 +4,9 @@ With `one`, the programmer writes a whole program. With `three`, as in the paper
 first writes a geometry program, then an articulation program that continues the accepted geometry
 program, and then an export program that continues both. The joined texts form one program.
 
-Comparison of an object with its parsed node, and of a revised program with its predecessor.
+After each stage, the object is compared with its parsed node and with that of the last program.
 """
 
-import ast
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -257,23 +256,3 @@ def lost_parts(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) ->
                 threshold=len(old),
                 hint="put it back, or name it in `removed` if it was wrong",
             )
-
-
-def lost_asserts(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield an error if a revised program has fewer asserts and `removed` mentions no assert."""
-    old, new = _assert_count(before), _assert_count(after)
-    if new < old and not any("assert" in entry for entry in removed):
-        yield error_signal(
-            "lost",
-            f"the earlier program had {old} assert statements, this one has {new}",
-            value=new,
-            threshold=old,
-            hint="put them back, or say `assert` in `removed` if they were wrong",
-        )
-
-
-def _assert_count(program: str) -> int:
-    try:
-        return sum(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(program)))
-    except (SyntaxError, ValueError, RecursionError):
-        return 0

@@ -22,13 +22,12 @@ of such panels (Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
+from shapely import Polygon
 
 from ..errors import choices
-from ..spec import Material, SupportOutline, SurfacePattern, TreeNode
+from ..spec import Material, SurfacePattern, TreeNode
 from ..spec.finish import finish, named_finish
 from ..spec.room import PATTERN_KINDS, RGB
-from ..spec.triangles import loops_distance
 from . import session as validate
 
 _BY_MATERIAL: dict[str, tuple[float, float, tuple[float, float, float]]] = {
@@ -189,8 +188,7 @@ support = Object("{name}")
 surface = support.material("{like}_surface", like="{like}"{look})
 body = support.part("body", material=surface)
 body.add({slab}, at=(0, 0, Z), by="top", name="board")
-for i, (x, y) in enumerate({feet!r}):
-    body.add(cylinder(LEG / 2, Z - BOARD), at=(x, y, 0), by="bottom", name=f"leg_{{i}}")
+body.add(cylinder(LEG, Z - BOARD), at={foot!r}, by="bottom", name="pedestal")
 """
 
 
@@ -208,37 +206,15 @@ def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = Non
     common = {"name": node.name, "like": like, "look": look}
     if node.outline.shape == "rectangle" and legged:
         return _TABLE.format(**common, x=x, y=y, z=z, board=BOARD_M, leg=LEG_M)
-    feet = leg_positions(node.outline, x, y) if legged else []
-    if len(feet) >= 3:
+    if legged:
         call, slab = _slab(node, x, y, "BOARD")
         calls = ", ".join(sorted({call, "cylinder"}))
+        inside = Polygon(node.outline.corners() * [x, y]).representative_point()
+        foot = (round(inside.x, 4), round(inside.y, 4), 0)
         numbers = {"z": z, "board": BOARD_M, "leg": LEG_M}
-        return _OUTLINED_TABLE.format(**common, **numbers, calls=calls, slab=slab, feet=feet)
+        return _OUTLINED_TABLE.format(**common, **numbers, calls=calls, slab=slab, foot=foot)
     call, slab = _slab(node, x, y, repr(z))
     return _SLAB.format(**common, call=call, slab=slab)
-
-
-def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[float, float]]:
-    """Return leg positions [m] near the corners of a table top whose size is (x, y) [m]."""
-    corners = outline.corners() * [x, y]
-    to_next = np.roll(corners, -1, axis=0) - corners
-    to_next /= np.linalg.norm(to_next, axis=1, keepdims=True)
-    to_last = -np.roll(to_next, 1, axis=0)
-    half = np.arccos(np.clip(np.sum(to_next * to_last, axis=1), -1, 1)) / 2
-    convex = to_next[:, 0] * to_last[:, 1] - to_next[:, 1] * to_last[:, 0] > 1e-6
-    inwards = to_next + to_last
-    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-    candidates = (corners + inwards * (LEG_M / 2 / np.sin(half))[:, None])[convex]
-    if outline.shape == "round":
-        signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-        candidates = signs * (np.array([x, y]) / 2 - LEG_M) / np.sqrt(2)
-    is_below_top = -loops_distance(candidates, [corners]) > 0.999 * LEG_M / 2
-    positions: list[tuple[float, float]] = []
-    for candidate in candidates[is_below_top]:
-        if all(np.hypot(*(candidate - other)) > 2 * LEG_M for other in positions):
-            px, py = (round(v, 4) for v in candidate.tolist())
-            positions.append((px, py))
-    return positions
 
 
 def _appearance(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:

@@ -44,7 +44,6 @@ from .stages import (
     compare_geometry,
     compare_to_node,
     in_stage_lines,
-    lost_asserts,
     lost_parts,
     needs_model,
     urdf_round_trip,
@@ -382,7 +381,6 @@ class _Synthesis:
             signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
             if previous is not None and previous.built.spec is not None:
                 signals += lost_parts(previous.built.spec, built.spec, response.removed)
-                signals += lost_asserts(previous.text, program, response.removed)
             built = replace(built, signals=deduplicated(signals))
         attempt = replace(attempt, built=built, size=self.size)
         self.attempts.append(attempt)

@@ -1,6 +1,6 @@
 """`neoworld check` of an object: a program, or a URDF or MJCF file from any source.
 
-Built programs with their patches: building, files of every format, and terminal lines.
+`build_patched` builds a program and applies its patch, for this and other commands.
 """
 
 import time

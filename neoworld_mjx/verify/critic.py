@@ -7,7 +7,7 @@ The critic returns one of three verdicts:
   fault score.
 - "sound": checks that fail only because the object is tested without its scene are waived.
 
-Key frames of failed and borderline checks, as labeled strips for the critic.
+The critic sees key frames of failed and borderline checks as labeled strips.
 """
 
 import io

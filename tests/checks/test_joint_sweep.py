@@ -43,7 +43,7 @@ def test_examples_pass_both(path):
 @pytest.mark.parametrize("family", ["cabinet", "chest", "box", "lever", "oven", "button"])
 @pytest.mark.parametrize("share", [0.0, -0.004, -0.3])
 def test_both_steps_agree_on_generated_objects_with_limits_past_rest(family, share):
-    spec = valid_object(family, 1)
+    spec = valid_object(family)
     joint = spec.joints[0]
     spec = limited(spec, lower=joint.lower + share * (joint.upper - joint.lower))
     one, other = depth_of_step_2(spec), depth_of_step_3(spec)
@@ -61,7 +61,7 @@ def test_both_steps_agree_on_a_drawer_on_either_side_of_the_threshold(beyond):
 
 
 def test_a_pair_that_collides_in_two_joints_fails_both():
-    spec = valid_object("chest", 1)
+    spec = valid_object("chest")
     for joint in spec.joints:
         spec = with_joint(spec, joint.model_copy(update={"lower": -0.2}))
     failed = {c.joint for c in check_joints(spec, VerifyOptions()).checks if c.outcome == "FAIL"}
@@ -69,7 +69,7 @@ def test_a_pair_that_collides_in_two_joints_fails_both():
 
 
 def test_gaps_are_measured_at_rest_after_the_sweep():
-    spec = valid_object("chest", 1)
+    spec = valid_object("chest")
     pushed = limited(spec, lower=-0.2)
     gap = [
         next(c.value for c in check_joints(each, VerifyOptions()).checks if c.name[:4] == "gap:")

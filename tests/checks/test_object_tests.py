@@ -2,27 +2,23 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from neoworld_mjx.checks import scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
-from neoworld_mjx.checks.verdict import Fault, Limit, format_quantity, make_check
+from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.spec import (
-    AuthoredInertia,
     Box,
     Capsule,
     GeomSpec,
-    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
     PartSpec,
     Sphere,
-    recentred,
 )
 from tests.support import scenes
-from tests.support.furniture import chest, cupboard, geom
+from tests.support.furniture import chest, cupboard
 
 
 def verify(spec, **how):
@@ -49,12 +45,6 @@ def test_valid_objects_pass(make):
     assert len(verdict.checks) >= 20
 
 
-def test_the_verdict_reports_the_mass():
-    assert verify(
-        scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    ).mass_kg == pytest.approx(0.6)
-
-
 def test_an_object_that_topples_fails_with_its_number():
     thin = scenes.single(
         "pin", (Box(size=(0.01, 0.01, 0.2)), (0, 0, 0.1)), (Sphere(radius=0.03), (0.03, 0, 0.2))
@@ -69,50 +59,12 @@ def test_an_object_that_topples_fails_with_its_number():
     assert named(verdict, "balance").value < 0
 
 
-def test_joints_move_with_and_without_gravity():
-    verdict = verify(cupboard(), fixed_base=True)
-    assert named(verdict, "drive:hinge").value > 0.9
-    assert named(verdict, "drive_loaded:hinge").value > 0.9
-    assert named(verdict, "rests").outcome == "SKIP"
-
-
 def test_a_drawer_out_of_its_carcass_is_not_detached():
     # At the end of its range the drawer is in the air before its carcass, as drawers are.
     verdict = verify(chest())
     assert verdict.passed, bad(verdict)
     assert named(verdict, "gap:slide").outcome == "PASS"
     assert named(verdict, "drive:slide").value > 0.9
-
-
-def test_a_part_with_a_gap_to_its_parent_is_detached():
-    spec = chest()
-    away = tuple(
-        p.model_copy(
-            update={"geoms": tuple(g.model_copy(update={"pos": (0.6, 0, 0.1)}) for g in p.geoms)}
-        )
-        if p.name == "drawer"
-        else p
-        for p in spec.parts
-    )
-    verdict = verify(spec.model_copy(update={"parts": away}))
-    assert verdict.cause is Fault.PART_DETACHED
-    assert named(verdict, "gap:slide").joint == "slide"
-
-
-def test_overlap_of_parent_and_child_is_detected_although_contacts_are_filtered():
-    deep = tuple(
-        p.model_copy(
-            update={
-                "geoms": tuple(g.model_copy(update={"pos": (-0.02, 0, 0.071)}) for g in p.geoms)
-            }
-        )
-        if p.name == "drawer"
-        else p
-        for p in chest().parts
-    )
-    verdict = verify(chest().model_copy(update={"parts": deep}), fixed_base=True)
-    assert verdict.cause is Fault.PARTS_OVERLAP
-    assert named(verdict, "part_depth:carcass:drawer").value == pytest.approx(0.02, abs=1e-3)
 
 
 def test_a_range_into_the_carcass_fails_and_its_free_part_is_measured():
@@ -126,11 +78,6 @@ def test_a_range_into_the_carcass_fails_and_its_free_part_is_measured():
     assert high == pytest.approx(1.57)
 
 
-def test_a_door_that_opens_into_its_carcass_collides_from_the_start():
-    verdict = verify(cupboard(axis=(0, 0, -1)))
-    assert named(verdict, "depth:hinge").fault is Fault.JOINT_INTO_PART
-
-
 def test_joints_are_compared_with_their_declared_intent():
     intent = {"type": "revolute", "opens": (1, 0, 0), "travel": 1.2}
     assert verify(cupboard(intent=intent)).passed
@@ -142,48 +89,13 @@ def test_joints_are_compared_with_their_declared_intent():
     assert verdict.cause is Fault.JOINT_TYPE
 
 
-def test_joint_damping_does_not_hide_toppling():
-    spec = chest(damping=1e4, friction=100.0)
-    foot = geom("foot", (0.02, 0.02, 0.1), (0.15, 0, -0.05))
-    parts = tuple(
-        p.model_copy(update={"geoms": (*p.geoms, foot)}) if p.name == "carcass" else p
-        for p in spec.parts
-    )
-    verdict = verify(recentred(spec.model_copy(update={"parts": parts})))
-    assert named(verdict, "balance").outcome == "FAIL"
-    assert named(verdict, "tilt").outcome == "FAIL"
-    # The damping makes the joint stuck.
-    assert named(verdict, "drive:slide").fault is Fault.JOINT_STUCK
-
-
 def test_depth_at_impact_is_not_resting_depth(monkeypatch):
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
-    monkeypatch.setattr(scenarios, "HIGH_DROP_M", 0.1)
+    monkeypatch.setattr(scenarios, "DROP_HEIGHT_M", 0.1)
     tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))))
-    trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall_high")
+    trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall")
     assert trajectory.qpos[:, 2].min() < -0.001
-    assert named(tests.verdict, "resting_depth:fall_high").value < 1e-4
-
-
-def test_the_slope_measures_the_objects_friction():
-    def on(friction):
-        slab = Material(name="wood", density=600, friction=friction)
-        spec = scenes.single("b", (Box(size=(0.2, 0.2, 0.04)), (0, 0, 0)), material=slab)
-        return named(verify(spec), "slide")
-
-    for friction in (0.2, 0.5, 1.0):
-        assert on(friction).value == pytest.approx(math.degrees(math.atan(friction)), abs=3.0)
-    assert on(0.01).fault is Fault.FRICTION_IMPLAUSIBLE
-    assert on(0.01).value < 5.0
-    assert on(6.0).fault is Fault.FRICTION_IMPLAUSIBLE
-
-
-def test_undamped_and_stuck_joints_fail():
-    verdict = verify(cupboard(damping=0.0, friction=0.0))
-    assert named(verdict, "coast:hinge").value == pytest.approx(0.0, abs=0.01)
-    assert verdict.cause is Fault.JOINT_UNDAMPED
-    verdict = verify(cupboard(friction=500.0))
-    assert named(verdict, "drive:hinge").fault is Fault.JOINT_STUCK
+    assert named(tests.verdict, "resting_depth:fall").value < 1e-4
 
 
 def test_an_error_inside_a_check_does_not_pass(monkeypatch):
@@ -254,94 +166,6 @@ def test_a_flat_base_with_a_bump_is_not_round():
     assert named(verify(chest()), "tilt").threshold == 5.0
 
 
-def test_a_check_states_value_bound_direction_and_unit():
-    topples = named(
-        verify(scenes.single("pin", (Box(size=(0.01, 0.01, 0.2)), (0, 0, 0.1)))), "drift"
-    )
-    assert topples.phrase() == "drift 0 mm, at most 10.0 mm"
-    assert format_quantity(8.215548565693807, "deg") == "8.2 degrees"
-    least = make_check(
-        "static", "covered", 0.5, Limit(0.9, "of its range", Fault.JOINT_STUCK, least=True)
-    )
-    assert least.phrase() == "covered 50 % of its range, at least 90 % of its range"
-
-
-def test_every_part_is_pushed_in_six_directions_and_twisted():
-    names = [run.scenario.name for run in run_object_tests(chest()).trajectories]
-    for part in ("carcass", "drawer"):
-        assert sum(name.startswith(f"push:{part}:") for name in names) == 7
-
-
 def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
     one, two = verify(cupboard(), threads=1), verify(cupboard(), threads=2)
     assert one.to_json() == two.to_json()
-
-
-def test_an_impossible_inertia_fails_and_the_object_is_simulated_without_it():
-    spec = cupboard()
-    for moments in ((-1e-3, 1e-3, 1e-3), (1e-9, 1e-9, 1e-9), (1e-3, 1e-3, 1e-1)):
-        spread = AuthoredInertia(pos=(0.16, 0, 0.25), moments=moments)
-        parts = tuple(
-            p.model_copy(update={"mass": 2.0, "inertia": spread}) if p.name == "door" else p
-            for p in spec.parts
-        )
-        verdict = verify(spec.model_copy(update={"parts": parts}))
-        assert verdict.cause is Fault.INERTIA_IMPOSSIBLE
-        assert named(verdict, "drive:hinge").outcome == "PASS"
-        assert np.isfinite(verdict.mass_kg)
-
-
-def tap():
-    """A tap whose handle turns about two axes by way of a link without geometry."""
-    bead = Material(name="helper", density=400)
-    spec = chest()
-    block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))
-    lever = geom("lever", (0.2, 0.02, 0.02), (0.1, 0, 0.115))
-    middle = GeomSpec(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
-    # Its authored mass and inertia cannot be compared with those of the bead.
-    heavy = AuthoredInertia(pos=(0, 0, 0.1), moments=(1e-4, 1e-4, 1e-4), products=(0, 0, 0))
-    turns = {"type": "revolute", "pos": (0, 0, 0.1), "upper": 1.0, "friction": 0.05, "damping": 0.2}
-    return spec.model_copy(
-        update={
-            "materials": (*spec.materials, bead),
-            "parts": (
-                PartSpec(name="body", geoms=(block,)),
-                PartSpec(name="link", geoms=(middle,), mass=0.05, inertia=heavy),
-                PartSpec(name="handle", geoms=(lever,)),
-            ),
-            "joints": (
-                JointSpec.model_validate(
-                    {**turns, "name": "hot", "parent": "body", "child": "link", "axis": (0, 0, 1)}
-                ),
-                JointSpec.model_validate(
-                    {
-                        **turns,
-                        "name": "open",
-                        "parent": "link",
-                        "child": "handle",
-                        "axis": (0, -1, 0),
-                    }
-                ),
-            ),
-        }
-    )
-
-
-def test_a_link_without_geometry_is_not_compared_with_its_placeholder():
-    tests = run_object_tests(tap(), fixed_base=True)
-    assert tests.verdict.passed, bad(tests.verdict)
-    asked = {check.name for check in tests.verdict.checks}
-    assert "moments:link" in asked
-    assert not asked & {"spread:link", "centre:link", "mass:link", "gap:hot"}
-    # A hand pulls at the far end of all parts that a joint moves, not at the next link.
-    simulation = tests.simulation
-    arms = {moving.name: simulation.moment_arm(moving) for moving in simulation.joints}
-    assert arms["hot"] == pytest.approx(0.2, abs=0.01)
-
-
-def test_friction_does_not_drive_a_joint_that_damping_stops_within_a_step():
-    stiff = cupboard(friction=1.0, damping=2.0)
-    switch = PartSpec(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
-    verdict = verify(stiff.model_copy(update={"parts": (stiff.parts[0], switch)}), fixed_base=True)
-    assert named(verdict, "coast:hinge").value > 0.5
-    assert not set(verdict.faults) & {Fault.LIMIT_SOFT, Fault.JOINT_UNDAMPED, Fault.RESTLESS}

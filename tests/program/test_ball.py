@@ -1,18 +1,15 @@
 """Ball joints from the program to every format, and through the physics."""
 
-import math
-
 import mujoco
 import numpy as np
 import pytest
-from pxr import Usd, UsdPhysics
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.export import export_object, import_urdf, read_mjcf
+from neoworld_mjx.export import export_object, import_urdf
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
-from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, inertial, link_poses, scale
-from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
+from neoworld_mjx.spec import SceneObject, SceneSpec, link_poses, scale
+from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
 from neoworld_mjx.verify.repairs import repair
 
 LAMP = """
@@ -52,54 +49,6 @@ def test_the_joint_sweep_covers_the_whole_cone(swing: str, codes: set[str]):
     assert {signal.code for signal in build(LAMP.format(swing=swing)).signals} == codes
 
 
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        ({"upper": 4.0}, "at most pi"),
-        ({"lower": -0.1, "upper": 1.0}, "at most pi"),
-        ({"effort": 1.0}, "no mimic, effort"),
-    ],
-)
-def test_invalid_arguments_of_a_ball_joint_are_refused(more, words):
-    with pytest.raises(ValueError, match=words):
-        JointSpec(name="b", type="ball", parent="p", child="q", **more)
-
-
-def test_every_format_holds_a_ball_joint(lamp, tmp_path):
-    export_object(lamp, tmp_path)
-    (want,) = lamp.joints
-    (joint,) = read_mjcf(tmp_path / "object.xml").joints
-    assert joint.type == "ball" and joint.upper == pytest.approx(0.3, rel=1e-6)
-    assert np.allclose(joint.pos, want.pos, atol=1e-6)
-    for field in ("damping", "friction", "stiffness", "armature"):
-        assert getattr(joint, field) == pytest.approx(getattr(want, field), rel=1e-6)
-    stage = Usd.Stage.Open(str(tmp_path / "object.usda"))
-    written = stage.GetPrimAtPath(f"/{lamp.name}/joints/{want.name}")
-    cone = UsdPhysics.SphericalJoint(written).GetConeAngle0LimitAttr().Get()
-    assert cone == pytest.approx(math.degrees(0.3))
-    damping = written.GetAttribute("neoworld:damping").Get()
-    assert damping == pytest.approx(want.damping)
-
-
-def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):
-    export_object(lamp, tmp_path)
-    path = tmp_path / "object.urdf"
-    path.write_text(path.read_text().replace("neoworld>", "elsewhere>"))
-    read = import_urdf(path).spec
-    assert [read.joint(f"neck_{a}").type for a in "xyz"] == ["revolute"] * 3
-    values = {"neck_x": 0.1, "neck_y": -0.2, "neck_z": 0.25}
-    turn = np.array([1.0, 0, 0, 0])
-    for axis, value in zip(np.eye(3), values.values(), strict=True):
-        turn = quat_mul(turn, from_axis_angle(axis, value))
-    found = link_poses(read, values)["head"]
-    assert angle_between(found.quat, turn) < 1e-6
-    anchor = read.joint("neck_z").pos
-    assert np.allclose(found.apply(anchor), anchor, atol=1e-6)
-    masses = [sum(inertial(spec, part).mass for part in spec.parts) for spec in (read, lamp)]
-    assert masses[0] == pytest.approx(masses[1], rel=1e-5)
-    assert mujoco.MjModel.from_xml_path(str(tmp_path / "object.urdf")).njnt == 3
-
-
 def test_a_ball_joint_survives_a_round_trip_through_urdf(lamp, tmp_path):
     export_object(lamp, tmp_path)
     path = tmp_path / "object.urdf"
@@ -112,24 +61,6 @@ def test_a_ball_joint_survives_a_round_trip_through_urdf(lamp, tmp_path):
     assert np.allclose(joint.pos, was.pos, atol=1e-6)
     assert [part.name for part in made.spec.parts] == ["lamp", "head"]
     assert made.notes == ()
-    text = path.read_text()
-    for old, new, notes in (
-        ("neoworld>", "elsewhere>", 0),
-        ('<axis xyz="0 1 0"', '<axis xyz="0 0 1"', 1),
-        ('lower="-0.3"', 'lower="-0.2"', 1),
-        (
-            '<link name="neck_x_link">',
-            '<link name="neck_x_link"><collision><geometry>'
-            '<sphere radius="0.001"/></geometry></collision>',
-            1,
-        ),
-    ):
-        assert old in text
-        path.write_text(text.replace(old, new))
-        hinges = import_urdf(path)
-        assert [j.type for j in hinges.spec.joints] == ["revolute"] * 3
-        edited = [note for note in hinges.notes if "ball joint neck" in note]
-        assert len(edited) == notes
 
 
 def test_object_tests_drive_a_ball_joint(lamp):

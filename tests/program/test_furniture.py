@@ -59,28 +59,6 @@ def test_wrong_furniture_is_refused(call: str):
     assert signal.code == "value"
 
 
-def test_shelves_bails_and_panels():
-    text = HEAD.replace("grid,", "bail, panel, grid,") + (
-        "s = o.shelf(body, x=(-0.18, 0.2), y=(-0.28, 0.28), z=0.3, name='shelf')\n"
-        "print([round(v, 9) for v in s.anchor('front.left.top')])\n"
-        "h = bail(0.1, 0.06, 0.004)\n"
-        "print([round(v, 3) for v in h.size])\n"
-        "body.add(h, at=body.anchor('top'))\n"
-        "flat = bail(0.1, 0.02, 0.004)\n"
-        "body.add(flat, at=(0.1, 0, 0.6))\n"
-        "f = panel((0.1, 0.1), 0.01, holes=[(0.02, 0.02, 0.015), (-0.02, -0.02, 0.03, 0.02)])\n"
-        "print(round(f.volume * 1e6, 2), f.distance((0.02, 0.02, 0)) > 0.014)\n"
-        "body.add(f, at=body.anchor('back.top'), by='front.top', rpy=(0, 1.5708, 0))\n"
-    )
-    built = build(text)
-    assert built.ok and built.spec is not None, [signal.phrase() for signal in built.signals]
-    anchor, size, hole = built.printed.splitlines()
-    assert anchor == "[0.2, 0.28, 0.3]"
-    assert size == "[0.007, 0.107, 0.064]"  # the bar has eight facets
-    round_hole = 0.5 * 16 * 0.015**2 * np.sin(2 * np.pi / 16)
-    assert hole == f"{1e6 * (0.01 - round_hole - 0.0006) * 0.01:.2f} True"
-
-
 OVERLAP = HEAD + (
     "d = o.part('d', material='oak')\n"
     "d.add(box((0.02, 0.6, 0.6)), at=(0.207, 0, 0.3))\n"
@@ -107,28 +85,3 @@ def test_an_allowance_is_applied_and_reported():
 def test_an_allowance_has_bounds(call: str, code: str):
     built = build(OVERLAP + call)
     assert not built.ok and code in {signal.code for signal in built.signals}
-
-
-@pytest.mark.parametrize(
-    ("hinge", "y", "z"),
-    [
-        ("left", (0.0, 0.3), (0.1, 0.5)),
-        ("right", (-0.3, 0.0), (0.1, 0.5)),
-        ("top", (-0.3, 0.3), (0.1, 0.5)),
-        ("bottom", (-0.3, 0.3), (0.1, 0.5)),
-    ],
-)
-def test_a_door_opens_beside_a_frame_that_goes_on_past_its_hinge(hinge, y, z):
-    text = f"""
-from neoworld_mjx.program.sdk import Object, hollow_box, box
-cabinet = Object("cabinet")
-carcass = cabinet.part("carcass", material="pine")
-shell = carcass.add(hollow_box((0.3, 0.8, 0.7), 0.016, open="+x"), by="bottom")
-for name, low, high in (("a", -0.4, -0.3), ("b", 0.3, 0.4)):
-    carcass.add(box((0.02, high - low, 0.7)), at=(0.15, low, 0), by="front.right.bottom", name=name)
-for name, low, high in (("c", 0.0, 0.1), ("d", 0.5, 0.7)):
-    carcass.add(box((0.02, 0.8, high - low)), at=(0.15, 0, low), by="front.bottom", name=name)
-cabinet.door("door", carcass, x=0.15, y={y}, z={z}, hinge="{hinge}", thickness=0.02)
-"""
-    built = build(text)
-    assert built.ok, [signal.phrase() for signal in built.signals]

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.sdk import Object, box, sweep
 from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.spec import bounds, link_poses
 
@@ -22,8 +20,8 @@ GIVEN = re.compile(r"given box ([\d.]+) x ([\d.]+) x ([\d.]+) m")
 def test_every_block_builds_without_signals_and_deterministically(text: str):
     built = build(text)
     assert built.spec is not None and built.signals == ()
-    trusted = run(text, ProgramOptions(sandbox="cpython"))
-    assert trusted.spec is not None and trusted.spec.to_json() == built.spec.to_json()
+    again = run(text)
+    assert again.spec is not None and again.spec.to_json() == built.spec.to_json()
     given = GIVEN.search(text)
     if given is not None:
         low, high = bounds(built.spec)
@@ -44,32 +42,6 @@ def test_the_page_of_the_docs_builds_too():
     (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     built = build(block)
     assert built.ok and built.signals == ()
-
-
-def test_all_five_examples_state_their_box():
-    assert sum(GIVEN.search(text) is not None for text in BLOCKS) == 5
-
-
-def test_the_guide_has_a_bounded_length():
-    # No tokenizer comes with the package; 3 characters a token is fewer than code and prose have.
-    assert len(GUIDE) / 3 < 12_000
-
-
-def test_a_sweep_has_the_sections_and_the_taper_that_the_guide_states():
-    row = re.search(r"\| `sweep\(path.*\|(.*)\|\n", GUIDE)
-    assert row is not None and "round or elliptic" in row[1]
-    assert "each may be a list, one value for each point" in " ".join(GUIDE.split())
-    bar = sweep([(0, 0, 0), (0.1, 0, 0)], width=0.02, thickness=0.01, sectors=32)
-    assert bar.distance((0.05, 0.009, 0)) < 0 < bar.distance((0.05, 0.009, 0.0045))
-    tapered = sweep([(0, 0, 0), (0.1, 0, 0)], radius=[0.02, 0.01], sectors=32)
-    assert tapered.distance((0.01, 0.018, 0)) < 0 < tapered.distance((0.09, 0.018, 0))
-
-
-def test_the_guide_states_what_the_name_of_a_shape_may_hold():
-    body = Object("thing").part("body", material="oak")
-    with pytest.raises(ValueError, match="letters, digits and _"):
-        body.add(box((0.1, 0.1, 0.1)), name="foot_-1")
-    assert "(letters, digits and _)" in GUIDE
 
 
 def test_every_material_and_shape_is_listed():

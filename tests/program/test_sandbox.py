@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.export import object_files
 from neoworld_mjx.program.sandbox import run
 
@@ -45,17 +44,6 @@ knob.add(sphere(0.02), at=door.anchor("front"), by="back")
 cab.continuous("turn", door, knob, at=knob.anchor("centre"), axis=(1, 0, 0), mimic=hinge)
 """
 )
-
-
-@pytest.mark.parametrize("text", [CUP, CABINET])
-def test_both_sandboxes_give_the_same_bytes(text: str):
-    walled = run(text)
-    trusted = run(text, ProgramOptions(sandbox="cpython"))
-    assert walled.signals == () and trusted.signals == ()
-    assert walled.spec is not None and trusted.spec is not None
-    assert walled.spec.to_json() == trusted.spec.to_json()
-    assert walled.lines == trusted.lines
-    assert walled.printed == trusted.printed
 
 
 def test_the_object_stands_on_its_origin():
@@ -119,27 +107,6 @@ def test_default_losses_follow_from_the_child():
     assert (hinge.damping, hinge.friction) == (0, 0.25)
 
 
-def test_parts_made_in_one_loop_may_each_have_a_shape_of_the_same_name():
-    text = (
-        HEAD
-        + """
-stove = Object("stove")
-body = stove.part("body", material="steel")
-body.add(box((0.2, 0.3, 0.1)), at=(0, 0, 0.05), name="cap")
-for i in range(2):
-    knob = stove.part(f"knob_{i}", material="abs")
-    knob.add(cylinder(0.01, 0.02), at=(0.1, i * 0.1, 0.05), rpy=(0, 1.57, 0), by="back", name="cap")
-    stove.continuous(f"turn_{i}", body, knob, at=(0.1, i * 0.1, 0.05), axis=(1, 0, 0))
-"""
-    )
-    built = run(text)
-    assert built.spec is not None, built.signals
-    names = [geom.name for part in built.spec.parts for geom in part.geoms]
-    assert names == ["cap", "knob_0_cap", "knob_1_cap"]
-    twice = run(text.replace("for i in", "body.add(sphere(0.02), name='cap')\nfor i in"))
-    assert "taken by another shape of the part" in twice.signals[0].message
-
-
 def test_programs_run_at_once_without_mixing():
     texts = [CUP, CABINET, COMBINED]
     alone = [run(text) for text in texts]
@@ -163,9 +130,8 @@ o.ball("neck", p, q, at="centre", swing=0.4)
 
 
 def test_csg_and_balls_have_the_same_bytes_everywhere():
-    built, trusted = run(COMBINED), run(COMBINED, ProgramOptions(sandbox="cpython"))
-    assert built.spec is not None and trusted.spec is not None, built.signals
-    assert built.spec.to_json() == trusted.spec.to_json()
+    built = run(COMBINED)
+    assert built.spec is not None, built.signals
     tell = (
         "import hashlib, sys\n"
         "from neoworld_mjx.export import object_files\n"

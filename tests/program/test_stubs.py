@@ -1,31 +1,50 @@
 """The stubs that programs are checked against are the SDK's, and the sandbox exposes no more."""
 
 import ast
+import inspect
 
-from neoworld_mjx.program import sdk, stubs
-from neoworld_mjx.program.execution import _FIELDS, _METHODS, _PROPERTIES
+import pytest
 
-TREE = ast.parse(stubs.PATH.read_text(encoding="utf-8"))
-FUNCTIONS = {node.name for node in TREE.body if isinstance(node, ast.FunctionDef)}
+from neoworld_mjx.program import sdk
+from neoworld_mjx.program.execution import _FIELDS, _METHODS, _PROPERTIES, stubs
+
+TREE = ast.parse(stubs())
+FUNCTIONS = {node.name: node for node in TREE.body if isinstance(node, ast.FunctionDef)}
 CLASSES = {node.name: node for node in TREE.body if isinstance(node, ast.ClassDef)}
 
 
-def test_the_committed_stubs_are_up_to_date():
-    written = stubs.PATH.read_text(encoding="utf-8")
-    assert written == stubs.stub_text(), "run python -m neoworld_mjx.program.stubs --write"
+def in_sdk(function):
+    """Return the kind, the name and the default of each parameter."""
+    return [
+        (parameter.kind, parameter.name, parameter.default)
+        for parameter in inspect.signature(function).parameters.values()
+    ]
 
 
-def test_a_new_parameter_makes_the_stubs_stale(monkeypatch):
-    source = "def box(size: Vec3, wall: float = 0.0) -> Shape: ..."
-    box = ast.parse(source).body[0]
-    real = stubs._definitions
-    monkeypatch.setattr(stubs, "_definitions", lambda module: {**real(module), "box": box})
-    assert source in stubs.stub_text()
-    assert stubs.main() == 1
+def in_stubs(node):
+    """Return the same of a declaration, whose names are those of the SDK's source."""
+    namespace = {}
+    exec("from __future__ import annotations\n" + ast.unparse(node), namespace)
+    return in_sdk(namespace[node.name])
 
 
 def test_the_stubs_declare_all_that_the_sdk_exports():
-    assert FUNCTIONS | set(CLASSES) == set(sdk.__all__)
+    assert {*FUNCTIONS, *CLASSES} == set(sdk.__all__)
+
+
+@pytest.mark.parametrize("owner", ["", *CLASSES])
+def test_the_stubs_have_the_parameters_of_the_sdk(owner):
+    declared = CLASSES[owner].body if owner else TREE.body
+    home = getattr(sdk, owner) if owner else sdk
+    for node in declared:
+        if isinstance(node, ast.FunctionDef) and not node.decorator_list:
+            found, expected = in_stubs(node), in_sdk(getattr(home, node.name))
+            # A computed default, such as 2 * math.pi, is written as "...".
+            expected = [
+                (kind, name, ... if shown is ... else default)
+                for (kind, name, default), (_, _, shown) in zip(expected, found, strict=True)
+            ]
+            assert found == expected, f"sdk.pyi: {owner}.{node.name}"
 
 
 def test_the_sandbox_exposes_what_the_stubs_declare_and_nothing_private():

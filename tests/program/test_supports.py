@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.supports import LEG_M, MATERIALS, leg_positions, support_program
+from neoworld_mjx.program.supports import MATERIALS, support_program
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -21,7 +21,6 @@ from neoworld_mjx.spec import (
     TreeNode,
     bounds,
 )
-from neoworld_mjx.spec.triangles import loops_distance
 from tests.support.scenes import single
 
 L_SHAPE = SupportOutline(
@@ -98,27 +97,6 @@ def test_corners_outside_of_an_outline_support_nothing(outline, carried, empty):
     assert falls(square, carried + empty) == [False] * (len(carried) + len(empty))
 
 
-def test_a_circle_is_an_exact_cylinder():
-    (geom,) = support(ROUND, (0.8, 0.8, 0.03)).parts[0].geoms
-    assert geom.shape.type == "cylinder"
-    assert geom.shape.primitive().size[:1] == (0.4,)
-
-
-@pytest.mark.parametrize("outline", [ROUND, L_SHAPE], ids=["round", "polygon"])
-def test_legs_stand_under_the_top(outline):
-    feet = np.array(leg_positions(outline, 1.0, 1.4))
-    assert len(feet) == (4 if outline is ROUND else 5)
-    inside = -loops_distance(feet, [outline.corners() * [1.0, 1.4]])
-    assert inside.min() > 0.99 * LEG_M / 2
-
-
-def test_a_top_too_narrow_for_legs_is_a_block():
-    arms = ((-0.5, -0.5), (0.5, -0.5), (0.5, -0.4), (-0.4, -0.4), (-0.4, 0.5), (-0.5, 0.5))
-    spec = support(SupportOutline(shape="polygon", points=arms), (0.25, 0.25, 0.7))
-    assert len(spec.parts[0].geoms) == 1
-    assert np.allclose(bounds(spec)[1][2], 0.7)
-
-
 def surfaced(shown=None, **surface) -> ObjectSpec:
     base = node_of(SupportOutline(), SLAB)
     node = base.model_copy(update={"surface": SupportSurface(**surface)})
@@ -137,28 +115,3 @@ def test_a_surface_gives_material_pattern_and_colours():
     (look,) = surfaced((0.45, 0.45, 0.6), material="stone", pattern=veins, rgb=(0.9,) * 3).materials
     assert look.rgba == pytest.approx((0.45, 0.45, 0.6, 1.0))
     assert look.pattern.rgb == pytest.approx((0.263, 0.263, 0.342), abs=2e-3)
-
-
-def test_a_surface_of_glass_is_clear_and_a_plain_one_of_wood_has_no_grain():
-    plain = SurfacePattern(kind="plain")
-    (look,) = surfaced((0.5, 0.6, 0.6), material="glass", pattern=plain).materials
-    assert look.rgba[3] == MATERIALS["glass"].rgba[3] < 1
-    (look,) = surfaced(material="wood", pattern=plain).materials
-    assert look.pattern == plain
-
-
-def test_boards_run_along_the_declared_axis():
-    boards = SurfacePattern(kind="boards", along="y", step=0.07)
-    (look,) = surfaced(material="wood", pattern=boards).materials
-    assert look.pattern == boards
-
-
-def test_quartz_is_stone_by_its_words():
-    node = node_of(SupportOutline(), SLAB).model_copy(update={"description": "white quartz"})
-    assert 'like="stone"' in support_program(node)
-
-
-@pytest.mark.parametrize("surface", ["white quartz with fine grey veins", "veined marble"])
-def test_veins_are_drawn_where_words_name_them(surface):
-    node = node_of(SupportOutline(), SLAB).model_copy(update={"description": surface})
-    assert 'pattern="veins"' in support_program(node)

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
-from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import open_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
@@ -56,8 +54,6 @@ def test_a_tray_slides_out_once_its_flap_is_open(given: str):
     joint = spec.joints[1]
     assert joint.after == ("flap_hinge",)
     assert prerequisite_state(spec, joint) == {"flap_hinge": 1.5}
-    trusted = run(text, ProgramOptions(sandbox="cpython")).spec
-    assert trusted is not None and trusted.to_json() == spec.to_json()
     assert ObjectSpec.model_validate_json(spec.to_json()) == spec
 
 
@@ -78,11 +74,6 @@ def test_prerequisites_do_not_reduce_the_joint_sweep(
     assert words in told(oven(**changes))[code]
 
 
-def test_a_prerequisite_must_obstruct_the_joint():
-    text = oven().replace("range=(0, 0.25)", "range=(-0.01, 0)")
-    assert "'flap' is not in its way" in told(text)["after_needless"]
-
-
 def test_combinations_hold_only_reachable_states():
     text = oven() + (
         "lid = o.part('lid', material='oak')\n"
@@ -96,50 +87,6 @@ def test_combinations_hold_only_reachable_states():
     closed = {**state, "slide": 0.0}
     assert with_prerequisites(spec, closed, opening=True) == closed
     assert open_state(spec)["flap_hinge"] == 1.5
-
-
-def test_prerequisites_may_form_a_chain():
-    text = oven(hinge="left", opens="1.57") + (
-        "cup = o.part('cup', material='steel')\n"
-        "cup.add(hollow_box((0.1, 0.1, 0.02), 0.002), at=tray.anchor('centre'))\n"
-        "o.prismatic('lift', tray, cup, axis='up', range=(0, 0.3), after=slide)\n"
-    )
-    spec = run(text).spec
-    assert spec is not None
-    assert prerequisite_state(spec, spec.joints[2]) == {"slide": 0.25, "flap_hinge": 1.57}
-    state = {"lift": 0.1, "slide": 0.25, "flap_hinge": 1.0}
-    assert with_prerequisites(spec, state, opening=False) == {
-        "lift": 0.0,
-        "slide": 0.0,
-        "flap_hinge": 1.0,
-    }
-
-
-def test_the_spec_refuses_invalid_prerequisites_too():
-    spec = spec_of(oven())
-
-    def joined(**update: object) -> None:
-        joints = [j.model_dump() for j in spec.joints]
-        joints[0] |= update
-        ObjectSpec.model_validate({**spec.model_dump(), "joints": joints})
-
-    joined()
-    for update, words in (
-        ({"after": ("slide",)}, "waits for itself"),
-        ({"after": ("sli",)}, "slide"),
-        ({"after": ("flap_hinge",)}, "waits for itself"),
-        ({"type": "continuous"}, "takes revolute and prismatic"),
-        ({"mimic": {"joint": "slide"}}, "follow no other"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            joined(**update)
-
-
-def test_a_mimic_joint_has_no_prerequisites():
-    text = oven(after="") + "knob = o.part('knob', material='steel')\n"
-    text += "knob.add(box((0.02, 0.02, 0.02)), at=shell.anchor('top'), by='bottom')\n"
-    text += "o.prismatic('k', body, knob, axis='up', range=(0, 0.1), mimic=slide, after=flap)\n"
-    assert "belongs to 'slide'" in " ".join(told(text).values())
 
 
 @pytest.mark.parametrize("hinge", ["bottom", "top", "left"])

@@ -1,11 +1,10 @@
 """Faults to inject into valid objects: kinds, magnitudes, and the faults that must be reported.
 
-A fault that counts contradicts physics or a declared intent. The faint magnitude of a kind does
-neither; it is part of the curve of detection, not of the score.
+Each fault contradicts physics or a declared intent.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Set
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +28,15 @@ from neoworld_mjx.spec.kinematics import moving_parts, with_joint
 Inject = Callable[[ObjectSpec, float], "ObjectSpec | None"]
 
 
-@dataclass(frozen=True)
-class Kind:
+class Kind(NamedTuple):
     """One kind of fault."""
 
     name: str
-    causes: frozenset[Fault]
+    causes: Set[Fault]
     """Reported faults that identify it."""
-    unit: str
-    magnitudes: tuple[float, float, float]
-    faint: float | None
+    magnitudes: tuple[float, ...]
     inject: Inject
-    repairable: bool
+    repairable: bool = True
     """True if a patch can express its repair."""
 
 
@@ -66,22 +62,6 @@ def reversed_axis(spec: ObjectSpec, _: float) -> ObjectSpec | None:
     joint = _joint(spec, "revolute", "prismatic", opens=True)
     axis = None if joint is None else tuple(-v for v in joint.axis)
     return _change(spec, joint, axis=axis)
-
-
-def leaning_axis(spec: ObjectSpec, degrees: float) -> ObjectSpec | None:
-    """Turn the axis of a sliding joint away from its declared opening direction."""
-    joint = _joint(spec, "prismatic", "revolute", opens=True)
-    if joint is None or joint.intent is None or joint.intent.opens is None:
-        return None
-    axis, side = np.array(joint.axis), np.array(joint.intent.opens)
-    if joint.type == "prismatic":
-        other = np.cross(side, (0, 0, 1.0)) if abs(side[2]) < 0.9 else np.array([1.0, 0, 0])
-        angle = np.radians(degrees)
-        turned = np.cos(angle) * axis + np.sin(angle) * other / np.linalg.norm(other)
-        return _change(spec, joint, axis=tuple(turned.tolist()))
-    if degrees < 180:
-        return None
-    return _change(spec, joint, axis=tuple((-axis).tolist()))
 
 
 def shifted_pivot(spec: ObjectSpec, share: float) -> ObjectSpec | None:
@@ -316,38 +296,21 @@ def slippery(spec: ObjectSpec, friction: float) -> ObjectSpec | None:
     return spec.model_copy(update={"materials": materials})
 
 
-KINDS: tuple[Kind, ...] = (
-    Kind("axis_reversed", frozenset({Fault.AXIS_REVERSED}), "", (1.0, 1.0, 1.0), None,
-         reversed_axis, False),
-    Kind("joint_into_parent", frozenset({Fault.JOINT_INTO_PART, Fault.AXIS_REVERSED}), "deg",
-         (90.0, 135.0, 180.0), None, leaning_axis, False),
-    Kind("pivot_shifted_out", frozenset({Fault.PIVOT_OFF}), "of the diagonal", (0.12, 0.3, 0.6),
-         0.02, shifted_pivot, True),
-    Kind("pivot_shifted_in", frozenset({Fault.PIVOT_OFF}), "of the way in", (0.3, 0.6, 1.0),
-         0.01, inner_pivot, True),
-    Kind("limits_into_carcass", frozenset({Fault.LIMIT_INTO_PART}), "of the range",
-         (0.1, 0.3, 0.8), 0.001, limits_into_parent, True),
-    Kind("limits_narrow", frozenset({Fault.LIMITS_NARROW}), "of the range", (0.6, 0.3, 0.1),
-         0.85, narrow_limits, True),
-    Kind("no_damping", frozenset({Fault.JOINT_UNDAMPED}), "of it", (1e-4, 1e-5, 0.0), 0.3,
-         undamped, True),
-    Kind("inertia", frozenset({Fault.INERTIA_IMPOSSIBLE}), "times", (0.01, 1e-4, -1.0), 0.3,
-         odd_inertia, True),
-    Kind("mass", frozenset({Fault.MASS_IMPLAUSIBLE}), "times", (20.0, 100.0, 1000.0), 3.0,
-         heavy, True),
-    Kind("collider_large", frozenset({Fault.COLLIDER_LARGE}), "times", (1.2, 1.5, 2.0), 1.01,
-         large_collider, True),
-    Kind("collider_missing", frozenset({Fault.COLLIDER_MISSING}), "of the extent",
-         (0.4, 0.7, 0.95), 0.02, missing_collider, True),
-    Kind("part_detached", frozenset({Fault.PART_DETACHED}), "of the diagonal", (0.04, 0.1, 0.3),
-         0.002, detached, True),
-    Kind("part_interpenetrating", frozenset({Fault.PARTS_OVERLAP}), "of the least extent",
-         (0.2, 0.5, 0.9), 0.0, interpenetrating, True),
-    Kind("joint_type", frozenset({Fault.JOINT_TYPE}), "", (1.0, 2.0, 3.0), None, wrong_type, False),
-    Kind("off_balance", frozenset({Fault.OFF_BALANCE}), "of the half width", (0.1, 0.25, 0.5),
-         None, off_balance, False),
-    Kind("joint_stuck", frozenset({Fault.JOINT_STUCK}), "times a hand", (2.0, 5.0, 50.0), 0.05,
-         stuck, True),
-    Kind("friction", frozenset({Fault.FRICTION_IMPLAUSIBLE}), "", (0.03, 0.01, 0.0), 0.2,
-         slippery, False),
-)  # fmt: skip
+KINDS = (
+    Kind("axis_reversed", {Fault.AXIS_REVERSED}, (1.0,), reversed_axis, False),
+    Kind("pivot_shifted_out", {Fault.PIVOT_OFF}, (0.12, 0.3, 0.6), shifted_pivot),
+    Kind("pivot_shifted_in", {Fault.PIVOT_OFF}, (0.3, 0.6, 1.0), inner_pivot),
+    Kind("limits_into_carcass", {Fault.LIMIT_INTO_PART}, (0.1, 0.3, 0.8), limits_into_parent),
+    Kind("limits_narrow", {Fault.LIMITS_NARROW}, (0.6, 0.3, 0.1), narrow_limits),
+    Kind("no_damping", {Fault.JOINT_UNDAMPED}, (1e-4, 1e-5, 0.0), undamped),
+    Kind("inertia", {Fault.INERTIA_IMPOSSIBLE}, (0.01, 1e-4, -1.0), odd_inertia),
+    Kind("mass", {Fault.MASS_IMPLAUSIBLE}, (20.0, 100.0, 1000.0), heavy),
+    Kind("collider_large", {Fault.COLLIDER_LARGE}, (1.2, 1.5, 2.0), large_collider),
+    Kind("collider_missing", {Fault.COLLIDER_MISSING}, (0.4, 0.7, 0.95), missing_collider),
+    Kind("part_detached", {Fault.PART_DETACHED}, (0.04, 0.1, 0.3), detached),
+    Kind("part_interpenetrating", {Fault.PARTS_OVERLAP}, (0.2, 0.5, 0.9), interpenetrating),
+    Kind("joint_type", {Fault.JOINT_TYPE}, (1.0, 2.0, 3.0), wrong_type, False),
+    Kind("off_balance", {Fault.OFF_BALANCE}, (0.1, 0.25, 0.5), off_balance, False),
+    Kind("joint_stuck", {Fault.JOINT_STUCK}, (2.0, 5.0, 50.0), stuck),
+    Kind("friction", {Fault.FRICTION_IMPLAUSIBLE}, (0.03, 0.0, 5.0), slippery, False),
+)

@@ -3,17 +3,15 @@
 Each family is a program with parameters, and declares the intents of its joints.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from string import Template
+from typing import NamedTuple
 
-from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import Intent, ObjectSpec, Vec3
 
 FRONT, UP, LEFT = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
-_HEAD = """from neoworld_mjx.program.sdk import *
+_HEAD = """from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box, lathe, sweep
 o = Object("$name")
 """
 _CABINET = """
@@ -42,14 +40,6 @@ body.add(hollow_box((X, Y, Z), W, open="+z"), by="bottom")
 lid = o.part("lid", material="$m")
 lid.add(box((X, Y, 0.012)), at=(0, 0, Z + 0.0005), by="bottom")
 o.revolute("hinge", body, lid, at=lid.anchor("back.bottom"), axis=(0, -1, 0), range=(0, 1.5))
-"""
-_LAPTOP = """
-X, Y = $x, $y
-base = o.part("base", material="aluminium", mass=$mass)
-base.add(box((X, Y, 0.016)), by="bottom")
-screen = o.part("screen", material="aluminium", mass=$mass/3)
-screen.add(box((X, Y, 0.007)), at=(0, 0, 0.0165), by="bottom")
-o.revolute("hinge", base, screen, at=screen.anchor("back.bottom"), axis=(0, -1, 0), range=(0, 1.5), friction=$hold)
 """
 _LEVER = """
 R, H = $x, $z
@@ -80,14 +70,6 @@ body = o.part("body", material="$m")
 body.add(lathe([(0, 0), (R*0.6, 0), (R*0.85, H*0.4), (R, H)], thickness=0.004))
 body.add(sweep([(R*0.93, 0, H*0.75), (R*1.5, 0, H*0.7), (R*1.5, 0, H*0.4), (R*0.84, 0, H*0.35)], radius=0.004))
 """
-_TABLE = """
-X, Y, Z = $x, $y, $z
-body = o.part("body", material="$m")
-body.add(box((X, Y, 0.025)), at=(0, 0, Z), by="top")
-for sx in (-1, 1):
-    for sy in (-1, 1):
-        body.add(box((0.04, 0.04, Z - 0.025)), at=(sx*(X/2-0.04), sy*(Y/2-0.04), 0), by="bottom")
-"""
 _OVEN = """
 X, Y, Z, W = $x, $y, $z, 0.02
 body = o.part("body", material="$m")
@@ -109,145 +91,46 @@ o.prismatic("press", body, button, axis=(0, 0, 1), range=(0, 0.012))
 """
 
 
-@dataclass(frozen=True)
-class Family:
+class Family(NamedTuple):
     """A program with parameters."""
 
     text: str
     opens: dict[str, Vec3]
     """Opening direction of joints, by the beginning of their names."""
-    sizes: tuple[dict[str, object], ...]
+    values: dict[str, object]
 
 
-FAMILIES: dict[str, Family] = {
+FAMILIES = {
     "cabinet": Family(
         _CABINET,
         {"door_hinge": FRONT},
-        (
-            {"x": 0.30, "y": 0.40, "z": 0.60, "m": "mdf", "hinge": "left", "side": -1},
-            {"x": 0.35, "y": 0.50, "z": 0.70, "m": "oak", "hinge": "right", "side": 1},
-            {"x": 0.25, "y": 0.30, "z": 0.35, "m": "pine", "hinge": "left", "side": -1},
-            {"x": 0.45, "y": 0.60, "z": 0.90, "m": "plywood", "hinge": "right", "side": 1},
-        ),
+        {"x": 0.35, "y": 0.50, "z": 0.70, "m": "oak", "hinge": "right", "side": 1},
     ),
     "chest": Family(
-        _CHEST,
-        {"drawer": FRONT},
-        (
-            {"x": 0.40, "y": 0.50, "z": 0.25, "n": 1, "m": "mdf"},
-            {"x": 0.45, "y": 0.60, "z": 0.50, "n": 2, "m": "oak"},
-            {"x": 0.50, "y": 0.80, "z": 0.75, "n": 3, "m": "pine"},
-            {"x": 0.50, "y": 0.70, "z": 0.95, "n": 4, "m": "plywood"},
-        ),
+        _CHEST, {"drawer": FRONT}, {"x": 0.45, "y": 0.60, "z": 0.50, "n": 2, "m": "oak"}
     ),
-    "box": Family(
-        _LIDDED,
-        {"hinge": UP},
-        (
-            {"x": 0.20, "y": 0.30, "z": 0.12, "m": "walnut"},
-            {"x": 0.30, "y": 0.40, "z": 0.20, "m": "pine"},
-            {"x": 0.15, "y": 0.20, "z": 0.08, "m": "plastic"},
-            {"x": 0.40, "y": 0.60, "z": 0.30, "m": "oak"},
-        ),
-    ),
-    "laptop": Family(
-        _LAPTOP,
-        {"hinge": UP},
-        (
-            {"x": 0.22, "y": 0.31, "mass": 1.2, "hold": 0.3},
-            {"x": 0.25, "y": 0.36, "mass": 1.8, "hold": 0.5},
-            {"x": 0.20, "y": 0.28, "mass": 0.9, "hold": 0.2},
-        ),
-    ),
-    "lever": Family(
-        _LEVER,
-        {"turn": LEFT},
-        (
-            {"x": 0.06, "z": 0.05, "m": "abs"},
-            {"x": 0.08, "z": 0.06, "m": "oak"},
-            {"x": 0.10, "z": 0.08, "m": "aluminium"},
-        ),
-    ),
-    "cart": Family(
-        _CART,
-        {},
-        (
-            {"x": 0.30, "y": 0.16, "z": 0.04, "m": "pine"},
-            {"x": 0.40, "y": 0.24, "z": 0.06, "m": "plastic"},
-            {"x": 0.50, "y": 0.30, "z": 0.07, "m": "plywood"},
-        ),
-    ),
-    "cup": Family(
-        _CUP,
-        {},
-        ({"x": 0.040, "z": 0.09, "m": "ceramic"}, {"x": 0.050, "z": 0.07, "m": "porcelain"}),
-    ),
-    "table": Family(
-        _TABLE,
-        {},
-        (
-            {"x": 0.60, "y": 0.90, "z": 0.45, "m": "oak"},
-            {"x": 0.80, "y": 1.40, "z": 0.74, "m": "pine"},
-            {"x": 0.40, "y": 0.40, "z": 0.50, "m": "walnut"},
-        ),
-    ),
-    "oven": Family(
-        _OVEN,
-        {"flap_hinge": FRONT},
-        (
-            {"x": 0.45, "y": 0.55, "z": 0.50, "m": "mdf"},
-            {"x": 0.35, "y": 0.45, "z": 0.35, "m": "pine"},
-            {"x": 0.50, "y": 0.60, "z": 0.60, "m": "plywood"},
-        ),
-    ),
-    "button": Family(
-        _BUTTON,
-        {"press": UP},
-        (
-            {"x": 0.12, "y": 0.12, "z": 0.05, "m": "abs"},
-            {"x": 0.20, "y": 0.15, "z": 0.08, "m": "oak"},
-            {"x": 0.16, "y": 0.24, "z": 0.06, "m": "aluminium"},
-        ),
-    ),
+    "box": Family(_LIDDED, {"hinge": UP}, {"x": 0.30, "y": 0.40, "z": 0.20, "m": "pine"}),
+    "lever": Family(_LEVER, {"turn": LEFT}, {"x": 0.08, "z": 0.06, "m": "oak"}),
+    "cart": Family(_CART, {}, {"x": 0.40, "y": 0.24, "z": 0.06, "m": "plastic"}),
+    "cup": Family(_CUP, {}, {"x": 0.050, "z": 0.07, "m": "porcelain"}),
+    "oven": Family(_OVEN, {"flap_hinge": FRONT}, {"x": 0.35, "y": 0.45, "z": 0.35, "m": "pine"}),
+    "button": Family(_BUTTON, {"press": UP}, {"x": 0.20, "y": 0.15, "z": 0.08, "m": "oak"}),
 }
 
 
-def valid_objects(count: int | None = None) -> Iterator[ObjectSpec]:
-    """Yield valid objects, one of each family before the second of any.
-
-    Args:
-        count: number of objects; None is all.
-
-    Raises:
-        ProgramError: a family's program has errors.
-    """
-    order = [
-        (name, k)
-        for k in range(max(len(family.sizes) for family in FAMILIES.values()))
-        for name, family in FAMILIES.items()
-        if k < len(family.sizes)
-    ]
-    for name, k in order[:count]:
-        yield valid_object(name, k)
-
-
-def valid_object(name: str, k: int) -> ObjectSpec:
-    """Build the k-th object of a family.
+def valid_object(name: str) -> ObjectSpec:
+    """Build the object of a family.
 
     Raises:
         ProgramError: its program has errors.
     """
     family = FAMILIES[name]
-    text = Template(_HEAD + family.text).substitute(name=f"{name}_{k}", **family.sizes[k])
-    text = text.replace("sdk import *", "sdk import " + ", ".join(_CALLED))
-    built = build(text, ProgramOptions(sandbox="cpython"))
+    text = Template(_HEAD + family.text).substitute(name=name, **family.values)
+    built = build(text)
     if built.spec is None or not built.ok:
         errors = "; ".join(s.phrase() for s in built.signals if s.severity == "error")
-        raise ProgramError(f"valid object {name}_{k}: {errors}")
+        raise ProgramError(f"valid object {name}: {errors}")
     return with_intents(built.spec, family.opens)
-
-
-_CALLED = ("Object", "box", "cylinder", "hollow_box", "lathe", "sweep")
 
 
 def with_intents(spec: ObjectSpec, opens: dict[str, Vec3]) -> ObjectSpec:

@@ -21,54 +21,23 @@ _HEAD = (
 _FLOOR = "p.add(box((0.2, 0.2, 0.01)), at=(0, 0, 0), by='top')\n"
 VESSELS: dict[str, str] = {
     "cup": ("p.add(lathe([(0, 0), (0.03, 0), (0.04, 0.08)], thickness=0.004))\n"),
-    "straight_cup": (
-        "p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.08)], thickness=0.004, sectors=64))\n"
-    ),
     "bowl": ("p.add(lathe([(0, 0), (0.03, 0), (0.07, 0.03), (0.08, 0.06)], thickness=0.004))\n"),
-    "deep_plate": ("p.add(lathe([(0, 0), (0.05, 0), (0.06, 0.02), (0.1, 0.025)], 0.004))\n"),
-    "oval_dish": ("p.add(lathe([(0, 0), (0.05, 0), (0.07, 0.05)], 0.004, oval=0.7))\n"),
-    "coarse_cup": ("p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.08)], 0.004, sectors=8))\n"),
     "bottle": (
         "p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.06), (0.03, 0.08), (0.03, 0.1)], 0.003))\n"
     ),
-    "ring_vase": ("p.add(lathe([(0.02, 0), (0.04, 0.01), (0.04, 0.09)], 0.004))\n") + _FLOOR,
     "tube": ("p.add(tube(0.04, 0.004, 0.1), by='bottom')\n") + _FLOOR,
-    "thin_tube": ("p.add(tube(0.04, 0.002, 0.1, sectors=32), by='bottom')\n") + _FLOOR,
     "tray": ("p.add(hollow_box((0.2, 0.12, 0.05), 0.006), by='bottom')\n"),
-    "bin": ("p.add(hollow_box((0.1, 0.1, 0.2), 0.004), by='bottom')\n"),
     "pipe": ("p.add(hollow_box((0.1, 0.1, 0.2), 0.004, open=['+z', '-z']), by='bottom')\n")
     + _FLOOR,
-    "shelf": (
-        "p.add(hollow_box((0.1, 0.1, 0.1), 0.004, open=['+z', '+x']), by='bottom')\n"
-        "p.add(box((0.004, 0.1, 0.03)), at=(0.05, 0, 0), by='front.bottom')\n"
-    ),
     "torus": ("p.add(torus(0.05, 0.012), by='bottom')\n") + _FLOOR,
-    "rope": (
-        "p.add(sweep([(0.05 * math.cos(a / 2), 0.05 * math.sin(a / 2), 0.012) for a in range(12)], radius=0.012, closed=True))\n"
-    )
-    + _FLOOR,
-    "horseshoe": ("p.add(torus(0.05, 0.015, arc=5.8), by='bottom')\n") + _FLOOR,
     "panel": (
         "s = [(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)]\n"
         "h = [(0.3 * x, 0.3 * y) for x, y in s]\n"
         "p.add(extrusion(s, 0.03, holes=[h]), by='bottom')\n"
     )
     + _FLOOR,
-    "comb": (
-        "p.add(extrusion([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (0.04, 0.1), (0.04, -0.04), (-0.04, -0.04), (-0.04, 0.1), (-0.1, 0.1)], 0.04), by='bottom')\n"
-        "p.add(box((0.08, 0.02, 0.04)), at=(0, 0.09, 0), by='bottom')\n"
-    )
-    + _FLOOR,
-    "round_hole": (
-        "h = [(0.03 * math.cos(a * 0.3927), 0.03 * math.sin(a * 0.3927)) for a in range(16)]\n"
-        "p.add(extrusion([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)], 0.03, holes=[h]), by='bottom')\n"
-    )
-    + _FLOOR,
     "pocket": (
         "p.add(difference(box((0.2, 0.2, 0.06)), box((0.1, 0.12, 0.06)).moved((0, 0, 0.01))), by='bottom')\n"
-    ),
-    "bored_block": (
-        "p.add(difference(box((0.12, 0.12, 0.06)), cylinder(0.04, 0.06).moved((0, 0, 0.01))), by='bottom')\n"
     ),
     "hollowed_ball": (
         "half = intersection(sphere(0.06), box((0.2, 0.2, 0.06)).moved((0, 0, -0.03)))\n"
@@ -85,14 +54,8 @@ VESSELS: dict[str, str] = {
 }
 """Bodies of programs, each of one part that a ball can fall into."""
 BALL_M = 0.012
-INNER_M = {
-    **dict.fromkeys(["ring_vase", "tube", "thin_tube"], 0.036),
-    **dict.fromkeys(["pipe", "torus", "rope", "horseshoe", "comb"], 0.05),
-    **dict.fromkeys(["panel", "round_hole"], 0.03),
-    "pocket": 0.06,
-    "cross_of_pipes": 0.09,
-    **dict.fromkeys(["bored_block", "mortar"], 0.04),
-}
+INNER_M = {"tube": 0.036, "pipe": 0.05, "torus": 0.05, "panel": 0.03, "pocket": 0.06}
+INNER_M |= {"cross_of_pipes": 0.09, "mortar": 0.04}
 """Half width of cavities that are narrower than their vessel."""
 
 

@@ -1,7 +1,5 @@
 """The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
-import json
-
 import pytest
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
@@ -18,11 +16,9 @@ from neoworld_mjx.verify.critic import (
     Finding,
     MotionCritique,
     ProposedEdit,
-    edit_request,
     key_frames_request,
     strips,
 )
-from neoworld_mjx.verify.patch import apply
 from neoworld_mjx.verify.repairs import repair
 from neoworld_mjx.verify.verification import revise_with_models
 from tests.support import answers
@@ -91,15 +87,9 @@ def test_a_value_just_within_its_threshold_is_borderline_and_shown():
     [
         (0.79, {"threshold": 1.0}, False),
         (0.81, {"threshold": 1.0}, True),
-        (1.0, {"threshold": 1.0}, True),
         (1.01, {"threshold": 1.0}, False),  # It fails.
-        (1.21, {"threshold": 1.0, "least": True}, False),
         (1.19, {"threshold": 1.0, "least": True}, True),
-        (0.99, {"threshold": 0.9, "least": True, "best": 1.0}, False),
         (0.91, {"threshold": 0.9, "least": True, "best": 1.0}, True),
-        (0.01, {"threshold": 0.0, "least": True, "best": 0.1}, True),
-        (0.03, {"threshold": 0.0, "least": True, "best": 0.1}, False),
-        (0.0, {"threshold": 0.0}, False),
         (float("nan"), {"threshold": 1.0}, False),
     ],
 )
@@ -143,32 +133,6 @@ def test_a_missing_response_is_an_error_only_with_critic_always():
         verify_and_repair(only_just(), VerifyOptions(critic="always"), models=lacking())
 
 
-def test_a_cached_result_without_borderline_checks_is_used(tmp_path, monkeypatch):
-    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
-    first = verify_and_repair(objects.cupboard())
-    monkeypatch.setattr(verification, "run_object_tests", None)
-    assert verify_and_repair(objects.cupboard(), models=Panel(ScriptedModel())) == first
-
-
-def test_a_critique_does_not_change_other_checks():
-    flipped = objects.cupboard(axis=(0, 0, -1))
-    sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
-    assert not sound.verdict.passed
-    assert sound.verdict == results_of(flipped).verdict
-    bad = verify_and_repair(
-        only_just(), models=Panel(ScriptedModel(MotionCritique(verdict="reprogram")))
-    )
-    assert bad.verdict == results_of(only_just()).verdict
-
-
-def test_without_rounds_the_object_is_shown_and_not_edited():
-    script = ScriptedModel(FOUND)
-    result = verify_and_repair(BAD, VerifyOptions(rounds=0), models=Panel(script))
-    assert (len(script.requests), result.seen) == (1, ("door: swings in",))
-    assert result.patch.empty
-    assert not result.verdict.passed
-
-
 def test_an_edit_that_helps_is_accepted():
     repaired, critiques, _ = edited_by(FOUND, ProposedEdit(patch=MENDS))
     assert repaired.after.passed
@@ -186,11 +150,6 @@ def test_an_edit_that_does_not_help_is_dropped_and_listed(patch):
     assert repaired.after == repaired.before
     assert len(repaired.tried) == 1
     assert f"Tried before:\n- {repaired.tried[0]}" in model.requests[2].prompt
-
-
-def test_an_object_that_needs_reprogramming_is_not_edited():
-    repaired, critiques, model = edited_by(MotionCritique(verdict="reprogram"))
-    assert (repaired.patch.empty, len(critiques), len(model.requests)) == (True, 1, 1)
 
 
 def test_a_failing_model_costs_only_the_edit():
@@ -259,18 +218,6 @@ def test_without_a_programmer_the_wish_for_a_new_program_is_reported():
     assert result.unmet == ("door: swings in",)
 
 
-def test_edits_go_on_for_as_many_rounds_as_the_option_says():
-    halves = [-0.3, -0.2, -0.1, 0.0]
-    answers = []
-    for lower in halves:
-        patch = Patch.model_validate({"joints": {"hinge": {"lower": lower}}})
-        answers += [FOUND, ProposedEdit(patch=patch)]
-    repaired, critiques, model = edited_by(*answers)
-    assert repaired.after.passed and len(critiques) == 4
-    last = next(r for r in reversed(model.requests) if r.role == "reasoner")
-    assert "joint hinge: lower = -0.1: fault score" in last.prompt
-
-
 def pin():
     """A pin that stands on its point: by itself it topples."""
     shape = Box(size=(0.002, 0.002, 0.1))
@@ -290,13 +237,3 @@ def test_sound_waives_falls_that_fail_without_the_scene_and_nothing_else():
     flipped = objects.cupboard(axis=(0, 0, -1))
     result = verify_and_repair(flipped, models=Panel(ScriptedModel(sound)))
     assert not result.verdict.passed and not result.waived
-
-
-def test_the_edit_schema_offers_surface_friction_and_contains_no_comment_of_the_code():
-    request = edit_request(results_of(BAD), FOUND)
-    schema = json.dumps(request.json_schema)
-    patch = Patch.model_validate({"materials": {"wood": {"friction": 0.9}}})
-    changed, stale = apply(patch, objects.cupboard())
-    assert "MaterialEdit" in schema and "for the checks to say" not in schema
-    assert (changed.materials[0].friction, stale) == (0.9, ())
-    assert "material wood: friction" in request.prompt

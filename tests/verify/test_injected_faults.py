@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.verify.repairs import repair
 from tests.support.injected_faults import KINDS
-from tests.support.valid_objects import valid_objects
+from tests.support.valid_objects import FAMILIES, valid_object
 
 run = partial(run_object_tests, threads=1)
 KIND = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
@@ -17,27 +17,26 @@ def faulty_objects(kind, every):
     """Return every n-th pair of a valid object that can have the fault and a magnitude of it."""
     broken = [
         kind.inject(spec, magnitude)
-        for spec in valid_objects()
-        for magnitude in dict.fromkeys(kind.magnitudes)
+        for spec in map(valid_object, FAMILIES)
+        for magnitude in kind.magnitudes
     ]
     return [spec for spec in broken if spec is not None][::every]
 
 
 def check_faults(kind, specs):
-    """Assert that every fault is detected and named, and that 95 % of the repairs succeed."""
+    """Assert that every fault is detected and named, and that all repairs but at most one succeed."""
     repaired = 0
     for spec in specs:
         first = run(spec)
         assert first.verdict.cause in kind.causes, spec.name
         repaired += kind.repairable and repair(spec, run, first=first).after.passed
-    assert not kind.repairable or repaired >= 0.95 * len(specs)
+    assert not kind.repairable or repaired >= len(specs) - 1
 
 
-@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
-def test_valid_objects_pass(every):
-    for spec in list(valid_objects())[::every]:
-        verdict = run(spec).verdict
-        assert verdict.passed, (spec.name, verdict.faults)
+@pytest.mark.parametrize("name", FAMILIES)
+def test_valid_objects_pass(name):
+    verdict = run(valid_object(name)).verdict
+    assert verdict.passed, verdict.faults
 
 
 @KIND
@@ -48,4 +47,4 @@ def test_a_fault_is_detected_named_and_repaired(kind):
 @pytest.mark.slow
 @KIND
 def test_faults_of_all_magnitudes_are_detected_named_and_repaired(kind):
-    check_faults(kind, faulty_objects(kind, 8))
+    check_faults(kind, faulty_objects(kind, 2))

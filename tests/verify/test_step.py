@@ -1,6 +1,5 @@
 """Step 3 of a run: its object tests use the parse and the program of the object."""
 
-import asyncio
 import json
 import math
 
@@ -9,7 +8,6 @@ import pytest
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.checks.signals import Allowance
 from neoworld_mjx.config import Config, VerifyOptions
-from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Panel, Usage
 from neoworld_mjx.mllm.requests import Reply
 from neoworld_mjx.pipeline.object_steps import verify_objects, write_object_files
@@ -32,7 +30,6 @@ from neoworld_mjx.spec import (
     bounds,
 )
 from neoworld_mjx.spec.pose import from_axis_angle
-from neoworld_mjx.verify import verify_and_repair
 from tests.support import answers
 from tests.support import furniture as objects
 
@@ -83,25 +80,6 @@ def tilted(degrees):
     return tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
 
 
-class ParallelModel:
-    """Answers that objects are sound once the requests of a number of objects wait."""
-
-    name, online, secrets = "parallel", False, ()
-
-    def __init__(self, objects):
-        self.objects, self.waiting = objects, []
-
-    async def reply(self, request, role, rejected):
-        self.waiting.append(request)
-        for _ in range(2000):
-            if len(self.waiting) >= self.objects:
-                return Reply('{"verdict": "sound"}', Usage(), self.name)
-            await asyncio.sleep(0.01)
-        raise ModelError(f"only {len(self.waiting)} requests wait together")
-
-    async def close(self): ...
-
-
 def pin(name="pin"):
     """A rod with a pointed foot, [0.02, 0.02, 0.1] m."""
     tip = GeomSpec(name="tip", shape=Sphere(radius=0.001), pos=(0, 0, 0.001), material="steel")
@@ -109,31 +87,6 @@ def pin(name="pin"):
     geom = GeomSpec(name="pin", shape=shape, pos=(0.002, 0, 0.055), material="steel")
     parts = (PartSpec(name="pin", geoms=(geom, tip)),)
     return ObjectSpec(name=name, materials=(STEEL,), parts=parts)
-
-
-def test_the_requests_of_all_objects_wait_together(tmp_path):
-    model = ParallelModel(objects=3)
-    names = ["a", "b", "c"]
-    with RunFolder(tmp_path / "run", Config()) as run:
-        table = node("table", objects.chest(), environment=True)
-        nodes = [table, *(node(name, pin(name), parent="table") for name in names)]
-        (run.path / "tree.json").write_text(SceneTree(camera=CAMERA, nodes=tuple(nodes)).to_json())
-        for entry in nodes:
-            home = run.path / "objects" / entry.name
-            home.mkdir(parents=True)
-            spec = objects.chest() if entry.name == "table" else pin(entry.name)
-            (home / "spec.json").write_text(spec.to_json())
-            (home / "program.json").write_text('{"allowances": []}')
-        with Pictures(run, Config().render) as pictures, Panel(model) as models:
-            verify_objects(StepContext(run, Config(), None, models, pictures))
-        assert sorted(request.name for request in model.waiting) == [
-            f"simulation:{name}" for name in names
-        ]
-        assert run.data["fallbacks"] == []
-        assert {note["step"] for note in run.data["notes"]} == {f"verify/{n}" for n in names}
-    assert "In the scene it rests on table (table)." in model.waiting[0].prompt
-    verdict = json.loads((run.path / "objects" / "a" / "verify.json").read_text())
-    assert verdict["passed"]
 
 
 FLAT = """from neoworld_mjx.program.sdk import Object, box
@@ -249,11 +202,6 @@ def test_an_overlap_deeper_than_declared_or_of_other_parts_fails():
     assert small.passed
 
 
-def test_the_cache_distinguishes_declared_overlaps():
-    assert not verify_and_repair(pot(), VerifyOptions(rounds=0)).verdict.passed
-    assert verify_and_repair(pot(), VerifyOptions(rounds=0), allowed=[GRANT]).verdict.passed
-
-
 def test_a_lying_object_is_dropped_in_its_parsed_orientation(tmp_path):
     verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(83))
     tilts = {c["name"]: c["value"] for c in verdict["checks"] if c["scenario"] == "free_fall"}
@@ -278,12 +226,3 @@ def test_an_object_without_a_base_of_its_own_in_a_container_is_not_dropped(tmp_p
     assert verdict["passed"], reported
     verdict, _ = stepped(tmp_path / "block", objects.chest(), parent="cup", relation="in")
     assert "fall" in ran(verdict, "free_fall")
-
-
-def test_an_object_tilted_on_level_ground_is_dropped_in_its_parsed_orientation(tmp_path):
-    verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(45))
-    assert "fall" in ran(verdict, "free_fall")
-    failed = {c["name"]: c["value"] for c in verdict["checks"] if c["outcome"] == "FAIL"}
-    # It comes down from 45 degrees, where upright it would have to fall by 90.
-    assert 40 < failed["tilt"] < 50
-    assert reported

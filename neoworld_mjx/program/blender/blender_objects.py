@@ -17,7 +17,7 @@ from ...io.names import identifier
 from ..execution import exception_signal, limit_signal
 from ..part import Joint, Part, Shape
 from ..sdk_object import Object
-from ..session import MAX_OUTPUT_BYTES, LimitExceeded, Session, use_session
+from ..session import LimitExceeded, Session, use_session
 from ..supports import MATERIALS
 from .blender_process import failure, run_confined
 from .blender_scene import (
@@ -47,7 +47,6 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
         text,
         timeout_s=options.blender_timeout_s,
         memory_mib=options.blender_memory_mib,
-        printed_bytes=MAX_OUTPUT_BYTES,
     )
     if output.scene is None:
         return output.printed, [failure(output, options.blender_timeout_s)]

@@ -1,4 +1,4 @@
-"""Blender: its installation, and the execution of programs in a confined process.
+"""Blender: its environment, and the execution of programs in a confined process.
 
 Blender is distributed as the package bpy. The package requires NumPy 1 and one version of CPython,
 so it is installed into a separate virtual environment in the cache folder. The output of a process
@@ -6,7 +6,6 @@ is untrusted.
 """
 
 import os
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -19,19 +18,16 @@ from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..execution import ENDLESS_HINT
+from ..execution import ENDLESS_HINT, MAX_PRINTED_BYTES
 from .blender_child import UNAVAILABLE
 from .blender_scene import BlenderScene
 
 BPY, PYTHON = "5.0.1", "3.11"
 """Versions of bpy and of CPython; this bpy is the latest for this CPython."""
-INSTALL = "neoworld doctor --install blender"
 LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 """Debian packages with libraries that bpy is linked to but does not contain."""
 
 
-_INSTALL_S = 1800.0
-"""Time limit of an installation command [s]."""
 SCENE_MIB = 48
 """Largest size of the returned scene [MiB]; a triangle takes about 40 bytes."""
 _WALL_TIME_FACTOR = 10.0
@@ -53,48 +49,12 @@ def blender_python() -> Path:
     return blender_folder() / "bin" / "python"
 
 
-def commands() -> list[list[str]]:
+def install_commands() -> str:
     """Return the commands that create the environment: a download of 360 MB, 970 MB on disk."""
-    python = str(blender_python())
-    return [
-        ["uv", "venv", "--allow-existing", "--python", PYTHON, str(blender_folder())],
-        ["uv", "pip", "install", "--python", python, f"bpy=={BPY}", "numpy<2"],
-    ]
-
-
-def install_blender() -> Path:
-    """Create or update Blender's virtual environment, and return the environment's folder.
-
-    Raises:
-        ProgramError: uv is missing, a command failed, or Blender cannot run programs.
-    """
-    lines = "\n".join(f"    {' '.join(command)}" for command in commands())
-    if shutil.which("uv") is None:
-        raise ProgramError(
-            f"Blender is installed by uv, which is missing (pip install uv):\n{lines}"
-        )
-    blender_folder().parent.mkdir(parents=True, exist_ok=True)
-    for command in commands():
-        try:
-            # In a clone of this package, uv would apply the package's pinned versions to bpy.
-            process = subprocess.run(
-                command,
-                capture_output=True,
-                text=True,
-                timeout=_INSTALL_S,
-                check=False,
-                cwd=blender_folder().parent,
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise ProgramError(f"{' '.join(command)}: {error}") from None
-        if process.returncode:
-            output = process.stderr.strip()[-400:]
-            raise ProgramError(f"{' '.join(command)} ended with {process.returncode}: {output}")
-    _test_run.cache_clear()
-    reason = unavailable()
-    if reason is not None:
-        raise ProgramError(reason)
-    return blender_folder()
+    return (
+        f"uv venv --python {PYTHON} {blender_folder()} && "
+        f"uv pip install --python {blender_python()} bpy=={BPY} 'numpy<2'"
+    )
 
 
 def require_blender() -> None:
@@ -110,7 +70,7 @@ def unavailable() -> str | None:
     The test run is made once in a process.
     """
     if not blender_python().exists():
-        return f"Blender is not installed ({blender_python()} is missing): run `{INSTALL}`"
+        return f"Blender is not installed ({blender_python()} is missing): run {install_commands()}"
     return _test_run(str(blender_python()))
 
 
@@ -122,7 +82,7 @@ def _test_run(python: str) -> str | None:
         return f"untrusted programs cannot be confined here without {output.missing}"
     if output.exit_code:
         last = output.errors.strip().rpartition("\n")[2][:300]
-        return f"{python} cannot load bpy: {last} (`{INSTALL}`; its libraries: {LIBRARIES})"
+        return f"{python} cannot load bpy: {last} (its libraries: {LIBRARIES})"
     return None
 
 
@@ -149,9 +109,7 @@ class BlenderOutput:
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
 
 
-def run_confined(
-    text: str, *, timeout_s: float, memory_mib: int, printed_bytes: int = 20_000
-) -> BlenderOutput:
+def run_confined(text: str, *, timeout_s: float, memory_mib: int) -> BlenderOutput:
     """Run a program in a confined Blender process.
 
     Args:
@@ -160,7 +118,6 @@ def run_confined(
             the processor time, including the time for loading Blender.
         memory_mib: limit on the address space of the process [MiB], of which Blender takes about
             1300 MiB.
-        printed_bytes: limit on the size of the printed text [bytes].
     """
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
@@ -192,7 +149,7 @@ def run_confined(
             finally:
                 child.kill()
                 child.wait()
-        out, err = (_read(path, printed_bytes) for path in paths[1:3])
+        out, err = (_read(path, MAX_PRINTED_BYTES) for path in paths[1:3])
         if timed_out or code:
             return BlenderOutput(
                 None, code or -9, out, err, timed_out=timed_out or code in _KILL_CODES

@@ -84,11 +84,8 @@ def _openings(objects: dict[str, Any]) -> list[Markup]:
 
 
 def _dimensions(aligned: dict[str, Any]) -> list[Markup]:
-    """Return a table with the dimensions of programs that the alignment changed or tried to."""
-    rows = [
-        [name, freed["phrase"] if freed["edits"] else f"unchanged: {freed['reason']}"]
-        for name, freed in aligned.get("dimensions", {}).items()
-    ]
+    """Return a table with the dimensions of programs that the alignment changed."""
+    rows = [[name, freed["phrase"]] for name, freed in aligned.get("dimensions", {}).items()]
     return [elements.table(["object", "dimensions of its program"], rows)] if rows else []
 
 
