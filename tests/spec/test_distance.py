@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from neoworld_mjx.spec.convex import mass_properties
-from neoworld_mjx.spec.triangles import distance_to_triangles
 from tests.support.sample_shapes import SHAPES
 
 random = np.random.default_rng(3)
@@ -54,21 +53,6 @@ def test_distances_are_those_to_sampled_surfaces(name: str):
     clear = np.abs(distance) > 0.002
     assert np.array_equal((distance < 0)[clear], inside_pieces(shape, points)[clear])
     assert (distance < 0).any() and (distance > 0).any()
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_the_surface_is_at_distance_zero(name: str):
-    shape = SHAPES[name]
-    vertices, _ = shape.surface()
-    assert np.abs(shape.signed_distance(vertices[:200])).max() < 1e-7
-
-
-@pytest.mark.parametrize("name", ["box", "prism", "extrusion", "panel"])
-def test_exact_and_by_triangles_agree(name: str):
-    shape, points = SHAPES[name], around(SHAPES[name], 500)
-    assert np.allclose(
-        shape.signed_distance(points), distance_to_triangles(points, *shape.surface()), atol=1e-12
-    )
 
 
 @pytest.mark.parametrize("name", SHAPES)
