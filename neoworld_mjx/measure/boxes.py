@@ -1,8 +1,7 @@
-"""Overlap of boxes: 2D boxes in images, and upright 3D boxes with a yaw.
+"""Boxes of a scene: their overlap, and the moves of objects between two scenes.
 
-Overlap of the visible boxes of a scene's objects with the parsed boxes of the photograph.
-
-Displacement, scaling and rotation of objects between two scenes.
+2D boxes in images, upright 3D boxes with a yaw, and the visible boxes of a scene's objects, which
+are compared with the parsed boxes of the photograph.
 """
 
 import itertools
@@ -90,13 +89,6 @@ def intersection_3d(a: Box3D, b: Box3D) -> float:
     if high <= low:
         return 0.0
     return polygon_intersection(footprint(a), footprint(b)) * (high - low)
-
-
-def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Return the intersection over union of two upright boxes, by volume. The yaws may differ."""
-    common = intersection_3d(a, b)
-    union = float(np.prod(a.size) + np.prod(b.size)) - common
-    return common / union
 
 
 def upright(node: TreeNode) -> Box3D:
