@@ -136,7 +136,7 @@ def test_depths_may_equal_their_bound_and_motions_may_not():
         assert sorted(joints) == [0.0, check.value] if "joint" in name else joints == [0.0, 0.0]
 
 
-def test_the_measure_takes_duration_time_step_and_bounds_of_the_options(monkeypatch):
+def test_the_measure_takes_duration_and_bounds_of_the_options(monkeypatch):
     asked = {}
     still = measured(snap_exactly(scenes.blocks()), OPTIONS)
     monkeypatch.setattr(
@@ -144,13 +144,10 @@ def test_the_measure_takes_duration_time_step_and_bounds_of_the_options(monkeypa
     )
     options = RefineOptions(
         check_duration_s=1.5,
-        check_timestep_s=0.001,
         max_depth_m=0.003,
         max_drift_m=0.02,
         max_tilt_deg=7.0,
     )
     measured(scenes.blocks(), options)
     bounds = {"max_depth": 0.003, "max_drift": 0.02, "max_tilt": 7.0}
-    assert asked == {"duration": 1.5, "timestep": 0.001, **bounds, "sleeps": False}
-    measured(scenes.blocks(), options, sleeps=True)
-    assert asked["sleeps"]
+    assert asked == {"duration": 1.5, **bounds}

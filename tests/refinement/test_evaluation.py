@@ -11,7 +11,7 @@ from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.mjx_engine import REPLICATED, SHARDED
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
-from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
+from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
 from neoworld_mjx.refinement import evaluation as module
 from neoworld_mjx.refinement.evaluation import (
     Evaluation,
@@ -150,19 +150,19 @@ def test_rollouts_have_the_options_and_stop_where_the_penalty_of_drift_is_capped
     still = opened(model, options(duration_s=0.0))
     np.testing.assert_array_equal(still.roll_out(poses).pos[:, 0], poses.pos[:, : model.count])
     assert not still.engine.calls
-    reward = {"drift_scale_m": 0.02, "tilt_scale_deg": 9.0, "d_drift_cap": 4.0}
-    rule = early_stop_rule(RefineOptions.model_validate({"reward": reward}))
+    bounds = {"max_drift_m": 0.02, "max_tilt_deg": 9.0, "reward": {"d_drift_cap": 4.0}}
+    rule = early_stop_rule(RefineOptions.model_validate(bounds))
     assert (rule.distance, rule.drift) == pytest.approx((0.02, 0.08))
     assert (rule.angle, rule.tilt) == pytest.approx((np.radians(9.0), np.radians(36.0)))
 
 
 def test_objects_and_joints_that_pad_a_rollout_do_not_move():
     scene = compile_scene(scenes.furnished(), samples=16)
-    wide = pad_scene(scene, Bucket(*(64,) * len(Bucket._fields)))
+    wide = pad_scene(scene)
     poses = jax.device_get(scene.place(scenes.random_layout(scene, 2, seed=0)))
     rollout = opened(scene, options()).roll_out(poses)
     padded, joints = pad_rollout(rollout, wide), rollout.joint_shift.shape[2]
-    assert padded.pos.shape == (2, 2, 64, 3) and padded.joint_shift.shape == (2, 2, 64)
+    assert padded.pos.shape == (2, 2, 16, 3) and padded.joint_shift.shape == (2, 2, 16)
     np.testing.assert_array_equal(padded.pos[:, :, : scene.count], rollout.pos)
     np.testing.assert_array_equal(padded.joint_shift[..., :joints], rollout.joint_shift)
     assert joints and not padded.joint_shift[..., joints:].any()
