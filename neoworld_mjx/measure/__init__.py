@@ -8,7 +8,6 @@ from .boxes import (
     object_moves,
     shown_sides,
     visible_box_iou,
-    visible_box_iou_of,
 )
 from .scene_check import (
     SETTLED_AWAY,
@@ -40,6 +39,5 @@ __all__ = [
     "shown_sides",
     "unstable_objects",
     "visible_box_iou",
-    "visible_box_iou_of",
     "with_displacement",
 ]

@@ -171,15 +171,9 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     Environment supports and objects without a parsed box are omitted. The result is empty if the
     scene has no camera.
     """
-    return {} if scene.camera is None else visible_box_iou_of(scene, *_visible(scene))
-
-
-def visible_box_iou_of(
-    scene: SceneSpec, padded: "SceneArrays", visible: "Visible"
-) -> dict[str, float]:
-    """Compute `visible_box_iou` from the visible parts of a compiled scene's objects."""
     if scene.camera is None:
         return {}
+    padded, visible = _visible(scene)
     boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])

@@ -178,23 +178,13 @@ class MjxEngine(BatchEngine):
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
             arrays, rest = eqx.partition(scene, eqx.is_array)
-            tree = (on_device(scene), arrays)
+            tree = (put_model(scene), arrays)
             if self.mesh is None:
                 model, arrays = jax.device_put(tree, self.devices[0])
             else:
                 model, arrays = put(tree, self.mesh, REPLICATED)
             self._scenes[scene.static] = model, eqx.combine(arrays, rest)
         return self._scenes[scene.static]
-
-
-_models: "weakref.WeakKeyDictionary[StaticScene, MjxModel]" = weakref.WeakKeyDictionary()
-
-
-def on_device(scene: SceneModel) -> MjxModel:
-    """Return a scene's model on JAX's default device; see `put_model`."""
-    if scene.static not in _models:
-        _models[scene.static] = put_model(scene)
-    return _models[scene.static]
 
 
 @eqx.filter_jit

@@ -1,6 +1,6 @@
-"""Extrusion of an arbitrary outline with holes, and a box with rounded edges.
+"""Extrusion of an arbitrary outline with holes, box with rounded edges, and sweep along a path.
 
-Sweep: a section swept along a path, such as a rod, handle, bail, hook, stem or ring.
+A sweep is a section swept along a path, such as a rod, handle, bail, hook, stem or ring.
 """
 
 from functools import lru_cache

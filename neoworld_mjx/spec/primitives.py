@@ -1,6 +1,6 @@
-"""Base of all shapes: convex pieces, surface, volume and signed distance.
+"""Base of all shapes, and the primitive shapes.
 
-Primitive shapes: box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box.
+The primitive shapes are box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box.
 """
 
 from functools import lru_cache
