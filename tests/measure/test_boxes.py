@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from neoworld_mjx.measure.boxes import (
     footprint,
@@ -129,23 +127,3 @@ def test_the_shared_volume_of_boxes():
     cube = a.model_copy(update={"size": (1.0, 1.0, 1.0)})
     turned = cube.model_copy(update={"yaw": math.pi / 4})
     assert intersection_3d(cube, turned) == pytest.approx(2 * (math.sqrt(2) - 1))
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.tuples(*[st.floats(-1, 1)] * 3),
-    st.tuples(*[st.floats(0.2, 2)] * 2),
-    st.floats(-4, 4),
-)
-def test_shared_footprint_agrees_with_monte_carlo(at, size, turn):
-    a = Box3D(position=(0, 0, 0), size=(1, 1.5, 1), yaw=at[2])
-    b = Box3D(position=(*at[:2], 0), size=(*size, 1), yaw=turn)
-    grid = (np.stack(np.meshgrid(np.arange(240), np.arange(240)), -1).reshape(-1, 2) + 0.5) / 40 - 3
-
-    def inside(box):
-        c, s = math.cos(box.yaw), math.sin(box.yaw)
-        local = (grid - np.array(box.position[:2])) @ np.array([[c, -s], [s, c]])
-        return (np.abs(local) <= np.array(box.size[:2]) / 2).all(axis=1)
-
-    counted = (inside(a) & inside(b)).sum() / 1600
-    assert polygon_intersection(footprint(a), footprint(b)) == pytest.approx(counted, abs=0.06)
