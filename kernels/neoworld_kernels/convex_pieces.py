@@ -1,9 +1,7 @@
 """Convex colliders of a scene as arrays, by kind, and the signed distance to them in plain jnp.
 
-Cheap depths of points in convex pieces, for the search of the deepest sample.
-
-Depths are approximate outside a piece. Functions take coordinates as separate, broadcastable
-arrays.
+The search of the deepest sample uses `coarse_depth`, which is cheaper, and approximate outside a
+piece. It takes coordinates as separate, broadcastable arrays.
 """
 
 import math

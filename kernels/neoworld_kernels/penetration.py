@@ -89,13 +89,14 @@ class Deepest(NamedTuple):
 
 
 def sorted_samples(
-    samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
+    samples: Float[NDArray, "object sample 3"],
 ) -> Float[NDArray, "object sample 3"]:
     """Reorder each object's samples so that each block of BLOCK consecutive samples is compact.
 
-    The first `first` samples are the most important ones. They stay in front and are reordered
+    The first 2 * BLOCK samples are the most important ones. They stay in front and are reordered
     among themselves.
     """
+    first = 2 * BLOCK
 
     def split_in_half(points: NDArray) -> NDArray:
         if len(points) <= BLOCK:

@@ -32,8 +32,8 @@ class CEMOptions(Options):
     hold_resting: bool = option(
         True,
         "Fix the objects that rest in the settled initial layout, so that only the other objects, "
-        "and the objects that these support, move. In a sweep, objects are fixed only if all runs "
-        "start at the composed scene; otherwise objects that rest are free, but not perturbed. "
+        "and the objects that these support, move. If the search starts at another layout than the "
+        "composed scene, objects that rest are free, but not perturbed. "
         "With further reward terms, scores by a model, or an optimizer that is passed from Python, "
         "all objects move.",
         difference=PaperDifference(
@@ -140,38 +140,20 @@ class RewardOptions(Options):
         "Value at which D_drift is clipped; 3 is 3 cm or 15 degrees. A small cap keeps the "
         "difference between valid and nearly valid candidates large compared with the difference "
         "between two bad candidates.",
-        unit="drift scales",
+        unit="max_drift_m or max_tilt_deg",
         gt=0,
     )
     drift_free: float = option(
         0.1,
         "Drift of an object that costs nothing; 0.1 is 1 mm or 0.5 degrees. Stable objects move by "
         "about this much when they settle.",
-        unit="drift scales",
+        unit="max_drift_m or max_tilt_deg",
         ge=0,
         difference=PaperDifference(
             0.0,
             "All objects move slightly when they settle, which should not penalize valid "
             "candidates.",
         ),
-    )
-    pen_scale_m: float = option(
-        0.001,
-        "Scale of D_pen in the absolute reward, which is comparable between iterations.",
-        unit="m",
-        gt=0,
-    )
-    drift_scale_m: float = option(
-        0.01,
-        "Displacement that counts as a drift of 1 in D_drift.",
-        unit="m",
-        gt=0,
-    )
-    tilt_scale_deg: float = option(
-        5.0,
-        "Rotation that counts as a drift of 1 in D_drift.",
-        unit="deg",
-        gt=0,
     )
     terms: dict[str, float] = option(
         {},
@@ -269,9 +251,6 @@ class SettleOptions(Options):
     fade_s: float = option(
         1.4, "Time in which the springs fade linearly to zero.", unit="s", gt=0, le=20
     )
-    max_speed_m_s: float = option(
-        2.0, "Maximum speed of an object while it settles.", unit="m/s", gt=0, le=100
-    )
 
 
 class RefineOptions(Options):
@@ -291,14 +270,22 @@ class RefineOptions(Options):
     check_duration_s: float = option(
         2.0, "Simulated time of the final check.", unit="s", ge=0.01, le=100
     )
-    check_timestep_s: float = option(
-        0.002, "Time step of the final check.", unit="s", ge=1e-4, le=0.1
+    max_drift_m: float = option(
+        0.01,
+        "Maximum displacement in a valid candidate and in the final check; the unit of D_drift.",
+        unit="m",
+        gt=0,
     )
-    max_drift_m: float = option(0.01, "Maximum displacement in the final check.", unit="m", gt=0)
-    max_tilt_deg: float = option(5.0, "Maximum rotation in the final check.", unit="deg", gt=0)
+    max_tilt_deg: float = option(
+        5.0,
+        "Maximum rotation in a valid candidate and in the final check; the unit of D_drift.",
+        unit="deg",
+        gt=0,
+    )
     max_depth_m: float = option(
         0.001,
-        "Maximum penetration depth in a valid candidate and in the final check.",
+        "Maximum penetration depth in a valid candidate and in the final check, and scale of D_pen "
+        "in the absolute reward, which is comparable between iterations.",
         unit="m",
         gt=0,
     )

@@ -1,6 +1,6 @@
-"""Initial pose of a gripper in front of a handle, with one finger on each side of the handle.
+"""Scenes with actuators: their actions, observed joints and initial states.
 
-Scenes with actuators: their actions, observed joints and initial states.
+A gripper may start in front of a handle, with one finger on each side of the handle.
 """
 
 from dataclasses import dataclass

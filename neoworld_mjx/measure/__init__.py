@@ -5,11 +5,9 @@ from .boxes import (
     SidesShown,
     box_iou,
     iou_2d,
-    iou_3d,
     object_moves,
     shown_sides,
     visible_box_iou,
-    visible_box_iou_of,
 )
 from .scene_check import (
     SETTLED_AWAY,
@@ -33,7 +31,6 @@ __all__ = [
     "UnstableObject",
     "box_iou",
     "iou_2d",
-    "iou_3d",
     "measured",
     "object_moves",
     "passes",
@@ -42,6 +39,5 @@ __all__ = [
     "shown_sides",
     "unstable_objects",
     "visible_box_iou",
-    "visible_box_iou_of",
     "with_displacement",
 ]

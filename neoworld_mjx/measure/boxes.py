@@ -1,8 +1,7 @@
-"""Overlap of boxes: 2D boxes in images, and upright 3D boxes with a yaw.
+"""Boxes of a scene: their overlap, and the moves of objects between two scenes.
 
-Overlap of the visible boxes of a scene's objects with the parsed boxes of the photograph.
-
-Displacement, scaling and rotation of objects between two scenes.
+2D boxes in images, upright 3D boxes with a yaw, and the visible boxes of a scene's objects, which
+are compared with the parsed boxes of the photograph.
 """
 
 import itertools
@@ -92,13 +91,6 @@ def intersection_3d(a: Box3D, b: Box3D) -> float:
     return polygon_intersection(footprint(a), footprint(b)) * (high - low)
 
 
-def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Return the intersection over union of two upright boxes, by volume. The yaws may differ."""
-    common = intersection_3d(a, b)
-    union = float(np.prod(a.size) + np.prod(b.size)) - common
-    return common / union
-
-
 def upright(node: TreeNode) -> Box3D:
     """Return the upright bounding box of a node's tilted box. Both boxes have the same yaw."""
     box = node.box3d
@@ -179,15 +171,9 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     Environment supports and objects without a parsed box are omitted. The result is empty if the
     scene has no camera.
     """
-    return {} if scene.camera is None else visible_box_iou_of(scene, *_visible(scene))
-
-
-def visible_box_iou_of(
-    scene: SceneSpec, padded: "SceneArrays", visible: "Visible"
-) -> dict[str, float]:
-    """Compute `visible_box_iou` from the visible parts of a compiled scene's objects."""
     if scene.camera is None:
         return {}
+    padded, visible = _visible(scene)
     boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])

@@ -1,10 +1,8 @@
-"""Validity of a scene: comparison of each measure with its bound.
+"""Validity of a scene: S-Pen and S-Stab, the physical measures of the paper's scene table.
 
-These checks are made once, stored in run.json, and printed everywhere by `SceneCheck.phrase`.
-
-S-Pen and S-Stab, the physical measures of the paper's scene table, computed by C MuJoCo.
-
-Objects of a scene that leave their composed poses, and the reasons why.
+C MuJoCo computes the measures. They are compared with their bounds once; the checks are stored in
+run.json, and printed everywhere by `SceneCheck.phrase`. `unstable_objects` names the objects that
+leave their composed poses, and the reasons.
 """
 
 import math
@@ -69,7 +67,6 @@ def scene_measure(
     max_depth: float = 1e-3,
     max_drift: float = 0.01,
     max_tilt: float = 5.0,
-    sleeps: bool = False,
 ) -> SceneMeasure:
     """Measure penetration in the composed pose, and drift in a simulation that starts from it.
 
@@ -83,12 +80,8 @@ def scene_measure(
         max_depth: penetration bound [m].
         max_drift: translation bound [m].
         max_tilt: rotation bound [deg].
-        sleeps: if True, let islands of bodies at rest sleep (`mjENBL_SLEEP`). This is faster, but
-            it is not the paper's measure.
     """
     model, data = start_state(scene, timestep)
-    if sleeps:
-        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     initial_depths = object_depths(scene, model, data)
     names = [obj.name for obj in scene.objects if not obj.static]
@@ -206,16 +199,14 @@ class SceneCheck(Spec):
         return self.model_dump(mode="json") | {"value": value, "phrase": self.phrase()}
 
 
-def measured(scene: SceneSpec, o: RefineOptions, *, sleeps: bool = False) -> SceneMeasure:
-    """Measure a scene with the duration, time step and bounds of the options."""
+def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
+    """Measure a scene with the duration and the bounds of the options."""
     return scene_measure(
         scene,
         duration=o.check_duration_s,
-        timestep=o.check_timestep_s,
         max_depth=o.max_depth_m,
         max_drift=o.max_drift_m,
         max_tilt=o.max_tilt_deg,
-        sleeps=sleeps,
     )
 
 

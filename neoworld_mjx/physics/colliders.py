@@ -1,8 +1,7 @@
-"""Canonical colliders of a scene as arrays: convex pieces by kind.
+"""Canonical colliders of a scene as arrays, and exact distances between colliders.
 
-D_pen is measured on these colliders, regardless of the engine that simulates the scene.
-
-Exact distances between colliders by MuJoCo's `mj_geomDistance`, for measures of scenes.
+D_pen is measured on the arrays, which hold convex pieces by kind, regardless of the engine that
+simulates the scene. Measures of scenes use MuJoCo's `mj_geomDistance`.
 """
 
 import jax
@@ -86,6 +85,8 @@ NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
 """Displacement of a geom for which MuJoCo returns no valid distance [m]."""
 TOUCH_M = 1e-3
 """Largest gap between bounding spheres at which geoms are tested for penetration [m]."""
+SNAP_GAP_M, SNAP_ROUNDS = 1e-4, 30
+"""Clearance of an object that is snapped exactly [m], and largest number of steps towards it."""
 
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -180,8 +181,8 @@ def object_depths(
     return depths
 
 
-def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> SceneSpec:
-    """Lower every snapped object onto its support, leaving `gap` [m], parents first.
+def snap_exactly(scene: SceneSpec) -> SceneSpec:
+    """Lower every snapped object onto its support, parents first, leaving SNAP_GAP_M.
 
     Lowering an object by its distance from the support never overshoots. An object that penetrates
     its support is raised until it no longer does. If raising does not even halve the penetration,
@@ -202,13 +203,13 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
         # Descendants are translated with the object, so nothing is recompiled.
         descendant_geoms = np.flatnonzero((owner >= 0) & ancestors[owner, index])
         height, distances = item.z, []
-        for _ in range(rounds):
+        for _ in range(SNAP_ROUNDS):
             distance = pair_distance(model, data, geoms, support, reach=0.02)
             distances.append(distance)
-            if distance >= 0.02 or abs(distance - gap) < 5e-6:
+            if distance >= 0.02 or abs(distance - SNAP_GAP_M) < 5e-6:
                 break
-            height += gap - distance
-            data.geom_xpos[descendant_geoms, 2] += gap - distance
+            height += SNAP_GAP_M - distance
+            data.geom_xpos[descendant_geoms, 2] += SNAP_GAP_M - distance
         if distances[-1] < min(distances[0] / 2, 0.0):
             data.geom_xpos[descendant_geoms, 2] -= height - item.z
             height = item.z

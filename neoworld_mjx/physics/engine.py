@@ -1,21 +1,19 @@
-"""The interface of physics engines: Engine, Rollout, RolloutStatus, EarlyStop and Schedule.
+"""The interface of physics engines, and functions that open an engine and roll out layouts.
 
-This module imports no engine; `simulate` opens engines by name.
-
-Functions that open an engine by name, and that roll out layouts in one call.
+This module imports no engine; `open_engine` imports one by name.
 """
 
 import abc
 import contextlib
 import enum
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..engines import ENGINES
 from ..errors import EngineError, SpecError, choices
@@ -192,21 +190,17 @@ class BatchEngine(abc.ABC):
         """Simulate every candidate on a schedule; see `Engine.rollout`."""
 
 
-def unplaceable(poses: Poses, xp: Any = np) -> Any:
+def unplaceable(poses: Poses) -> Bool[np.ndarray, " pop"]:
     """Return a mask of candidates in which a pose is not finite or out of range, shape [pop].
 
     Scales must be between 1e-3 and 1e3, since the masses of smaller objects are below MuJoCo's
     minimum. Positions must be within 1e6 m. Engines give unplaceable candidates the status FAILED
     without simulating them.
-
-    Args:
-        poses: poses of all candidates.
-        xp: array module, `jnp` for traced poses.
     """
     # Comparisons with NaN are false, so NaN is out of range.
     sized = (poses.scale > 1e-3) & (poses.scale < 1e3)
-    placed = xp.all(xp.abs(poses.pos) < 1e6, axis=-1) & xp.all(xp.isfinite(poses.quat), axis=-1)
-    return ~xp.all(sized & placed, axis=1)
+    placed = np.all(np.abs(poses.pos) < 1e6, axis=-1) & np.all(np.isfinite(poses.quat), axis=-1)
+    return ~np.all(sized & placed, axis=1)
 
 
 def record_steps(timestep: float, duration: float, record_every: float) -> tuple[int, int]:

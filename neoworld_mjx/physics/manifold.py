@@ -1,9 +1,7 @@
-"""Collision geoms of a MuJoCo model as convex solids with one common representation.
+"""Contacts between two convex solids: the axis of least overlap, and points of their intersection.
 
-All solids are padded to the same shape, so code that takes two solids is traced only once for any
-number and type of geoms.
-
-Contacts between two convex solids: the axis of least overlap, and points of their intersection.
+The collision geoms of a MuJoCo model become solids with one common representation, padded to one
+shape, so that code for two solids is traced only once for any number and type of geoms.
 
 MuJoCo finds the axis by a branching search (GJK, EPA). This module instead tests a fixed list of
 axes, following the separating axis theorem: the face normals of both solids and the directions

@@ -1,6 +1,7 @@
 """Rollouts in JAX: `mjx_step`, vmapped over per-candidate model fields.
 
-MJX has no mj_setConst, so `derived` computes the fields that MuJoCo derives from masses.
+MJX has no mj_setConst, so `derived` computes the fields that MuJoCo derives from masses. Several
+devices share the candidates and compute independently.
 """
 
 import functools
@@ -15,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
-from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
+from .engine import BatchEngine, Rollout, RolloutStatus, Schedule
 from .guidance import Guidance, GuidedBodies, guided_bodies
 from .layout import Poses
 from .mjx_model import (
@@ -30,7 +31,7 @@ from .mjx_model import (
     with_fields,
 )
 from .model import SceneModel, StaticScene
-from .recorder import DIVERGED, Recorder, read_states, record_times, simulate_in_chunks
+from .recorder import Recorder, simulate_in_chunks
 from .sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
 
 MJX_CHUNK = 8192
@@ -68,10 +69,8 @@ class MjxEngine(BatchEngine):
         """Simulate every candidate; see `Engine.rollout`."""
         model, scene = self.on_devices(scene)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
-        pop = poses.scale.shape[0]
-        to_end = schedule.early_stop is None
-        # With early stopping, sizes are powers of two, so that populations share compilations.
-        size = self.chunk(model, pop if to_end else 1 << (pop - 1).bit_length())
+        # Powers of two, so that populations share compilations.
+        size = self.chunk(model, 1 << (poses.scale.shape[0] - 1).bit_length())
 
         def run(chunk: Poses) -> Rollout:
             count = len(chunk.scale)
@@ -79,33 +78,20 @@ class MjxEngine(BatchEngine):
                 return Recorder(scene.static, chunk, schedule).rollout()
             # All chunks are padded to one shape, which is compiled once.
             padded = self.split(chunk[np.minimum(np.arange(size), count - 1)])
-            simulate = self._simulate_to_end if to_end else self._simulate_records
-            rollout = simulate(model, scene, padded, schedule)
+            rollout = self._simulate_chunk(model, scene, padded, schedule)
             rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], rollout)
             return eqx.tree_at(lambda r: r.time, rows, np.asarray(rollout.time))
 
         return simulate_in_chunks(scene.static, poses, size, schedule, run)
 
-    def _simulate_to_end(
-        self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
-    ) -> Rollout:
-        """Simulate all candidates to the end in one compiled function."""
-        fields, start, bad = prepare(scene, poses)
-        records, every = schedule.records, schedule.every
-        guided = schedule.guidance and (schedule.guidance, _guided_bodies(scene, poses))
-        qpos, dropped = bare_scan(
-            model, fields, start, records, every, *(guided or (None, None)), self.mesh
-        )
-        return _rollout(scene, poses, qpos, bad, dropped, records, every)
-
-    def _simulate_records(
+    def _simulate_chunk(
         self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
         """Simulate record by record; drop stopped candidates once the rest fits a smaller size."""
-        fields, start, bad = prepare(scene, poses)
+        fields, start = _prepare(scene, poses)
         data = _initial_data(model, fields, start, self.mesh)
         springs = _guided_bodies(scene, poses) if schedule.guidance else None
-        recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
+        recorder = Recorder(scene.static, poses, schedule)
         rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACT_FROM else []
         truncated = np.zeros(len(rows), bool)
@@ -161,7 +147,7 @@ class MjxEngine(BatchEngine):
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
             arrays, rest = eqx.partition(scene, eqx.is_array)
-            tree = (on_device(scene), arrays)
+            tree = (put_model(scene), arrays)
             if self.mesh is None:
                 model, arrays = jax.device_put(tree, self.devices[0])
             else:
@@ -170,64 +156,15 @@ class MjxEngine(BatchEngine):
         return self._scenes[scene.static]
 
 
-_models: "weakref.WeakKeyDictionary[StaticScene, MjxModel]" = weakref.WeakKeyDictionary()
-
-
-def on_device(scene: SceneModel) -> MjxModel:
-    """Return a scene's model on JAX's default device; see `put_model`."""
-    if scene.static not in _models:
-        _models[scene.static] = put_model(scene)
-    return _models[scene.static]
-
-
 @eqx.filter_jit
-def prepare(
-    scene: SceneModel, poses: Poses
-) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
-    """Return the model fields and initial states of candidates, and a mask of the unplaceable."""
-    fields, qpos = candidate_fields(scene, poses)
-    return fields, qpos, unplaceable(poses, jnp)
+def _prepare(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
+    """Return the model fields and initial states of candidates."""
+    return candidate_fields(scene, poses)
 
 
 @eqx.filter_jit
 def _guided_bodies(scene: SceneModel, poses: Poses) -> GuidedBodies:
     return guided_bodies(scene, poses)
-
-
-@functools.partial(jax.jit, static_argnames=("records", "every", "guidance", "mesh"))
-def bare_scan(
-    model: MjxModel,
-    fields: Fields,
-    qpos: Float[Array, "pop nq"],
-    records: int,
-    every: int,
-    guidance: Guidance | None = None,
-    springs: GuidedBodies | None = None,
-    mesh: Mesh | None = None,
-) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
-    """Scan `mjx_step`, vmapped over all candidates, with springs if guidance is given.
-
-    If a mesh is given, its devices share the candidates.
-
-    Returns:
-        The recorded coordinates, and a mask of candidates for which a step left out pairs of geoms
-        that may touch.
-    """
-
-    def one(
-        model: MjxModel, values: Fields, start: Float[Array, " nq"], bodies: GuidedBodies | None
-    ) -> tuple[Array, Array]:
-        m = with_fields(model, values)
-
-        def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
-            d = mjx_step(m, d, every, _push_function(guidance, bodies))
-            return d, (d.qpos, pairs_dropped(m, d))
-
-        initial = make_data(m).replace(qpos=start)
-        qpos, dropped = jax.lax.scan(record, initial, None, length=records)[1]
-        return qpos, jnp.any(dropped)
-
-    return _candidates(one, springs, mesh)(model, fields, qpos, springs)
 
 
 def _candidates(
@@ -288,29 +225,3 @@ def _advance(
 @jax.jit
 def _take(tree: Any, index: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf[index], tree)
-
-
-@eqx.filter_jit
-def _rollout(
-    scene: SceneModel,
-    poses: Poses,
-    qpos: Float[Array, "pop time nq"],
-    bad: Bool[Array, " pop"],
-    dropped: Bool[Array, " pop"],
-    records: int,
-    every: int,
-) -> Rollout:
-    pop = qpos.shape[0]
-    pos, quat, joint_shift = read_states(scene.static, poses, qpos, jnp)
-    failed = bad | ~jnp.all(jnp.abs(qpos) < DIVERGED, axis=(1, 2))
-    status = jnp.where(dropped, int(RolloutStatus.TRUNCATED), int(RolloutStatus.OK))
-    status = jnp.where(failed, int(RolloutStatus.FAILED), status)
-    return Rollout(
-        time=record_times(scene.static, records, every),
-        pos=pos,
-        quat=quat,
-        joint_shift=joint_shift,
-        status=status.astype(jnp.int32),
-        start=poses,
-        steps=jnp.full(pop, records * every, jnp.int32),
-    )

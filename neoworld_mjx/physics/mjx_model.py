@@ -1,16 +1,15 @@
-"""MJX for a scene: `mjx.step` with the collision detection of `manifold`.
+"""MJX for a scene: `mjx.step` with the collision detection of `manifold`, and an exact line search.
 
 Tracing MJX unrolls its collision routines over all pairs of geoms, which takes minutes for convex
-pieces. In this module, one routine processes the nearest pairs of geoms and fills MJX's contacts,
-and `mjx_solver` solves the constraints. Kinematics, constraints and integrator are those of MJX.
+pieces. In this module, one routine processes the nearest pairs of geoms and fills MJX's contacts.
+Kinematics, constraints and integrator are those of MJX.
 
-Newton's method for MuJoCo's constraints, with an exact line search.
-
-The accelerations minimize a convex function that is quadratic between breakpoints, at which
-constraints activate or deactivate (MuJoCo's documentation, Computation, "Primal problem"). Along a
-line, the slope of this function is piecewise linear. MJX brackets the zero of the slope in some 64
-passes over the constraint rows, which takes a third of a step's time on a GPU. This module
-evaluates the slope at all breakpoints at once. The zero between two breakpoints is then exact.
+The constraints are solved by Newton's method. The accelerations minimize a convex function that is
+quadratic between breakpoints, at which constraints activate or deactivate (MuJoCo's documentation,
+Computation, "Primal problem"). Along a line, the slope of this function is piecewise linear. MJX
+brackets the zero of the slope in some 64 passes over the constraint rows, which takes a third of a
+step's time on a GPU. This module evaluates the slope at all breakpoints at once. The zero between
+two breakpoints is then exact.
 """
 
 import contextlib
@@ -42,7 +41,7 @@ from .model import SceneModel
 from .model_fields import model_fields
 
 MjxState = Any
-"""An `mjx.Data` of MJX's JAX implementation. Only `mjx_model` imports MJX, which prints."""
+"""An `mjx.Data` of MJX's JAX implementation. Only this module imports MJX, which prints."""
 LONGEST_STEP = 100.0
 """Distance, in Newton steps, beyond which breakpoints are ignored."""
 
@@ -239,7 +238,7 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
     bare.geom_contype[:] = 0
     bare.geom_conaffinity[:] = 0
     bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    # `mjx_solver` needs pyramidal cones, with which stiffer friction would stiffen normal forces.
+    # `newton` needs pyramidal cones, with which stiffer friction would stiffen normal forces.
     bare.opt.cone, bare.opt.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
     if not np.any(mjm.dof_damping) and not mjm.nu:
         # The integrator then treats nothing implicitly, and does not factor a second matrix.

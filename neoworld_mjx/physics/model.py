@@ -144,7 +144,6 @@ def compile_scene(
     timestep: float = 0.004,
     samples: int = 256,
     reach: float = 1 / 3,
-    gap: float = 1e-4,
 ) -> SceneModel:
     """Compile a composed scene.
 
@@ -153,7 +152,6 @@ def compile_scene(
         timestep: time step of rollouts [s].
         samples: number of surface samples of each object for D_pen.
         reach: largest displacement at which objects are still snapped; see `layout.arrange`.
-        gap: clearance of snapped objects that have no surface below them in the composed scene [m].
 
     Raises:
         SpecError: `scene` is not a SceneSpec, or MuJoCo cannot compile it.
@@ -171,7 +169,7 @@ def compile_scene(
     # Otherwise MuJoCo would reset a diverged simulation to its initial state, as if it were stable.
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
-    arrangement = _at_composed_heights(arrange(scene, reach=reach, gap=gap))
+    arrangement = _at_composed_heights(arrange(scene, reach=reach))
     owner = object_of_body(mjm, names)
     joints = np.flatnonzero(mjm.jnt_type != FREE)
     static = StaticScene(
@@ -225,15 +223,8 @@ def _at_composed_heights(a: Arrangement) -> Arrangement:
     return a._replace(gap=np.where(a.snapped, a.z - touch, a.gap))
 
 
-def load_scene(
-    path: Path | str,
-    *,
-    timestep: float = 0.004,
-    samples: int = 256,
-    reach: float = 1 / 3,
-    gap: float = 1e-4,
-) -> SceneModel:
-    """Read a scene from a scene.json or a run folder, and compile it; see `compile_scene`.
+def load_scene(path: Path | str) -> SceneModel:
+    """Read a scene from a scene.json or a run folder, and compile it by `compile_scene`.
 
     Raises:
         SpecError: the file does not exist or contains no scene.
@@ -243,9 +234,7 @@ def load_scene(
             f"load_scene: path is a {type(path).__name__}, not a path: compile_scene takes a "
             "SceneSpec"
         )
-    return compile_scene(
-        read_scene(Path(path)), timestep=timestep, samples=samples, reach=reach, gap=gap
-    )
+    return compile_scene(read_scene(Path(path)))
 
 
 def _characteristic_lengths(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:

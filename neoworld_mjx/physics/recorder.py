@@ -141,7 +141,7 @@ class Recorder:
         """Return the rollout on the host. A candidate's last state fills its remaining records."""
         pop, records, _ = self.qpos.shape
         time = np.minimum(np.arange(records), np.maximum(self.last, 0)[:, None])
-        states = read_states(self.static, self.start, self.qpos[np.arange(pop)[:, None], time], np)
+        states = read_states(self.static, self.start, self.qpos[np.arange(pop)[:, None], time])
         start = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), self.start)
         unrecorded = self.last < 0
         pos, quat, joint_shift = states
@@ -186,7 +186,9 @@ def record_times(static: StaticScene, records: int, every: int) -> NDArray:
     return times.astype(np.float32)
 
 
-def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[Any, Any, Any]:
+def read_states(
+    static: StaticScene, start: Poses, qpos: NDArray
+) -> tuple[NDArray, NDArray, NDArray]:
     """Extract object poses and joint shifts from recorded coordinates. Static objects do not move.
 
     Returns:
@@ -197,30 +199,25 @@ def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[
     owner, address = _free_bases(static)
     poses = []
     for initial, first, width in ((start.pos, 0, 3), (start.quat, 3, 4)):
-        values = xp.broadcast_to(initial[:, None], (pop, time, objects, width))
-        recorded = qpos[:, :, address[:, None] + np.arange(first, first + width)]
-        if xp is np:
-            values = values.astype(np.float32)
-            values[:, :, owner] = recorded
-        elif len(owner):
-            values = values.at[:, :, owner].set(recorded)
+        values = np.broadcast_to(initial[:, None], (pop, time, objects, width)).astype(np.float32)
+        values[:, :, owner] = qpos[:, :, address[:, None] + np.arange(first, first + width)]
         poses.append(values)
-    shifts = [_joint_shift(static, k, start.scale, qpos, xp) for k in range(len(static.joints))]
-    shift = xp.stack(shifts, axis=-1) if shifts else xp.zeros((pop, time, 0))
+    shifts = [_joint_shift(static, k, start.scale, qpos) for k in range(len(static.joints))]
+    shift = np.stack(shifts, axis=-1) if shifts else np.zeros((pop, time, 0))
     return poses[0], poses[1], shift.astype(np.float32)
 
 
-def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: Any, xp: Any) -> Any:
+def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: NDArray) -> NDArray:
     """Return the distance of joint k from its initial position [m or rad], shape [pop, time]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
     if m.jnt_type[joint] == BALL:
         start = static.start[address : address + 4].astype(np.float32)
-        return angle_between(xp.asarray(start), qpos[:, :, address : address + 4], xp)
+        return angle_between(start, qpos[:, :, address : address + 4])
     start = np.float32(static.start[address])
     if m.jnt_type[joint] == SLIDE:
         start = (start * scale[:, static.joint_object[k]])[:, None]
-    return xp.abs(qpos[:, :, address] - start)
+    return np.abs(qpos[:, :, address] - start)
 
 
 def _free_bases(static: StaticScene) -> tuple[NDArray, NDArray]:
@@ -237,9 +234,6 @@ def simulate_in_chunks(
     run: Callable[[Poses], Rollout],
 ) -> Rollout:
     """Roll out the placeable candidates in chunks. All other candidates fail at no cost.
-
-    Populations of several runs are padded with unplaceable candidates, so that there are few
-    distinct sizes.
 
     Returns:
         The rollout of all candidates, on the host.

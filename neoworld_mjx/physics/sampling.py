@@ -1,6 +1,6 @@
-"""Surface samples of objects, at which D_pen measures penetration.
+"""Points of objects: surface samples, at which D_pen measures penetration, and extreme points.
 
-Extreme points of objects, which determine their image boxes, and a test for roundness.
+The extreme points determine an object's image box, and whether the object is round.
 """
 
 import functools

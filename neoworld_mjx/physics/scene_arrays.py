@@ -117,9 +117,9 @@ def bucket_of(scene: SceneArrays) -> Bucket:
     return Bucket(*(n * factor for n in SMALLEST_BUCKET))._replace(faces=faces)
 
 
-def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
-    """Pad a scene's arrays to a bucket; by default, to the smallest bucket that fits."""
-    b = bucket or bucket_of(scene)
+def pad_scene(scene: SceneArrays) -> SceneArrays:
+    """Pad a scene's arrays to the smallest bucket into which they fit."""
+    b = bucket_of(scene)
     n, photo = b.objects, scene.photo
     pair_mask = np.zeros((n, n), bool)
     pair_mask[: scene.count, : scene.count] = scene.pair_mask

@@ -31,7 +31,7 @@ accelerates a joint by a, the joint moves with velocity a / HOLD_RATE."""
 
 def guidance(o: SettleOptions) -> Guidance:
     """Return the springs that the options describe."""
-    return Guidance(o.rate, o.fade_s, o.max_speed_m_s)
+    return Guidance(o.rate, o.fade_s)
 
 
 def settle(scene: SceneModel, poses: Poses, engine: Engine, o: SettleOptions) -> Poses:
@@ -102,7 +102,7 @@ def damp_joints(model: mujoco.MjModel) -> None:
     model.dof_damping[of_joint] = HOLD_RATE * model.dof_M0[of_joint]
 
 
-def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) -> SceneSpec:
+def settle_scene(scene: SceneSpec, o: SettleOptions) -> SceneSpec:
     """Return a scene whose movable objects have settled under guidance in C MuJoCo.
 
     If the simulation diverges, return the scene unchanged.
@@ -110,9 +110,9 @@ def settle_scene(scene: SceneSpec, o: SettleOptions, timestep: float = 0.002) ->
     Args:
         scene: the scene. Joints keep their positions.
         o: duration, springs and speed limit.
-        timestep: time step of the simulation [s].
     """
-    model, data = start_state(scene, timestep)
+    model, data = start_state(scene)
+    timestep = float(model.opt.timestep)
     if not model.nv:
         return scene
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from ..spec import SceneObject, SceneSpec, Shape, link_poses
+from ..spec import SceneObject, SceneSpec, Shape, link_poses, support_frame
 from ..spec.convex import Piece, planes
-from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate, yaw_of
+from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate
 from .array_types import AnyArray
 
 GRID = 160
@@ -294,10 +294,7 @@ def link_frame(parent: SceneObject, link: str | None) -> Pose:
 
     The frame is rotated about the vertical only. If `link` is None, it is that of the base.
     """
-    link_pose = pose((0, 0, 0), parent.base_tilt)
-    if link is not None:
-        link_pose = link_pose.then(link_poses(parent.spec, parent.joint_state)[link])
-    return pose(link_pose.pos, from_yaw(yaw_of(link_pose.quat)))
+    return support_frame(parent, pose((0, 0, 0), parent.base_tilt), link)
 
 
 def no_support() -> Support:

@@ -61,13 +61,13 @@ class WarpEngine(BatchEngine):
 
     name = "warp"
 
-    def __init__(self, device: str | None = None):
-        """Use a warp device, such as "cuda:1"; if None, the current NVIDIA GPU.
+    def __init__(self) -> None:
+        """Use the current NVIDIA GPU.
 
         Raises:
-            EngineError: warp is not installed, or `device` is None and there is no NVIDIA GPU.
+            EngineError: warp is not installed, or there is no NVIDIA GPU.
         """
-        self.device = warp_device(device)
+        self.device = warp_device()
         self.counts = Counts()
         self._worlds: "weakref.WeakKeyDictionary[StaticScene, Worlds]" = weakref.WeakKeyDictionary()
 
@@ -238,12 +238,11 @@ def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
     return flat, start
 
 
-def warp_device(device: str | None = None) -> Any:
-    """Return the warp device of a name; if None, the current NVIDIA GPU.
+def warp_device() -> Any:
+    """Return warp's device for the current NVIDIA GPU.
 
     Raises:
-        EngineError: warp or MuJoCo Warp is not installed, or `device` is None and there is no
-            NVIDIA GPU.
+        EngineError: warp or MuJoCo Warp is not installed, or there is no NVIDIA GPU.
     """
     missing = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
     if missing:
@@ -251,7 +250,7 @@ def warp_device(device: str | None = None) -> Any:
             f"engine warp needs its extra ({missing[0]} is missing): "
             "uv sync --inexact --extra warp, or use --engine native"
         )
-    if device is None and not _driver():
+    if not _driver():
         raise EngineError(
             "engine warp needs an NVIDIA GPU and its driver, and found none: use --engine native, "
             "or mjx on another accelerator"
@@ -260,7 +259,7 @@ def warp_device(device: str | None = None) -> Any:
 
     wp.config.log_level = wp.LOG_ERROR
     wp.init()
-    return wp.get_preferred_device() if device is None else wp.get_device(device)
+    return wp.get_preferred_device()
 
 
 def _driver() -> bool:

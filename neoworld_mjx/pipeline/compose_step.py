@@ -209,8 +209,7 @@ def _check_composed(context: StepContext) -> None:
 
     run, limits = context.run, context.config.refine
     bounds = limits.model_dump(
-        include={"check_duration_s", "check_timestep_s", "max_depth_m", "max_drift_m"}
-        | {"max_tilt_deg"}
+        include={"check_duration_s", "max_depth_m", "max_drift_m", "max_tilt_deg"}
     )
     with run.step("compose/check", {"scene": run.path / COMPOSED, "bounds": bounds}) as out:
         if out is None:

@@ -1,7 +1,7 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
 The elite ratio and `zero_candidate` are static. All other hyperparameters are traced, and so is the
-random key, so a sweep over hyperparameters and seeds is a single `vmap`.
+random key, so `jax.vmap` maps over hyperparameters and seeds.
 """
 
 import equinox as eqx

@@ -224,6 +224,6 @@ def early_stop_rule(o: RefineOptions) -> EarlyStop:
 
     Drift beyond the cap changes neither the validity nor the reward of a candidate.
     """
-    distance, angle = o.reward.drift_scale_m, float(np.radians(o.reward.tilt_scale_deg))
+    distance, angle = o.max_drift_m, float(np.radians(o.max_tilt_deg))
     cap = o.reward.d_drift_cap
     return EarlyStop(distance=distance, angle=angle, drift=cap * distance, tilt=cap * angle)

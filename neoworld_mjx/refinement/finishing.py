@@ -1,7 +1,4 @@
-"""The final scene of a layout: settled in C MuJoCo, and checked.
-
-Compilation of scenes for a search.
-"""
+"""The final scene of a layout, settled in C MuJoCo and checked; scenes compiled for a search."""
 
 import functools
 from typing import NamedTuple
@@ -228,8 +225,7 @@ def reach_of(options: RefineOptions) -> float:
     """Return the reach: how far from its composed position an object is still snapped.
 
     The reach is a fraction of the object's horizontal diagonal; `layout.arrange` adds 2 cm. It is
-    LEAST_REACH times a power of two, so that many values of `sigma_xy` share one compiled scene,
-    independent of the other values in a sweep.
+    LEAST_REACH times a power of two, so that many values of `sigma_xy` share one compiled scene.
     """
     reach = LEAST_REACH
     while reach < 0.999 * REACH_IN_SIGMAS * options.cem.sigma_xy:

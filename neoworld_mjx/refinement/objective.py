@@ -58,13 +58,13 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         "d_pen",
         penetration,
         -o.reward.w_pen,
-        scale=o.reward.pen_scale_m,
+        scale=o.max_depth_m,
         cap=o.reward.d_pen_cap_m,
         padded=True,
     ),
     "d_drift": lambda o: Term(
         "d_drift",
-        Drift(o.reward.drift_scale_m, np.radians(o.reward.tilt_scale_deg), o.reward.drift_free),
+        Drift(o.max_drift_m, np.radians(o.max_tilt_deg), o.reward.drift_free),
         -o.reward.w_drift,
         scale=1.0,
         cap=o.reward.d_drift_cap,
@@ -141,8 +141,8 @@ def open_objective(
     return Objective(
         terms=tuple(all_terms),
         max_depth=scalar(options.max_depth_m),
-        distance=scalar(options.reward.drift_scale_m),
-        angle=scalar(np.radians(options.reward.tilt_scale_deg)),
+        distance=scalar(options.max_drift_m),
+        angle=scalar(np.radians(options.max_tilt_deg)),
         by_fidelity=jax.device_put(np.bool_(options.merit == "fidelity")),
         normalisation=options.reward.normalisation,
     )

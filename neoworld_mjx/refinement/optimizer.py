@@ -27,8 +27,7 @@ from .objective import import_function
 class Optimizer(Protocol):
     """Search distribution over layouts that is fitted to rewards.
 
-    All methods must be pure functions that JAX can trace. If an optimizer is an `equinox.Module`
-    whose parameters are arrays, a sweep can batch it over runs.
+    All methods must be pure functions that JAX can trace.
     """
 
     def init(self, mean: Layout) -> Any:

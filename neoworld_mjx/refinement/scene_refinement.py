@@ -1,7 +1,4 @@
-"""Refinement of a composed scene: the search of Algorithm 1, and the final check of its winner.
-
-Outcome of a refinement: the winner with its final check, and all candidates.
-"""
+"""Refinement of a composed scene: the search of Algorithm 1, and the final check of its winner."""
 
 import contextlib
 import time

@@ -1,7 +1,4 @@
-"""Appearance of geoms: color, gloss, pattern and print of their materials.
-
-Prints of the photograph: the surface points that a print shows, and their colors.
-"""
+"""Appearance of geoms: color, gloss, pattern, and print of the photograph on their materials."""
 
 import base64
 from dataclasses import dataclass

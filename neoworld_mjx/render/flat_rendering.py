@@ -1,9 +1,7 @@
 """Render with flat colors, one light and outlines, without shadows and patterns.
 
 `render_plain` takes a fraction of the time of `rendering.render`. It serves to compare many
-candidate layouts.
-
-Large flat faces of objects, found in a rendered image.
+candidate layouts. `flat_faces` finds large flat faces of objects in a rendered image.
 """
 
 from typing import cast

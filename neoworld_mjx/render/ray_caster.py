@@ -51,10 +51,10 @@ class Hits:
 class RayCaster:
     """Ray caster of a posed model."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, threads: int | None = None):
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = _without_culling(model), data
-        count = threads or min(4, os.cpu_count() or 1)
-        self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
+        threads = min(4, os.cpu_count() or 1)
+        self._datas = [data, *(copy.copy(data) for _ in range(threads - 1))]
         visual = model.geom_group == VISUAL_GROUP
         self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
         """Mask of the rendered geoms [geom]: visual geoms or, if there are none, groups 0 to 2."""

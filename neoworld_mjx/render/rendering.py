@@ -1,12 +1,9 @@
-"""Composite transparent surfaces, such as glass, from back to front.
-
-Only the front of each transparent geom is rendered, without refraction.
-
-Render color, depth, normals and object masks by ray casting, without OpenGL.
+"""Render color, depth, normals and object masks by ray casting, without OpenGL.
 
 Depth, normals and segmentation describe the first surface, transparent or opaque, on the ray
 through the center of each pixel. Color is supersampled only at edges, that is, in pixels with a
-neighbor that shows another surface.
+neighbor that shows another surface. Transparent surfaces, such as glass, are composited from back
+to front; only the front of each transparent geom is rendered, without refraction.
 """
 
 from collections.abc import Callable

@@ -1,9 +1,4 @@
-"""Render scenes and single objects in views that frame them, and encode PNG.
-
-Encode frames as an animated GIF or WebP.
-
-Views from around the objects of a scene, and turntables.
-"""
+"""Images of scenes and single objects in views that frame them, turntables, and their encoding."""
 
 import io
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence

@@ -1,9 +1,8 @@
-"""Tiles of patterned materials: small images that repeat seamlessly, for use in other programs.
+"""Data for other programs: tiles of patterned materials, and triangle meshes of an object's parts.
 
-A tile shows the same pattern as rendered images, on the plane z = 0 of an object's frame. Patterns
-of courses repeat after a whole number of courses. Other tiles are mirrored or blended at the edges.
-
-Triangle meshes of the parts of an object: visible surfaces by color, and convex pieces.
+A tile is a small image that repeats seamlessly. It shows the same pattern as rendered images, on
+the plane z = 0 of an object's frame. Patterns of courses repeat after a whole number of courses.
+Other tiles are mirrored or blended at the edges.
 """
 
 from functools import lru_cache

@@ -1,9 +1,7 @@
-"""Convex pieces: hulls, mass properties and extents.
+"""Convex pieces: hulls, mass properties and extents, and cuts of polyhedra by planes.
 
 A piece becomes one collision geom of MuJoCo. `size` follows MuJoCo's geom_size: half edge lengths
 of a box, (radius, half length) of a capsule or cylinder, semi-axes of an ellipsoid.
-
-Convex polyhedra, and cuts of polyhedra by planes, for exact convex decompositions.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,8 @@
-"""Extrusion of an arbitrary outline with holes, and a box with rounded edges.
+"""Extrusion of an arbitrary outline with holes, box with rounded edges, and sweep along a path.
 
-Sweep: a section swept along a path, such as a rod, handle, bail, hook, stem or ring.
+A sweep is a section swept along a path, such as a rod, handle, bail, hook, stem or ring.
 """
 
-import math
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -14,9 +13,9 @@ from pydantic import Field, model_validator
 from .base import Length, Point3
 from .convex import Piece, hull, polytope, prism
 from .dimensions import UNSCALED
-from .pose import ArrayLike, from_axis_angle, rotate
-from .primitives import BaseShape, Point2, as_points
-from .triangles import box_distance, extruded_distance, loops_distance, polygon_area
+from .pose import from_axis_angle, rotate
+from .primitives import BaseShape, Point2
+from .triangles import polygon_area
 
 Loop = tuple[Point2, ...]
 
@@ -84,17 +83,6 @@ class Extrusion(BaseShape):
             start += len(loop)
         return vertices, np.ascontiguousarray(np.vstack(faces).astype(np.int64))
 
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        areas = [abs(polygon_area(np.array(loop))) for loop in (self.outline, *self.holes)]
-        return (areas[0] - sum(areas[1:])) * self.height
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        p = as_points(points)
-        loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
-        return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
-
 
 class RoundedBox(BaseShape):
     """A centered box with rounded edges and corners; `size` holds full edge lengths."""
@@ -116,17 +104,6 @@ class RoundedBox(BaseShape):
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Return the convex hull of a finer set of points than that of the collider."""
         return hull(tuple(map(tuple, np.unique(self._points(6), axis=0).tolist())))
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        r = self.radius
-        a, b, c = (edge - 2 * r for edge in self.size)
-        slabs = a * b * c + 2 * r * (a * b + b * c + c * a)
-        return slabs + math.pi * r**2 * (a + b + c) + 4 / 3 * math.pi * r**3
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        return box_distance(as_points(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)

@@ -1,7 +1,4 @@
-"""Kinematics of an object: joint positions, link poses, and parts that move together.
-
-Convex pieces of parts, and bounds of objects at given joint states.
-"""
+"""Kinematics of an object: joint positions, link poses, parts that move together, and bounds."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -152,21 +149,19 @@ def bounds(
     spec: ObjectSpec,
     joint_state: dict[str, float] | None = None,
     tilt: Quat = IDENTITY,
-    role: Role = "collision",
 ) -> tuple[NDArray, NDArray]:
-    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object.
+    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object's colliders.
 
     Args:
         spec: the object.
         joint_state: joint values [rad or m]; all joints are at zero by default.
         tilt: rotation of the whole object about its origin.
-        role: role of the geoms that count, "collision" or "visual".
     """
     part_poses = link_poses(spec, joint_state or {})
     base = pose((0, 0, 0), tilt)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for part in spec.parts:
-        for _, piece, piece_pose in pieces(part, role):
+        for _, piece, piece_pose in pieces(part):
             lower, upper = box_around(piece, base.then(part_poses[part.name]).then(piece_pose))
             low, high = np.minimum(low, lower), np.maximum(high, upper)
     return low, high

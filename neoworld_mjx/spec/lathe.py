@@ -10,9 +10,8 @@ from pydantic import Field, model_validator
 from .base import Length
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
-from .pose import ArrayLike
-from .primitives import BaseShape, Point2, Sectors, as_points
-from .triangles import SECTORS, edges_distance, hull_excess, inside_edges, loops_distance, revolved
+from .primitives import BaseShape, Point2, Sectors
+from .triangles import SECTORS, hull_excess, revolved
 
 FACETS = 64
 """Largest number of facets of a piece of joined bands."""
@@ -180,26 +179,6 @@ class Lathe(BaseShape):
         sectors = self.sectors * math.ceil(SECTORS / self.sectors)
         vertices, faces = revolved(self.section(), sectors, closed=self.is_ring())
         return vertices * [1.0, self.oval, 1.0], faces
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        p = self.section()
-        q = np.roll(p, -1, axis=0)
-        # Pappus's theorem.
-        moment = np.sum((p[:, 0] + q[:, 0]) * (p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1])) / 6
-        return 2 * math.pi * abs(float(moment)) * self.oval
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return signed distances; they are exact unless the shape is oval."""
-        if self.oval != 1.0:
-            return super().signed_distance(points)
-        p, chain = as_points(points), self.section()
-        flat = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
-        if self.is_ring():
-            return loops_distance(flat, [chain])
-        # The edge along the axis closes the outline but is not part of the surface.
-        inside = inside_edges(flat, chain, np.roll(chain, -1, axis=0))
-        return edges_distance(flat, chain[:-1], chain[1:]) * np.where(inside, -1.0, 1.0)
 
     def is_ring(self) -> bool:
         """Return whether the section is a closed loop that does not touch the axis."""

@@ -1,6 +1,6 @@
-"""Base of all shapes: convex pieces, surface, volume and signed distance.
+"""Base of all shapes, and the primitive shapes.
 
-Primitive shapes: box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box.
+The primitive shapes are box, sphere, capsule, cylinder, ellipsoid, convex prism and hollow box.
 """
 
 from functools import lru_cache
@@ -17,14 +17,10 @@ from .pose import ArrayLike
 from .triangles import (
     BALL_SECTORS,
     SECTORS,
-    box_distance,
     distance_to_triangles,
     enclosed_volume,
-    extruded_distance,
     extruded_outline,
-    loops_distance,
     meridian,
-    polygon_area,
     revolved,
 )
 
@@ -39,7 +35,7 @@ class BaseShape(ScalableSpec):
     """Base of all shapes.
 
     A shape defines its convex pieces and its surface. Volume and distance follow from the surface,
-    or from a formula if the shape has one. Both describe the true solid, not its colliders.
+    so they describe the true solid, not its colliders. A primitive has a formula for its volume.
     """
 
     def build_pieces(self) -> list[Piece]:
@@ -132,10 +128,6 @@ class Box(Primitive):
         x, y, z = self.size
         return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
 
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        return box_distance(as_points(points), np.array(self.size) / 2)
-
 
 class Sphere(Primitive):
     """A centered sphere."""
@@ -150,10 +142,6 @@ class Sphere(Primitive):
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve a meridian."""
         return revolved(meridian(self.radius, 0.0), BALL_SECTORS)
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        return np.linalg.norm(as_points(points), axis=1) - self.radius
 
 
 class Capsule(Primitive):
@@ -170,12 +158,6 @@ class Capsule(Primitive):
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve a meridian."""
         return revolved(meridian(self.radius, self.length / 2), BALL_SECTORS)
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        p = as_points(points)
-        along = np.maximum(np.abs(p[:, 2]) - self.length / 2, 0.0)
-        return np.hypot(np.hypot(p[:, 0], p[:, 1]), along) - self.radius
 
 
 class Cylinder(Primitive):
@@ -194,12 +176,6 @@ class Cylinder(Primitive):
         r, h = self.radius, self.height / 2
         return revolved(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
 
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        p = as_points(points)
-        flat = np.hypot(p[:, 0], p[:, 1]) - self.radius
-        return extruded_distance(flat, p[:, 2], self.height / 2)
-
 
 class Ellipsoid(Primitive):
     """A centered ellipsoid with semi-axes along x, y and z."""
@@ -215,10 +191,6 @@ class Ellipsoid(Primitive):
         """Stretch a sphere."""
         vertices, faces = revolved(meridian(1.0, 0.0), BALL_SECTORS)
         return vertices * np.array(self.radii), faces
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        return _ellipsoid_distance(as_points(points), np.array(self.radii))
 
 
 class Prism(BaseShape):
@@ -249,16 +221,6 @@ class Prism(BaseShape):
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Build both ends and the sides."""
         return extruded_outline(np.array(self.outline), self.height)
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return abs(polygon_area(np.array(self.outline))) * self.height
-
-    def signed_distance(self, points: ArrayLike) -> NDArray:
-        """Return exact signed distances."""
-        p = as_points(points)
-        flat = loops_distance(p[:, :2], [np.array(self.outline, float)])
-        return extruded_distance(flat, p[:, 2], self.height / 2)
 
 
 class HollowBox(BaseShape):
@@ -338,25 +300,6 @@ class HollowBox(BaseShape):
                         quad.reverse()
                     faces += [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
         return np.array(points), np.array(faces)
-
-
-def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
-    """Compute signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
-    order = np.argsort(-radii, kind="stable")
-    r = radii[order]
-    y = np.maximum(np.abs(p[:, order]), 1e-9 * r)
-    least = r[2] ** 2
-    low = np.log(r[2] * y[:, 2] * 0.5)
-    high = np.log(np.sqrt(np.sum((r * y) ** 2, axis=1)) * 1.001 + 1e-300)
-    for _ in range(100):
-        middle = (low + high) / 2
-        shift = np.exp(middle)[:, None] - least
-        outside = np.sum((r * y / (shift + r**2)) ** 2, axis=1) > 1
-        low, high = np.where(outside, middle, low), np.where(outside, high, middle)
-    shift = np.exp((low + high) / 2)[:, None] - least
-    nearest = r**2 * y / (shift + r**2)
-    sign = np.where(np.sum((y / r) ** 2, axis=1) > 1, 1.0, -1.0)
-    return sign * np.linalg.norm(nearest - y, axis=1)
 
 
 def _cross2(a: NDArray, b: NDArray) -> NDArray:

@@ -1,9 +1,4 @@
-"""Appearance of environment supports: the outline from above, and the surface.
-
-Pattern of a surface, such as boards, tiles, veins of stone, a weave, or brushed metal.
-
-A print of the photograph on a material.
-"""
+"""Appearance of surfaces: outlines of environment supports, patterns, prints of the photograph."""
 
 from typing import Annotated, Literal, get_args
 

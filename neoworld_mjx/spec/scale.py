@@ -12,9 +12,8 @@ for a derived mass, 0 for an authored mass), the exponents of s are
     velocity limit               -1/2                1/2
 
 where torque = mass g length and force = mass g. Lengths scale with s, and inertia scales with
-s^(m + 2). The mass exponent of a joint is that of the joint's child part.
-
-Isotropic scale that fits an object to its parsed 3D box.
+s^(m + 2). The mass exponent of a joint is that of the joint's child part. `fit_to_box` returns the
+scale that fits an object to its parsed 3D box.
 """
 
 from collections.abc import Mapping

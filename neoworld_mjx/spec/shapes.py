@@ -1,18 +1,14 @@
-"""A triangle mesh from an imported file, with its convex pieces.
-
-Constructive solid geometry: an exact convex decomposition, and a boolean surface.
-
-The convex pieces of an operand are cut along the planes of the other operands' faces, so colliders
-leave the material that a difference removes empty. Round operands become polyhedra with `sectors`
-facets, whose corners lie on the true surface. Along a circle of radius r, colliders stay within
-r (1 - cos(pi / sectors)) of the surface. The visual surface comes from manifold3d and has finer
-facets. The class of the shape is `shapes.CSG`.
-
-The union type of all shapes, and the shape that combines other shapes.
+"""The union type of all shapes, imported meshes, and shapes that combine other shapes (CSG).
 
 The convex pieces of a shape do not overlap, so volume and inertia are sums over the pieces. The
 pieces are also the colliders, so cavities stay open. Lengths are in meters; each class states its
 frame. To add a shape, define a subclass of `BaseShape` in a module and add the class to `Shape`.
+
+Constructive solid geometry gives an exact convex decomposition. The convex pieces of an operand are
+cut along the planes of the other operands' faces, so colliders leave the material that a difference
+removes empty. Round operands become polyhedra with `sectors` facets, whose corners lie on the true
+surface. Along a circle of radius r, colliders stay within r (1 - cos(pi / sectors)) of the surface.
+The visual surface comes from manifold3d and has finer facets.
 """
 
 import itertools

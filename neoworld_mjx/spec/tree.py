@@ -1,6 +1,6 @@
-"""Order and cycles of forests; a forest is a map from each name to the name of its parent.
+"""Scene tree of Step 1 (paper Section 3.2, "Scene parsing"), and the order and cycles of forests.
 
-Scene tree of Step 1 (paper Section 3.2, "Scene parsing").
+A forest is a map from each name to the name of its parent.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
-"""Polygons in the plane: areas, and signed distances to outlines, boxes and extrusions.
+"""Closed triangle meshes: revolution, extrusion, normals, volume and distance.
 
-Closed triangle meshes: revolution, extrusion, normals, volume and distance.
+Polygons in the plane: areas, and signed distances to outlines.
 """
 
 import math
@@ -162,25 +162,6 @@ def _winding(p: NDArray, corners: NDArray) -> NDArray:
 
 HULL_EDGE_SAMPLES = 17
 """Number of points along each edge of a hull at which the distance to the polygons is measured."""
-
-
-def box_distance(p: NDArray, half: NDArray) -> NDArray:
-    """Return the distances [n] of points [n, 3] to a centered box with half edge lengths [3]."""
-    q = np.abs(p) - half
-    return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
-
-
-def extruded_distance(flat: NDArray, z: NDArray, half: float) -> NDArray:
-    """Return distances to an extrusion, given distances to its outline in the plane.
-
-    Args:
-        flat: signed distances of the points to the outline [n].
-        z: heights of the points [n].
-        half: half the height of the extrusion, whose ends are at z = +-half.
-    """
-    over = np.abs(z) - half
-    outside = np.hypot(np.maximum(flat, 0.0), np.maximum(over, 0.0))
-    return outside + np.minimum(np.maximum(flat, over), 0.0)
 
 
 def loops_distance(p: NDArray, loops: list[NDArray]) -> NDArray:

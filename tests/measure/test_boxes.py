@@ -4,15 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from neoworld_mjx.measure.boxes import (
     footprint,
     intersection_2d,
     intersection_3d,
     iou_2d,
-    iou_3d,
     polygon_intersection,
     support_footprint,
     upright,
@@ -123,44 +120,10 @@ def test_the_shared_volume_of_boxes():
     a = Box3D(position=(0.0, 0.0, 0.0), size=(2.0, 1.0, 3.0))
     above = a.model_copy(update={"position": (1.0, 0.5, 2.0)})
     assert intersection_3d(a, above) == intersection_3d(above, a) == pytest.approx(0.5)
-    assert iou_3d(a, above) == pytest.approx(0.5 / 11.5)
     assert intersection_3d(a, a.model_copy(update={"position": (0.0, 0.0, 3.0)})) == 0.0
-    assert iou_3d(a, a.model_copy(update={"position": (0.0, 0.0, 4.0)})) == 0.0
     across = a.model_copy(update={"yaw": math.pi / 2, "size": (2.0, 1.0, 1.0)})
     assert intersection_3d(a, across) == pytest.approx(1.0)
-
-
-def test_the_overlap_of_boxes_that_are_shifted_or_turned():
-    a = Box3D(position=(0, 0, 0), size=(1, 1, 1))
-    assert iou_3d(a, a) == pytest.approx(1)
-    assert iou_3d(a, a.model_copy(update={"position": (0.5, 0, 0)})) == pytest.approx(1 / 3)
-    assert iou_3d(a, a.model_copy(update={"position": (0, 0, 0.5)})) == pytest.approx(1 / 3)
-    assert iou_3d(a, a.model_copy(update={"position": (0, 0, 1.0)})) == 0
-    assert iou_3d(a, a.model_copy(update={"yaw": math.pi / 2})) == pytest.approx(1)
     # Two unit squares at 45 degrees share a regular octagon of area 2 (sqrt 2 - 1).
-    octagon = 2 * (math.sqrt(2) - 1)
-    turned = a.model_copy(update={"yaw": math.pi / 4})
-    assert iou_3d(a, turned) == pytest.approx(octagon / (2 - octagon))
-    long = Box3D(position=(0, 0, 0), size=(4, 1, 1))
-    across = long.model_copy(update={"yaw": math.pi / 2})
-    assert iou_3d(long, across) == pytest.approx(1 / 7)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.tuples(*[st.floats(-1, 1)] * 3),
-    st.tuples(*[st.floats(0.2, 2)] * 2),
-    st.floats(-4, 4),
-)
-def test_shared_footprint_agrees_with_monte_carlo(at, size, turn):
-    a = Box3D(position=(0, 0, 0), size=(1, 1.5, 1), yaw=at[2])
-    b = Box3D(position=(*at[:2], 0), size=(*size, 1), yaw=turn)
-    grid = (np.stack(np.meshgrid(np.arange(240), np.arange(240)), -1).reshape(-1, 2) + 0.5) / 40 - 3
-
-    def inside(box):
-        c, s = math.cos(box.yaw), math.sin(box.yaw)
-        local = (grid - np.array(box.position[:2])) @ np.array([[c, -s], [s, c]])
-        return (np.abs(local) <= np.array(box.size[:2]) / 2).all(axis=1)
-
-    counted = (inside(a) & inside(b)).sum() / 1600
-    assert polygon_intersection(footprint(a), footprint(b)) == pytest.approx(counted, abs=0.06)
+    cube = a.model_copy(update={"size": (1.0, 1.0, 1.0)})
+    turned = cube.model_copy(update={"yaw": math.pi / 4})
+    assert intersection_3d(cube, turned) == pytest.approx(2 * (math.sqrt(2) - 1))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.measure import object_moves
-from neoworld_mjx.spec import Box
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
 
@@ -27,16 +26,6 @@ def test_moves_are_in_world_coordinates():
     assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1), np.degrees(0.1)))
     # What stands on it goes along, and nothing else moves.
     assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0, 0.0))
-
-
-def test_the_ratio_of_sizes_is_the_geometric_mean_of_the_axes():
-    def sized(*size):
-        spec = scenes.single("low", (Box(size=size), (0, 0, 0)))
-        return scenes.on_table((spec, (0, 0), 0.0, {}))
-
-    before = sized(0.1, 0.1, 0.1)
-    for size, ratio in (((0.2, 0.2, 0.2), 2.0), ((0.8, 0.1, 0.1), 2.0), ((0.05, 0.05, 0.05), 0.5)):
-        assert object_moves(before, sized(*size))["low"].size_ratio == pytest.approx(ratio)
 
 
 def test_a_heading_turns_the_shorter_way_and_a_tilt_counts_in_the_whole_rotation():

@@ -9,7 +9,6 @@ from neoworld_mjx.measure import (
     SETTLED_AWAY,
     measured,
     passes,
-    scene_check,
     scene_checks,
     with_displacement,
 )
@@ -134,23 +133,3 @@ def test_depths_may_equal_their_bound_and_motions_may_not():
         assert all(other.passed for other in checks.values() if other is not check)
         joints = [checks[f"max_joint_{motion}"].value for motion in ("slide_m", "turn_deg")]
         assert sorted(joints) == [0.0, check.value] if "joint" in name else joints == [0.0, 0.0]
-
-
-def test_the_measure_takes_duration_time_step_and_bounds_of_the_options(monkeypatch):
-    asked = {}
-    still = measured(snap_exactly(scenes.blocks()), OPTIONS)
-    monkeypatch.setattr(
-        scene_check, "scene_measure", lambda scene, **given: (asked.update(given), still)[1]
-    )
-    options = RefineOptions(
-        check_duration_s=1.5,
-        check_timestep_s=0.001,
-        max_depth_m=0.003,
-        max_drift_m=0.02,
-        max_tilt_deg=7.0,
-    )
-    measured(scenes.blocks(), options)
-    bounds = {"max_depth": 0.003, "max_drift": 0.02, "max_tilt": 7.0}
-    assert asked == {"duration": 1.5, "timestep": 0.001, **bounds, "sleeps": False}
-    measured(scenes.blocks(), options, sleeps=True)
-    assert asked["sleeps"]

@@ -12,8 +12,6 @@ from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.physics.decompose import (
     _coacd,
-    _fill_small_holes,
-    _simplify,
     coacd_installed,
     convex_pieces,
 )
@@ -78,13 +76,6 @@ def tray_of_a_box() -> trimesh.Trimesh:
     return _without(box, *np.flatnonzero(box.face_normals[:, 2] > 0.9))
 
 
-def test_small_holes_alone_are_filled():
-    tray = tray_of_a_box()
-    assert _fill_small_holes(tray) is tray
-    column = _without(trimesh.creation.box((0.04, 0.04, 0.4)).subdivide(), 0)
-    assert _fill_small_holes(column).is_watertight
-
-
 @pytest.mark.slow
 def test_an_open_box_stays_hollow():
     tray = tray_of_a_box()
@@ -93,19 +84,3 @@ def test_an_open_box_stays_hollow():
     for piece in pieces:
         planes = ConvexHull(piece).equations
         assert (planes[:, 3] > 0).any(), "the middle of the tray is inside a piece"
-
-
-def test_simplification_moves_the_surface_by_a_few_thousandths_of_the_size():
-    mesh = bowl(50, 200)
-    vertices, faces = _simplify(mesh)
-    coarse = trimesh.Trimesh(vertices, faces)
-    assert coarse.is_watertight
-    assert len(faces) < len(mesh.faces) / 4
-    assert coarse.volume == pytest.approx(mesh.volume, rel=0.05)
-
-
-def test_a_surface_that_is_not_orientable_is_left_as_it_is():
-    mesh = trimesh.creation.box()
-    flipped = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces[:6], mesh.faces[6:, ::-1]]))
-    vertices, faces = _simplify(flipped)
-    assert len(faces) == len(flipped.faces) and len(vertices) == len(flipped.vertices)

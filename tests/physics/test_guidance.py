@@ -6,14 +6,11 @@ import pytest
 
 from neoworld_mjx.physics.colliders import start_state
 from neoworld_mjx.physics.guidance import (
-    FreeBodies,
     Guidance,
     GuidedBodies,
-    Springs,
     free_bodies,
     guided_bodies,
     limit_speed,
-    spring_forces,
     springs,
 )
 from neoworld_mjx.physics.layout import Layout
@@ -107,40 +104,6 @@ def test_the_speed_is_limited_and_its_direction_kept():
     speed = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1) / STEP
     # A step under gravity follows the limit.
     assert 1.49 < speed.max() < 1.5 + 9.81 * STEP
-
-
-def test_springs_fade_linearly_to_zero():
-    guidance = Guidance(rate=RATE, fade_s=0.8, max_speed=10.0)
-    np.testing.assert_allclose(
-        guidance.fade_factor(np.array([0.0, 0.2, 0.8, 5.0])), [1, 0.75, 0, 0]
-    )
-    model, data = floating()
-    bodies = free_bodies(model, data.qpos)
-    hold = GuidedBodies(bodies, springs(bodies, data.qpos[bodies.qpos]))
-    data.qpos[0] += 0.1
-    full, quarter, none = (hold.push(guidance, t, data.qpos, data.qvel)[0] for t in (0.0, 0.6, 0.8))
-    mass = model.body_subtreemass[1]
-    np.testing.assert_allclose(full[:3], [-0.1 * RATE**2 * mass, 0, 0], atol=1e-9)
-    np.testing.assert_allclose(quarter, full / 4, atol=1e-12)
-    assert not none.any() and not full[6:].any()
-
-
-def test_forces_have_no_singularity_at_half_a_turn_or_at_rest():
-    body = FreeBodies(
-        *(np.zeros((1, n), int) for n in (7, 6)), np.ones(1), np.zeros((1, 3)), np.eye(3)[None]
-    )
-    for angle in (0.0, 1e-3, np.pi - 1e-7):
-        at = np.zeros((1, 1, 7))
-        at[..., 3:] = from_axis_angle((0, 0, 1), angle)
-        spring = Springs(
-            np.zeros((1, 1, 3)),
-            np.array([[[1.0, 0, 0, 0]]]),
-            np.ones((1, 1)),
-            body.center,
-            body.inertia,
-        )
-        force = spring_forces(spring, RATE, at, np.zeros((1, 1, 6)))
-        np.testing.assert_allclose(force[0, 0], [0, 0, 0, 0, 0, -angle * RATE**2], rtol=1e-4)
 
 
 def test_scaled_candidates_have_the_masses_and_centers_of_their_models():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from neoworld_mjx.physics import layout as layouts_of
 from neoworld_mjx.physics.layout import (
     Layout,
     arrange,
@@ -143,20 +142,6 @@ def small_block():
     return scenes.on_table((block, (0.1, 0.0), 0.0, {}))
 
 
-@pytest.mark.parametrize("reach", [1 / 3, 0.8])
-def test_the_table_under_an_object_covers_its_reach(reach):
-    table = arrange(small_block(), reach=reach).support
-    # 1.3 times the radius of the footprint, for larger sizes, and the reach.
-    half = 1.3 * 0.05 * np.sqrt(2) + reach * 0.1 * np.sqrt(2) + 0.02
-    assert table.origin[1] == pytest.approx([0.1 - half, -half], abs=1e-6)
-
-
-def test_a_surface_below_the_origin_of_its_support_is_one():
-    a = arrange(small_block(), gap=1e-3)
-    a = a._replace(support=a.support._replace(heights=a.support.heights - np.float32(0.5)))
-    assert snapped(a, Layout.zero(1, 2))[0, 1] == pytest.approx(0.04 - 0.5 + 1e-3, abs=1e-5)
-
-
 def test_an_object_that_is_turned_over_a_step_rests_on_it():
     stairs = scenes.single(
         "stairs",
@@ -172,25 +157,3 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
     turned = Layout(zero.xy, zero.yaw.at[1, 1].set(np.pi / 2), zero.log_scale)
     low, high = np.asarray(snapped(a, turned))[:, 1]
     assert high - low == pytest.approx(0.02, abs=1e-5)
-
-
-def test_candidates_are_snapped_in_equal_parts(monkeypatch):
-    a = arrange(small_block())
-    xy = jnp.asarray(np.random.default_rng(0).normal(0, 0.02, (6, 2, 2)), jnp.float32)
-    z = Layout(xy, xy[..., 0] * 10, xy[..., 1] * 5)
-    loops = lambda: [
-        eqn.params["length"]
-        for eqn in jax.make_jaxpr(lambda z: heights(a, z))(z).eqns
-        if eqn.primitive.name == "scan"
-    ]
-    at_once = snapped(a, z)
-    assert loops() == []
-    # 6 candidates of 2 objects: all at once, in 2 parts, and in 3 parts, the fewest of up to 5.
-    for limit, parts in ((12, []), (6, [2]), (5, [3])):
-        monkeypatch.setattr(layouts_of, "SNAPPED_AT_ONCE", limit)
-        assert loops() == parts
-        np.testing.assert_allclose(jax.jit(lambda z: heights(a, z))(z), at_once, atol=1e-6)
-
-
-def test_no_candidates_have_no_heights():
-    assert snapped(arrange(small_block()), Layout.zero(0, 2)).shape == (0, 2)

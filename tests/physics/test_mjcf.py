@@ -5,11 +5,8 @@ import pytest
 from neoworld_mjx.physics.mjcf import START, body_name, joint_order, to_mjspec
 from neoworld_mjx.spec import (
     Box,
-    Lathe,
-    ObjectSpec,
     SceneObject,
     SceneSpec,
-    Sphere,
     inertial,
     joint_value,
     link_poses,
@@ -164,14 +161,3 @@ def test_the_same_scene_gives_the_same_bytes():
         texts.append(model.to_xml())
     assert texts[0] == texts[1]
     assert mujoco.MjModel.from_xml_string(texts[0]).nmesh == 10 + 4
-
-
-def test_mjx_accepts_lowered_geoms():
-    mjx = pytest.importorskip("mujoco.mjx")
-    cone = Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8)
-    ball, cone = made.geom("ball", Sphere(radius=0.1)), made.geom("cone", cone)
-    body = made.part("body", ball, cone)
-    ball = ObjectSpec(name="ball", materials=(made.WOOD,), parts=(body,))
-    objects = (scene().objects[0], SceneObject(name="ball", spec=ball, z=0.2))
-    model = to_mjspec(SceneSpec(objects=objects)).compile()
-    assert mjx.put_model(model).nq == model.nq == 7

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.physics.mjx_model import Rows, exact_step, newton, put_compiled
+from neoworld_mjx.physics.mjx_model import Rows, newton, put_compiled
 from tests.support import scenes
 
 XML = """
@@ -68,41 +68,6 @@ def test_accelerations_are_those_of_mujoco(stepped):
     qacc, force = map(np.asarray, solved)
     assert np.allclose(qacc, data.qacc, rtol=1e-3, atol=2e-3 * np.abs(data.qacc).max())
     assert np.allclose(force, data.efc_force, atol=2e-3 * np.abs(data.efc_force).max())
-
-
-def test_the_line_search_finds_the_minimum():
-    rng = np.random.default_rng(0)
-    count, rows = 64, 20
-    stiffness = rng.uniform(0.1, 10, (count, rows))
-    residual, way = rng.normal(size=(2, count, rows))
-    low, high = np.full(rows, -np.inf), np.where(np.arange(rows) < 3, np.inf, 0.0)
-    low[3:8], high[3:8] = -0.7, 0.7
-    curvature = rng.uniform(0.1, 2, count)
-    pull = stiffness * residual
-    push = np.clip(pull, low, high)
-    # Steep enough that all functions fall at first, some beyond their last breakpoint.
-    slope = -np.abs(rng.normal(0, 30, count)) - np.sum(np.abs(push * way), axis=1)
-    ends = np.stack([low - push, high - push], axis=1)
-    arrays = (ends, pull - push, stiffness, way, slope, curvature)
-    found = jax.jit(jax.vmap(exact_step))(*(jnp.asarray(x, jnp.float32) for x in arrays))
-
-    def slope_at(x: np.ndarray) -> np.ndarray:
-        pulls = np.clip(x[:, None] * stiffness * way + pull, low, high) - push
-        return slope + x * curvature + np.sum(pulls * way, axis=1)
-
-    inner, outer = np.zeros(count), np.full(count, 1e4)
-    for _ in range(80):
-        middle = (inner + outer) / 2
-        falls = slope_at(middle) < 0
-        inner, outer = np.where(falls, middle, inner), np.where(falls, outer, middle)
-    assert np.ptp(inner) > 1
-    assert np.allclose(found, inner, rtol=1e-3, atol=1e-4)
-
-
-def test_an_ascending_line_gives_no_step():
-    ends, zero, one = jnp.array([[-jnp.inf], [0.0]]), jnp.zeros(1), jnp.ones(1)
-    assert float(exact_step(ends, zero, one, one, jnp.float32(0.0), jnp.float32(1.0))) == 0
-    assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
 
 
 def test_a_scenes_elliptic_cones_become_pyramids_of_equal_impedances():

@@ -7,14 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics import model
 from neoworld_mjx.physics.engine import rollout
 from neoworld_mjx.physics.layout import Layout, place
 from neoworld_mjx.physics.model import load_scene
 from neoworld_mjx.physics.model_fields import model_fields
-from neoworld_mjx.refinement.rewards import d_pen
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout
 
@@ -22,13 +20,6 @@ from tests.support.scenes import compile_scene, random_layout
 @pytest.fixture(scope="module")
 def blocks():
     return compile_scene(scenes.blocks(), samples=16)
-
-
-def test_repr_names_scene_objects_and_sizes_in_two_lines(blocks):
-    text = repr(blocks)
-    assert "'blocks': 4 objects, 3 of them movable, 0 joints, 4 convex pieces" in text
-    assert "table, low, high, ball" in text
-    assert text.count("\n") == 1
 
 
 def test_a_type_error_names_the_function_to_call(blocks):
@@ -60,34 +51,9 @@ def test_place_and_model_fields_may_be_jitted_and_vmapped(blocks):
     assert np.allclose(fields["geom_size"], model_fields(blocks, poses)["geom_size"])
 
 
-def test_penetration_is_differentiable_through_placing(blocks):
-    # The ball is pushed into the side of the lower block.
-    shift = jnp.array([0.0, -0.08])
-    aside = Layout(jnp.zeros((1, 4, 2)).at[0, 3].set(shift), jnp.zeros((1, 4)), jnp.zeros((1, 4)))
-    depth = lambda x: d_pen(
-        blocks, Layout(aside.xy.at[0, 3, 1].add(x), aside.yaw, aside.log_scale)
-    )[0]
-    measure = jax.jit(jax.value_and_grad(depth))
-    step = 1e-3
-    (low, _), (value, slope), (high, _) = (measure(x) for x in (-step, 0.0, step))
-    assert value > 1e-3
-    difference = float(high - low) / (2 * step)
-    assert float(slope) == pytest.approx(difference, rel=0.05)
-
-
 def test_batched_placement_equals_placement_at_once(blocks, monkeypatch):
     layouts = random_layout(blocks, 7)
     whole = blocks.place_exactly(layouts)
     monkeypatch.setattr("neoworld_mjx.physics.layout.SNAPPED_AT_ONCE", 8)
     batched = jax.jit(lambda z: place(blocks.arrangement, z))  # traced anew, in parts
     assert np.allclose(batched(layouts).height, whole.height, atol=1e-6)
-
-
-def test_the_table_lists_every_engine():
-    from neoworld_mjx.physics.mjx_engine import MjxEngine
-    from neoworld_mjx.physics.native import NativeEngine
-    from neoworld_mjx.physics.warp_engine import WarpEngine
-
-    for engine in (MjxEngine, NativeEngine, WarpEngine):
-        location = f"{engine.__module__.removeprefix('neoworld_mjx')}:{engine.__name__}"
-        assert ENGINES[engine.name].location == location

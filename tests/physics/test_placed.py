@@ -7,18 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics import placed
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.placed import (
     TILT_BOUND_LYING,
     TILT_BOUND_UPRIGHT,
-    measure_in_chunks,
     pair_depths,
     pair_gaps,
-    place_in_chunks,
     settling_displacement,
 )
-from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.spec import Box, Sphere
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -58,36 +54,6 @@ def test_the_overlap_of_supports_is_no_penetration_but_that_of_an_object_with_on
     assert gap[table, wall] == gap[wall, table] == np.inf and np.isinf(gap.diagonal()).all()
     assert gap[block, wall] == gap[wall, block] == pytest.approx(-0.005, abs=1e-5)
     assert gap[far, table] == gap[table, far] == pytest.approx(0.01, abs=1e-5)
-
-
-def test_chunks_are_the_whole_population_in_order(shelf, monkeypatch):
-    """Five candidates in chunks of two: the last chunk is padded, and its padding dropped."""
-    monkeypatch.setattr(placed, "CPU_CHUNK", 2)
-    zero = Layout.zero(5, 4)
-    xy = np.zeros((5, 4, 2), np.float32)
-    xy[:, 3, 0] = 0.01 * np.arange(5)
-    layouts = Layout(xy, zero.yaw, zero.log_scale)
-    poses = place_in_chunks(shelf, layouts)
-    assert poses.pos[:, 3, 0] - poses.pos[0, 3, 0] == pytest.approx(xy[:, 3, 0], abs=1e-6)
-    lower = jax.tree.map(np.array, poses)
-    lower.pos[3, 3, 2] -= 0.02
-    sizes = []
-
-    def measure(scene, chunk):
-        sizes.append(len(chunk.pos))
-        x = np.asarray(chunk.pos[..., 0], np.float32)
-        return x[:, :, None] + np.zeros(4, np.float32), as_parsed(scene.photo, len(x))
-
-    monkeypatch.setattr(placed, "measure_poses", measure)
-    found = measure_in_chunks(shelf, poses, lower)
-    assert sizes == [2, 2, 2]
-    assert found.depth[:, 3, 0] == pytest.approx(lower.pos[:, 3, 0])
-    assert len(found.visible.boxes) == 5 and found.poses is lower
-    # 2 cm of the bound of a tenth of the size (its diagonal) and 1 cm.
-    bound = 0.1 * np.sqrt(3) * 0.06 + 0.01
-    settled = np.zeros((5, 4))
-    settled[3, 3] = 0.02 / bound
-    assert found.settled == pytest.approx(settled, abs=1e-5)
 
 
 def turned(scene, name, *, about_x=0.0, shift=(0.0, 0.0, 0.0), tilt=0.0, scale=1.0):

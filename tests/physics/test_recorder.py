@@ -81,12 +81,3 @@ def test_only_records_beyond_the_bounds_make_a_candidate_invalid(blocks):
     assert steps_until_stopped(blocks, speed=quiver, away=back)[0] == RolloutStatus.SETTLED
     between = lambda k: 0.02 if k == 3 else 0.0
     assert steps_until_stopped(blocks, speed=quiver, away=between)[0] == RolloutStatus.OK
-
-
-@pytest.mark.parametrize("interval", [0.004, 0.02, 0.03, 0.1, 1.0])
-def test_segments_sum_to_the_steps_between_records(blocks, interval):
-    start = blocks.place_exactly(Layout.zero(1, len(blocks.names)))
-    rule = EarlyStop(interval=interval)
-    segments = Recorder(blocks.static, start, Schedule(10, 25, rule)).segments()
-    assert sum(segments) == 25
-    assert len(segments) == {0.004: 25, 0.02: 5, 0.03: 3, 0.1: 1, 1.0: 1}[interval]

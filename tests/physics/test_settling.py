@@ -10,15 +10,12 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import (
-    HORIZONTAL,
     TILT_BOUND_LYING,
-    TILT_BOUND_UPRIGHT,
-    VERTICAL,
     settling_displacement,
 )
 from neoworld_mjx.physics.settling import settle, settle_scene, with_damped_joints, with_world_poses
-from neoworld_mjx.spec import Box, Sphere, world_poses
-from neoworld_mjx.spec.pose import from_axis_angle, pose, quat_mul
+from neoworld_mjx.spec import Box, world_poses
+from neoworld_mjx.spec.pose import from_axis_angle, pose
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -165,71 +162,7 @@ def test_held_joints_do_not_move_in_a_free_fall():
     assert with_damped_joints(model).static is with_damped_joints(model).static
 
 
-def test_springs_hold_an_object_in_the_air_until_they_fade():
-    ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
-    floating = scenes.on_table((ball, (0.0, 0.0), 0.0, {"z": 0.14}))
-    height = lambda scene: world_poses(scene)["ball"].pos[2]
-    strong = SettleOptions(rate=12.0, duration_s=1.5, fade_s=20.0)
-    sag = height(floating) - height(settle_scene(floating, strong))
-    assert sag == pytest.approx(9.81 / 12.0**2 / (1 - 1.5 / 20), rel=0.03)
-    fall = height(floating) - height(settle_scene(floating, OPTIONS))
-    assert fall == pytest.approx(0.1, abs=5e-4)
-
-
 SIZE = float(np.linalg.norm([0.1, 0.1, 0.02]))
-
-
-@pytest.mark.parametrize(
-    ("shift", "degrees", "expected"),
-    [
-        ((HORIZONTAL * SIZE, 0.0, 0.0), 0.0, 1.0),
-        ((0.0, -0.5 * HORIZONTAL * SIZE, 0.0), 0.0, 0.5),
-        ((0.0, 0.0, -(VERTICAL[0] * SIZE + VERTICAL[1])), 0.0, 1.0),
-        ((0.0, 0.0, 2 * (VERTICAL[0] * SIZE + VERTICAL[1])), 0.0, 2.0),
-        ((0.0, 0.0, 0.0), 15.0, 1.0),
-        ((0.0, 0.0, 0.0), -5.0, 1 / 3),
-    ],
-)
-def test_displacement_is_in_units_of_the_bounds(shift, degrees, expected):
-    model = compile_scene(tilted(0.0), samples=16)
-    start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, 3)))
-    end = jax.tree.map(np.array, start)
-    slab = model.names.index("slab")
-    end.pos[0, slab] += shift
-    turn = np.array(from_axis_angle((1, 0, 0), np.radians(degrees)))
-    end.quat[0, slab] = quat_mul(turn, end.quat[0, slab])
-    # About the center, so that a rotation does not shift it.
-    if degrees:
-        half = np.array([0.0, 0.0, 0.01])
-        end.pos[0, slab] += half - from_z(turn, 0.01)
-    found = settling_displacement(model, start, end, np)[0]
-    assert found[slab] == pytest.approx(expected, rel=0.02)
-    assert found[model.names.index("table")] == 0.0 == found[model.names.index("block")]
-
-
-def from_z(turn, height):
-    w, x, y, z = turn
-    return height * np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-
-
-def test_objects_placed_tilted_may_turn_farther_and_balls_at_will():
-    ball = scenes.single("ball", (Sphere(radius=0.05), (0, 0, 0)))
-    upright = compile_scene(tilted(0.0), samples=16)
-    leaning = compile_scene(tilted(5.0), samples=16)
-    round_ = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})), samples=16)
-    turn = np.array(from_axis_angle((1, 0, 0), TILT_BOUND_UPRIGHT))
-    shares = []
-    for model in (upright, leaning, round_):
-        start = jax.tree.map(np.array, model.place_exactly(Layout.zero(1, len(model.names))))
-        end = jax.tree.map(np.array, start)
-        center = np.asarray(model.corners[1]).mean(axis=0)
-        end.quat[0, 1] = quat_mul(turn, start.quat[0, 1])
-        end.pos[0, 1] += pose((0, 0, 0), start.quat[0, 1]).apply(center)
-        end.pos[0, 1] -= pose((0, 0, 0), end.quat[0, 1]).apply(center)
-        shares.append(settling_displacement(model, start, end, np)[0, 1])
-    assert shares[0] == pytest.approx(1.0, rel=1e-3)
-    assert shares[1] == pytest.approx(TILT_BOUND_UPRIGHT / TILT_BOUND_LYING, rel=1e-3)
-    assert shares[2] < 1e-3
 
 
 def test_children_move_with_their_parent():

@@ -3,7 +3,6 @@
 import re
 
 import numpy as np
-import pytest
 
 from tests.support.simulated_devices import run_with_devices
 
@@ -21,7 +20,7 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import Sphere
 from tests.support import scenes
 
-kind, out = sys.argv[1:]
+(out,) = sys.argv[1:]
 ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
 scene = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})))
 poses = scene.place(scenes.noisy_layouts(scene, 16))
@@ -29,28 +28,25 @@ poses = scene.place(scenes.noisy_layouts(scene, 16))
 lifted = np.array(poses.pos)
 lifted[3:, 1:, 2] += 0.05
 poses = eqx.tree_at(lambda p: p.pos, poses, lifted)
-name, arrays = {"whole": ("bare_scan", (0, 1, 2, 6)), "stopped": ("_advance", (0, 1, 2, 5))}[kind]
-jitted, programs = getattr(mjx_engine, name), {}
+jitted, programs = mjx_engine._advance, {}
 
 
 def compiled(*args):
     size = len(jax.tree.leaves(args[1])[0])
     if size not in programs:
         programs[size] = jitted.lower(*args).compile()
-    return programs[size](*(args[k] for k in arrays))
+    return programs[size](*(args[k] for k in (0, 1, 2, 5)))
 
 
 options = {
-    "whole": {"guidance": Guidance()},
-    "stopped": {
-        "record_every": 0.02,
-        "early_stop": EarlyStop(distance=1e-3, angle=1e-2, drift=2e-3, tilt=2e-2),
-    },
-}[kind]
+    "record_every": 0.02,
+    "early_stop": EarlyStop(distance=1e-3, angle=1e-2, drift=2e-3, tilt=2e-2),
+    "guidance": Guidance(),
+}
 saved = {}
 for count in (1, 4):
     if count == 4:
-        setattr(mjx_engine, name, compiled)
+        mjx_engine._advance = compiled
         # On one device the stopped candidates stay until the end.
         mjx_engine.COMPACT_FROM = 16
     engine = mjx_engine.MjxEngine(jax.devices()[:count])
@@ -61,22 +57,15 @@ np.savez(out, programs=[program.as_text() for program in programs.values()], **s
 """
 
 
-def rollouts(kind, folder):
-    """Simulate on one and on four devices, in a process that has four."""
-    out = folder / "rollouts.npz"
-    run_with_devices(4, SCRIPT, kind, str(out))
-    return np.load(out)
-
-
-@pytest.mark.parametrize("kind", [pytest.param("whole", marks=pytest.mark.slow), "stopped"])
-def test_four_devices_simulate_what_one_does_without_communication(kind, tmp_path):
-    result = rollouts(kind, tmp_path)
+def test_four_devices_simulate_what_one_does_without_communication(tmp_path):
+    out = tmp_path / "rollouts.npz"
+    run_with_devices(4, SCRIPT, str(out))
+    result = np.load(out)
     np.testing.assert_array_equal(result["status_4"], result["status_1"])
     np.testing.assert_array_equal(result["steps_4"], result["steps_1"])
     np.testing.assert_allclose(result["pos_4"], result["pos_1"], atol=1e-5)
-    if kind == "stopped":
-        assert len(np.unique(result["steps_1"])) > 1
-    assert len(result["programs"]) == {"whole": 1, "stopped": 2}[kind]
+    assert len(np.unique(result["steps_1"])) > 1
+    assert len(result["programs"]) == 2
     for program in result["programs"]:
         assert "num_partitions=4" in program
         assert not re.findall(r"= \S+ (all-\w+|collective-permute)", program)

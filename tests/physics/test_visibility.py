@@ -4,15 +4,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neoworld_kernels.first_hits import Rays, first_hits
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.sampling import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import (
-    WINDOW_TILE,
-    _in_camera_frame,
-    _rows_in_window,
     visibility,
 )
 from neoworld_mjx.render import render
@@ -34,61 +30,6 @@ def photographed(request):
 def picture(photographed):
     spec, _ = photographed
     return render(spec, spec.camera, width=640, supersample=1, floor=False)
-
-
-def raster(scene, poses, columns, rows):
-    """Return the object that is visible in each cell of the image, and its depth [m].
-
-    The whole image is a single window. Environment supports count as objects. If a cell shows no
-    object, the object is -1 and the depth is inf. `columns` and `rows` must be multiples of
-    WINDOW_TILE.
-    """
-    camera_scene = _in_camera_frame(scene, poses)
-    half = scene.photo.half_size / scene.photo.focal
-    pop = poses.scale.shape[0]
-    row, column = np.mgrid[:rows, :columns]
-
-    def slopes(index, number, axis):
-        """Return the slopes of the rays through the cells, ordered by tiles."""
-        tiles = index.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE).swapaxes(1, 2)
-        middle = (tiles.reshape(-1, WINDOW_TILE**2) + 0.5) / number * 2 - 1
-        return jnp.repeat(middle[..., None] * half[axis], pop, axis=-1)
-
-    window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
-    rays = Rays(slopes(column, columns, 0), slopes(row, rows, 1))
-    near = _rows_in_window(camera_scene, window, 0.0)
-    layer = jnp.arange(scene.count, dtype=jnp.int32)
-    hits = first_hits(camera_scene.placed, camera_scene.families, near, rays, layer, scene.count)
-    nearest = jnp.max(hits, axis=0)
-    owner = jnp.where(nearest > 0, jnp.argmax(hits, axis=0).astype(jnp.int32), -1)
-    unfold = lambda v: (
-        jnp.moveaxis(v, -1, 0)
-        .reshape(pop, rows // WINDOW_TILE, columns // WINDOW_TILE, WINDOW_TILE, WINDOW_TILE)
-        .swapaxes(2, 3)
-        .reshape(pop, rows, columns)
-    )
-    depth = jnp.where(owner >= 0, 1.0 / jnp.maximum(nearest, 1e-9), jnp.inf)
-    return unfold(owner), unfold(depth)
-
-
-def test_ids_and_depths_agree_with_the_ray_caster(photographed, picture):
-    spec, scene = photographed
-    ids, depth = eqx.filter_jit(lambda s, z: raster(s, s.place(z), **CELLS))(
-        scene, Layout.zero(1, scene.count)
-    )
-    order = [spec.index(name) for name in picture.names] + [-1]
-    true = np.array(order)[picture.segmentation[5::10, 5::10]]
-    # Away from edges: cells all of whose neighbours in the picture show the same object.
-    fine = np.array(order)[picture.segmentation]
-    block = fine.reshape(48, 10, 64, 10)
-    inner = (block == block[:, :1, :, :1]).all(axis=(1, 3))
-    same = np.asarray(ids[0]) == true
-    assert same[inner].mean() > 0.99
-    assert same.mean() > 0.97
-    shown = same & inner & (true >= 0)
-    assert len(np.unique(true[shown])) >= 5
-    near = np.asarray(depth[0])[shown] / picture.depth[5::10, 5::10][shown]
-    assert np.percentile(np.abs(near - 1), 95) < 0.01
 
 
 def test_boxes_and_shares_match_a_rendered_image(photographed, picture):

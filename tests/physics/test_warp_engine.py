@@ -74,7 +74,7 @@ def engine(monkeypatch):
     module.Worlds, module.probe = Worlds, lambda scene, poses: Room()
     Worlds.overflows = {}
     monkeypatch.setitem(sys.modules, "neoworld_mjx.physics.warp_worlds", module)
-    monkeypatch.setattr(warp_engine, "warp_device", lambda device: SimpleNamespace(is_cuda=False))
+    monkeypatch.setattr(warp_engine, "warp_device", lambda: SimpleNamespace(is_cuda=False))
     return warp_engine.WarpEngine()
 
 

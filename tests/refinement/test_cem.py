@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import CEMOptions
-from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import open_cem
 from neoworld_mjx.spec import Box
 from tests.support import scenes
@@ -90,12 +89,3 @@ def test_failed_candidates_never_become_elites(scene):
     unchanged = cem.tell(state, drawn, jnp.full(8, -jnp.inf))
     for a, b in zip(jax.tree.leaves(unchanged), jax.tree.leaves(state), strict=True):
         assert np.array_equal(a, b)
-
-
-def test_a_sweep_over_numbers_is_one_vmap(scene):
-    cem = open_cem(scene, CEMOptions())
-    many = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), cem)
-    draw = lambda c: c.ask(jax.random.key(0), c.init(), 16)
-    one = draw(jax.tree.map(lambda x: 2 * x, cem))
-    assert np.allclose(jax.vmap(draw)(many).yaw[1], one.yaw)
-    assert isinstance(one, Layout)

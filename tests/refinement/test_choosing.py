@@ -11,7 +11,6 @@ from neoworld_mjx.refinement.choosing import (
     Round,
     choose_winner,
     rank_candidates,
-    stack_padded,
 )
 from neoworld_mjx.refinement.finishing import finish
 from neoworld_mjx.refinement.objective import Scores
@@ -151,10 +150,3 @@ def test_valid_candidates_are_ranked_by_merit_and_the_others_by_absolute_reward(
     # Entries that fill up the first iteration come last, with failed candidates.
     assert len(order) == 8 and {entry for entry, _ in order[4:]} == {(1, 3), (0, 1), (0, 2), (0, 3)}
     assert rank_candidates([]) == []
-
-
-def test_shorter_iterations_are_filled_up():
-    rows = stack_padded([np.float32([[1, 2]]), np.float32([[3, 4], [5, 6], [7, 8]])], -np.inf)
-    assert rows.dtype == np.float32 and rows.shape == (2, 3, 2)
-    np.testing.assert_array_equal(rows[1], [[3, 4], [5, 6], [7, 8]])
-    np.testing.assert_array_equal(rows[0], [[1, 2], [-np.inf] * 2, [-np.inf] * 2])

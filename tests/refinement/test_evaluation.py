@@ -1,7 +1,5 @@
 """Placement, settling, rollout and scores of populations, on padded arrays."""
 
-from types import SimpleNamespace
-
 import jax
 import numpy as np
 import pytest
@@ -10,22 +8,17 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
-from neoworld_mjx.physics.scene_arrays import Bucket, pad_objects, pad_scene
-from neoworld_mjx.physics.sharding import REPLICATED, SHARDED
-from neoworld_mjx.refinement import evaluation as module
+from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
 from neoworld_mjx.refinement.evaluation import (
     Evaluation,
     early_stop_rule,
     named_scores,
-    pad_rollout,
-    shard,
 )
 from neoworld_mjx.refinement.finishing import compile_for_search, finish
 from neoworld_mjx.refinement.loop import CLOCKS
 from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import world_poses
-from tests.support import scenes
-from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
+from tests.support.scenes import noisy_layouts, stored_scene
 
 POP = 8
 
@@ -131,15 +124,6 @@ def test_a_final_scene_is_scored_where_it_exactly_rests(model, evaluation):
     assert by_model["absolute"] - delivered["absolute"] == pytest.approx(change, abs=1e-5)
 
 
-def test_accelerators_compute_what_a_cpu_computes(model, evaluation, layouts, monkeypatch):
-    origin = jax.tree.map(lambda x: np.asarray(x)[:1], layouts)
-    scene = finish(model, evaluation.unpadded(origin), 0, evaluation.options).scene
-    both = lambda: (evaluation.place(layouts), evaluation.score_initial(scene, origin))
-    on_cpu = both()
-    monkeypatch.setattr(module, "computes_on_cpu", lambda: False)
-    assert_near(both(), on_cpu)
-
-
 def test_rollouts_have_the_options_and_stop_where_the_penalty_of_drift_is_capped(model, layouts):
     o = options(early_stop=False, record_every_s=0.05)
     evaluation = opened(model, o)
@@ -150,33 +134,7 @@ def test_rollouts_have_the_options_and_stop_where_the_penalty_of_drift_is_capped
     still = opened(model, options(duration_s=0.0))
     np.testing.assert_array_equal(still.roll_out(poses).pos[:, 0], poses.pos[:, : model.count])
     assert not still.engine.calls
-    reward = {"drift_scale_m": 0.02, "tilt_scale_deg": 9.0, "d_drift_cap": 4.0}
-    rule = early_stop_rule(RefineOptions.model_validate({"reward": reward}))
+    bounds = {"max_drift_m": 0.02, "max_tilt_deg": 9.0, "reward": {"d_drift_cap": 4.0}}
+    rule = early_stop_rule(RefineOptions.model_validate(bounds))
     assert (rule.distance, rule.drift) == pytest.approx((0.02, 0.08))
     assert (rule.angle, rule.tilt) == pytest.approx((np.radians(9.0), np.radians(36.0)))
-
-
-def test_objects_and_joints_that_pad_a_rollout_do_not_move():
-    scene = compile_scene(scenes.furnished(), samples=16)
-    wide = pad_scene(scene, Bucket(*(64,) * len(Bucket._fields)))
-    poses = jax.device_get(scene.place(scenes.random_layout(scene, 2, seed=0)))
-    rollout = opened(scene, options()).roll_out(poses)
-    padded, joints = pad_rollout(rollout, wide), rollout.joint_shift.shape[2]
-    assert padded.pos.shape == (2, 2, 64, 3) and padded.joint_shift.shape == (2, 2, 64)
-    np.testing.assert_array_equal(padded.pos[:, :, : scene.count], rollout.pos)
-    np.testing.assert_array_equal(padded.joint_shift[..., :joints], rollout.joint_shift)
-    assert joints and not padded.joint_shift[..., joints:].any()
-    for name in ("pos", "quat"):
-        still = getattr(padded, name)[:, :, scene.count :]
-        start = getattr(padded.start, name)[:, None, scene.count :]
-        np.testing.assert_array_equal(still, np.broadcast_to(start, still.shape))
-
-
-def test_arrays_of_the_split_length_are_divided_and_others_copied(monkeypatch):
-    tree = {"part": np.zeros((4, 2)), "whole": np.zeros(3), "number": np.float32(1), "name": "x"}
-    assert shard(tree, 4) is tree, "a single device keeps everything"
-    monkeypatch.setattr(module, "device_mesh", lambda devices: SimpleNamespace(size=2))
-    monkeypatch.setattr(module, "put", lambda array, mesh, spec: spec)
-    divided = shard(tree, 4)
-    assert divided == {"part": SHARDED, "whole": REPLICATED, "number": REPLICATED, "name": "x"}
-    assert all(shard(tree, length) is tree for length in (3, 5, 0, -2))

@@ -83,29 +83,6 @@ def test_an_object_on_an_unstable_side_is_taken_from_where_it_falls(monkeypatch)
     assert finish(model, zero, 0, o).measure.max_tilt_deg > 45.0
 
 
-def test_badness_sums_the_excesses_over_their_bounds(initial):
-    _, found = initial
-    o = OPTIONS
-    fine = found.measure.model_copy(
-        update={
-            "max_depth_m": 0.0,
-            "settled_depth_m": 0.0,
-            "max_drift_m": 0.0,
-            "max_tilt_deg": 0.0,
-            "diverged": False,
-        }
-    )
-    bad = lambda away=(), **update: found._replace(
-        measure=fine.model_copy(update=update), moved_away=away
-    ).excess_over_bounds(o)
-    assert bad() == 0.0
-    assert bad(max_drift_m=1.5 * o.max_drift_m) == pytest.approx(0.5 + 0.1)
-    assert bad(max_tilt_deg=3 * o.max_tilt_deg) == pytest.approx(2.0 + 0.1)
-    assert bad(max_depth_m=1e3) == 10.0
-    assert bad(away=("plate", "cube")) == 2.0
-    assert bad(max_drift_m=2 * o.max_drift_m, max_depth_m=1e3, away=("a",)) == pytest.approx(12.1)
-
-
 def test_each_kind_of_fault_names_its_objects(initial):
     model, found = initial
     names = model.names

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.cem import initial_sigma
-from neoworld_mjx.refinement.choosing import NOT_SAMPLED
-from neoworld_mjx.refinement.finishing import LEAST_REACH, compile_for_search, reach_of
-from neoworld_mjx.refinement.loop import CLOCKS, Iteration, TimeToValid, search, summarize
-from neoworld_mjx.refinement.objective import Scores
+from neoworld_mjx.refinement.finishing import compile_for_search
+from neoworld_mjx.refinement.loop import CLOCKS, TimeToValid, search
 from neoworld_mjx.refinement.optimizer import RandomSearch
 from neoworld_mjx.refinement.rewards import Term
 from neoworld_mjx.refinement.scorer import ScoreSource
@@ -142,36 +139,3 @@ def test_scores_of_a_model_are_those_of_the_iterations_candidates(model):
     np.testing.assert_array_equal(scorer.seen[0].xy, result.rounds[0].layouts.xy)
     assert (np.asarray(result.rounds[0].scores.terms["s_sem"]) == 0.25).all()
     assert (result.score_sources[-1] == ScoreSource.SCORED).all()
-
-
-def scores(absolute, valid, status):
-    merit, absolute = np.arange(len(absolute), dtype=np.float32), np.float32(absolute)
-    none = np.zeros((len(absolute), 0), np.float32)
-    return Scores(
-        {"d_pen": 10 * merit}, np.array(valid), np.array(status), absolute, absolute, merit,
-        none, none, none.astype(bool), None,
-    )  # fmt: skip
-
-
-def test_the_summary_of_an_iteration_leaves_out_what_failed_or_was_not_drawn():
-    assert NOT_SAMPLED == -1 and NOT_SAMPLED not in {int(status) for status in RolloutStatus}
-    given = scores([1.0, 4.0, -np.inf, -np.inf], [True, True, False, False], [0, 0, 3, NOT_SAMPLED])
-    assert summarize(2, given) == Iteration(
-        number=2, candidates=3, valid=2, best=4.0, mean=2.5, merit=1.0, terms={"d_pen": 10.0}
-    )
-    # The merit is that of the best valid candidate.
-    found = summarize(1, scores([5.0, 4.0, 3.0], [True, False, False], [0, 0, 0]))
-    assert (found.merit, found.best, found.terms) == (0.0, 5.0, {"d_pen": 0.0})
-    assert summarize(1, scores([-np.inf], [False], [NOT_SAMPLED])) == Iteration(
-        number=1, candidates=0, valid=0, best=None, mean=None, merit=None, terms={}
-    )
-
-
-@pytest.mark.parametrize(
-    "sigma_xy, factor", [(0.001, 1), (0.05, 1), (0.0501, 2), (0.1, 2), (0.11, 4), (0.2, 4)]
-)
-def test_a_scene_is_compiled_once_for_all_draws_of_a_reach(sigma_xy, factor):
-    o = options(cem={"sigma_xy": sigma_xy})
-    assert reach_of(o) == factor * LEAST_REACH >= 0.999 * 6.7 * sigma_xy
-    same = compile_for_search(scene(), o) is compile_for_search(scene(), options())
-    assert same == (factor == 1)

@@ -10,7 +10,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.choosing import Winner
 from neoworld_mjx.refinement.finishing import compile_for_search
-from neoworld_mjx.refinement.loop import TimeToValid, search
+from neoworld_mjx.refinement.loop import search
 from neoworld_mjx.refinement.scene_refinement import outcome
 from tests.support import scenes
 
@@ -82,23 +82,6 @@ def test_the_history_has_all_candidates_and_terms(searched):
     }  # fmt: skip
     assert history["object_names"].tolist() == list(model.names)
     assert "s_sem_from" not in history
-
-
-def test_what_was_done_is_stated(searched):
-    _, known = searched
-    result = refined(searched, result=replace(known, first_valid=TimeToValid(1, 4)))
-    assert (result.iterations, result.rollouts, result.winner) == (1, 8, (0, 2))
-    assert (result.finalists_tried, result.engine, result.first_valid) == (3, "native", (1, 4))
-    assert set(result.kept) == {"low", "high", "ball"} and result.passed
-    assert result.fallbacks == () and result.scoring == {}
-    m = result.measure
-    assert repr(result) == (
-        f"Refined({result.scene.name}: passed the check\n"
-        f"  1 iterations, 8 rollouts, 2.0 s on native; winner (0, 2)\n"
-        f"  depth {m.max_depth_m * 1e3:.2f} mm (was {m.max_depth_m * 1e3:.2f} mm), "
-        f"moved {m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg\n"
-        f"  mean shift 0.0 mm, turn 0.0 deg, log scale +0.000)"
-    )
 
 
 def test_failures_are_listed(searched):

@@ -10,8 +10,6 @@ from neoworld_mjx.physics import model
 from neoworld_mjx.physics.engine import rollout
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import (
-    SMALLEST_BUCKET,
-    pad_objects,
     pad_scene,
 )
 from neoworld_mjx.refinement import refine
@@ -31,17 +29,6 @@ def scene():
 
 def unpadded(tree, scene):
     return jax.tree.map(lambda x: np.asarray(x)[:, : scene.count], tree)
-
-
-def test_a_padded_layout_applies_as_the_unpadded_one(scene):
-    """The search's bucket may be wider than that of the objects alone."""
-    layouts = open_cem(scene, RefineOptions().cem)
-    layouts = layouts.ask(jax.random.key(3), layouts.init(), 2)
-    poses = scene.place(layouts)
-    for wide in (SMALLEST_BUCKET.objects, 4 * SMALLEST_BUCKET.objects):
-        padded = pad_objects(layouts, wide)
-        assert scene.apply(padded, 1) == scene.apply(layouts, 1)
-        assert scene.apply(padded, 1, pad_objects(poses, wide)) == scene.apply(layouts, 1, poses)
 
 
 def test_padded_equals_unpadded(scene):

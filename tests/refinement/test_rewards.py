@@ -107,11 +107,12 @@ def test_each_term_has_its_sign_in_the_reward(weight, absolute, by_iteration, no
     scene = two_boxes(0.0)
     b = scene.names.index("b")
     weights = dict.fromkeys(("w_sem", "w_prior", "w_pen", "w_drift"), 0.0) | {weight: 1.0}
-    caps = {"pen_scale_m": 0.006, "d_pen_cap_m": 0.004, "d_drift_cap": 6.0, "drift_free": 0.0}
+    caps = {"d_pen_cap_m": 0.004, "d_drift_cap": 6.0, "drift_free": 0.0}
     options = RefineOptions.model_validate(
         {
             "reward": {**weights, **caps, "normalisation": normalisation},
             "cem": {"sigma_yaw_deg": 10.0},
+            "max_depth_m": 0.006,
         }
     )
     yaw = np.zeros((2, 3), np.float32)

@@ -12,7 +12,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import scene_refinement as module
 from neoworld_mjx.refinement.choosing import Round
 from neoworld_mjx.refinement.objective import Scores
-from neoworld_mjx.refinement.scene_refinement import open_scene, read_composed, refine
+from neoworld_mjx.refinement.scene_refinement import read_composed, refine
 from neoworld_mjx.refinement.scorer import ScoreSource
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
@@ -56,17 +56,6 @@ def test_a_scene_is_read_from_a_run_folder_before_its_refinement(tmp_path):
     assert read_composed(tmp_path) == refined
     with pytest.raises(SpecError, match="nowhere"):
         read_composed(tmp_path / "nowhere")
-
-
-def test_a_scene_is_compiled_unless_it_is(tmp_path):
-    o, scene = options(), scenes.blocks()
-    model = open_scene(scene, o)
-    assert open_scene(model, options(rollout={"samples_per_object": 99})) is model
-    path = tmp_path / "scene.json"
-    path.write_text(scene.to_json())
-    assert open_scene(path, o) is open_scene(str(path), o) is model
-    with pytest.raises(TypeError, match="got a dict"):
-        unwrap(open_scene)({}, o)
 
 
 def test_scores_that_come_late_count_in_the_choice_of_the_winner():

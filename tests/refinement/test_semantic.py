@@ -135,16 +135,6 @@ def test_depth_order_counts_an_eighth_outside_the_noise(two_blocks, depth, far, 
     assert total_of(two_blocks, depth=depth, far=far) == pytest.approx(expected, abs=1e-4)
 
 
-def test_one_judged_object_has_its_box_alone_and_none_are_right(two_blocks):
-    lower = (LEFT, (20.0, -4.0, 60.0, 36.0))
-    box = score((6 + 6) / 4 / 40, 0.25)
-    alone = semantic_of(two_blocks, seen=lower, judged=(False, False, True))
-    assert alone.total[0] == pytest.approx((box + 1) / 2, abs=1e-5)
-    assert alone.by_object[0] == pytest.approx(np.array([1.0, 1.0, (box + 1) / 2]), abs=1e-5)
-    none = semantic_of(two_blocks, seen=lower, judged=(False, False, False))
-    assert float(none.total[0]) == 1.0 and none.by_object[0].tolist() == [1.0] * 3
-
-
 def test_an_object_that_is_hidden_where_the_photograph_shows_it_whole_loses_an_eighth(two_blocks):
     found = semantic_of(two_blocks, cut=(0.0, 8.0))
     # A side that is 8 px off is 2 px on average, of 40.

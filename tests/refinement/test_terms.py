@@ -14,10 +14,6 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import OPTIMIZERS, Term, algorithm, refine
 from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.optimizer import from_evosax
-from neoworld_mjx.refinement.rewards import d_drift
-from neoworld_mjx.spec import Box, ObjectSpec
-from tests.support import scenes
-from tests.support.mechanisms import geom, joint, part
 from tests.support.scenes import compile_scene, stored_scene
 
 SMALL = {
@@ -217,27 +213,3 @@ def test_a_term_may_be_nan_for_a_candidate_whose_rollout_has_failed(scene):
     assert bad[:, 0].all() and not bad[:, 1:].any()
     assert np.all(history["status"][bad] == RolloutStatus.FAILED)
     assert np.all(history["reward"][bad] == -np.inf)
-
-
-def gate(tilt):
-    """A post on the ground whose leaf hangs on a hinge without friction, the axis tilted [rad]."""
-    axis = (0.0, np.sin(tilt), np.cos(tilt))
-    parts = (
-        part("post", geom("post", Box(size=(0.04, 0.04, 0.3)), (0, 0, 0.15))),
-        part("leaf", geom("leaf", Box(size=(0.2, 0.01, 0.2)), (0.13, 0, 0.17))),
-    )
-    hinge = joint(
-        "hinge", "revolute", "post", "leaf", (0.025, 0, 0.15), axis, lower=-1.5, upper=1.5
-    )
-    spec = ObjectSpec(name="gate", materials=(scenes.WOOD,), parts=parts, joints=(hinge,))
-    return scenes.on_table((spec, (0, 0), 0.0, {"fixed_base": True}))
-
-
-@pytest.mark.parametrize(("tilt", "drifts"), [(0.0, False), (0.5, True)])
-def test_only_a_tilted_hinge_without_friction_drifts(tilt, drifts):
-    scene = compile_scene(gate(tilt), samples=16)
-    zero = Layout.zero(1, 2)
-    rollout = NativeEngine().rollout(scene, scene.place(zero), duration=0.3)
-    shift = float(np.max(np.asarray(rollout.joint_shift)))
-    assert (shift > np.radians(5.0)) == drifts
-    assert (float(d_drift(scene, zero, rollout)[0]) > 1.0) == drifts

@@ -16,8 +16,8 @@ from tests.support import scenes
 from tests.support.scenes import compile_scene
 
 OPTIONS = RefineOptions()
-DEPTH, DRIFT = np.float32(OPTIONS.max_depth_m), OPTIONS.reward.drift_scale_m
-TILT = np.radians(OPTIONS.reward.tilt_scale_deg)
+DEPTH, DRIFT = np.float32(OPTIONS.max_depth_m), OPTIONS.max_drift_m
+TILT = np.radians(OPTIONS.max_tilt_deg)
 STATES = (
     *("still", "deep at the bound", "deep below it", "settled at the bound", "settled below it"),
     *("moved beyond", "moved below", "turned beyond", "truncated", "failed"),

@@ -7,9 +7,8 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render import View, render_object
 from neoworld_mjx.render.surface_patterns import patterned
-from neoworld_mjx.spec import Box, Material, ObjectSpec, SurfacePattern, scale
+from neoworld_mjx.spec import SurfacePattern
 from neoworld_mjx.spec.room import PATTERN_KINDS
-from tests.support.mechanisms import geom, part
 
 COLOUR, SECOND = np.array([0.6, 0.5, 0.4]), np.array([0.05, 0.1, 0.6])
 UP, FRONT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -41,10 +40,6 @@ def test_a_pattern_shows_both_colors(kind):
     assert np.array_equal(colours, again)
 
 
-def test_plain_surfaces_have_one_color():
-    assert np.allclose(drawn("plain", line(0, -1, 1)), COLOUR)
-
-
 @pytest.mark.parametrize(
     ("along", "normal", "across"), [("x", UP, 1), ("y", UP, 0), ("x", FRONT, 2), ("y", FRONT, 1)]
 )
@@ -62,20 +57,6 @@ def test_a_pattern_finer_than_a_pixel_is_its_mean():
     near, far = (drawn("weave", points, pixel=pixel, step=0.01) for pixel in (1e-5, 0.02))
     assert far.std(axis=0).max() < 1e-9 < near.std(axis=0).max()
     assert far[0] == pytest.approx(near.mean(axis=0), rel=0.05)
-
-
-def test_a_pattern_scales_with_its_object():
-    look = Material(name="a", density=1, pattern=SurfacePattern(kind="tiles", step=0.2))
-    spec = ObjectSpec(
-        name="a",
-        materials=(look,),
-        parts=(part("b", geom("c", Box(size=(1, 1, 1)), (0, 0, 0), "a")),),
-    )
-    pattern = scale(spec, 2.0).materials[0].pattern
-    assert pattern is not None and pattern.step == pytest.approx(0.4)
-    assert ObjectSpec.model_validate_json(spec.to_json()) == spec
-    plain = spec.model_copy(update={"materials": (Material(name="a", density=1),)})
-    assert "pattern" not in plain.to_json()
 
 
 def test_programs_choose_patterns():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from neoworld_mjx.render import View, render_plain, render_scene
+from neoworld_mjx.render import render_plain, render_scene
 from tests.support import scenes
 
 
@@ -30,11 +30,3 @@ def test_the_same_scene_gives_the_same_bytes():
     moved = scene.objects[2].model_copy(update={"xy": (0.03, 0.01)})
     other = scene.model_copy(update={"objects": (*scene.objects[:2], moved, *scene.objects[3:])})
     assert not np.array_equal(first, render_plain(other, scene.camera, width=90))
-
-
-def test_flat_rendering_accepts_any_view():
-    view = View.look_at((0.3, -0.6, 0.6), (0.5, 0, 0), width=60, height=50)
-    scene = scenes.blocks()
-    assert render_plain(scene, view).shape == (50, 60, 3)
-    assert render_plain(scene, view, width=120).shape == (100, 120, 3)
-    np.testing.assert_array_equal(render_plain(scene, view), render_plain(scene, view, width=60))

@@ -9,7 +9,6 @@ from pydantic import TypeAdapter, ValidationError
 from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Operand, Shape, Sphere
 from neoworld_mjx.spec.convex import mass_properties, planes
 from neoworld_mjx.spec.shapes import convex_operands
-from neoworld_mjx.spec.triangles import corner_normals
 
 LYING = (1.0, 1.0, 0.0, 0.0)
 BLOCK = Box(size=(0.2, 0.2, 0.1))
@@ -93,18 +92,6 @@ def test_pieces_do_not_overlap_and_compile_in_mujoco(name: str):
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         model.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"m{k}")
     assert model.compile().ngeom == len(shape.pieces())
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_surface_is_closed_and_has_normals(name: str):
-    vertices, faces = CASES[name].surface()
-    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    codes = edges[:, 0] * len(vertices) + edges[:, 1]
-    assert set(codes) == set(edges[:, 1] * len(vertices) + edges[:, 0])
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    volume = np.sum(a * np.cross(b, c)) / 6
-    assert volume == pytest.approx(solid(CASES[name]), rel=0.06)
-    assert np.allclose(np.linalg.norm(corner_normals(vertices, faces), axis=2), 1)
 
 
 @pytest.mark.parametrize("name", CASES)

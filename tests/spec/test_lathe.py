@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.spec import Lathe
 from neoworld_mjx.spec.convex import planes
-from neoworld_mjx.spec.triangles import hull_excess
+from neoworld_mjx.spec.triangles import edges_distance, hull_excess, inside_edges
 
 ANGLE = np.linspace(0, np.pi / 2, 17)
 BOWL = Lathe(
@@ -27,7 +27,12 @@ def farthest(shape: Lathe) -> float:
     for piece in shape.pieces():
         corners = np.array(piece.vertices)
         points.append(random.dirichlet(np.full(len(corners), 0.2), 500) @ corners)
-    return float(shape.signed_distance(np.vstack(points)).max())
+    x, y, z = np.vstack(points).T
+    section, flat = shape.section(), np.column_stack([np.hypot(x, y), z])
+    inside = inside_edges(flat, section, np.roll(section, -1, axis=0))
+    # The edge along the axis closes the section but is not part of the surface.
+    distance = edges_distance(flat, section[:-1], section[1:])
+    return float(np.where(inside, -distance, distance).max())
 
 
 def test_a_solid_that_bulges_outwards_is_one_piece():

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from neoworld_mjx.config import RewardOptions
+from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import Rollout, RolloutStatus, record_steps
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.mjcf import to_mjspec
@@ -15,8 +15,8 @@ from neoworld_mjx.physics.model import FREE, SceneModel
 from neoworld_mjx.refinement.rewards import drifts
 from neoworld_mjx.spec.pose import angle_between
 
-_BOUNDS = RewardOptions()
-DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
+_BOUNDS = RefineOptions()
+DISTANCE, ANGLE = _BOUNDS.max_drift_m, float(np.radians(_BOUNDS.max_tilt_deg))
 """Bounds of stability [m], [rad]."""
 NEAR = (0.5, 2.0)
 """Multiples of a bound between which a layout is borderline and counted separately, as a
