@@ -9,11 +9,10 @@ Scenes, one set for each purpose:
 
 Packages that run on them:
 
-- `measures`: comparisons with ground truth: objects, joints, surfaces, parses, images.
+- `measures`: comparisons with ground truth: objects, joints, surfaces, poses.
 - `noise`: errors of responses and programs with measured rates; initial scenes made with them.
 - `methods`: the search, its ablations and baselines on the thirty scenes; submissions; calibration.
 - `real_poses`: reconstructions of real photographs compared with depth images and BOP data.
-- `judge`: rendered images compared with photographs, and a model as judge.
 - `rescues`: scenes of meshes with known errors, repaired.
 - `tasks`: 84 manipulation tasks, plans and their execution, task success.
 - `engines`: rates of engines, and agreement of their verdicts with C MuJoCo.

@@ -14,7 +14,7 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import ROWS, RowStore, collect, kept_rows, log, plain
+from .rows import ROWS, RowStore, kept_rows, log, plain
 
 
 @contextmanager
@@ -203,31 +203,6 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         rows = store.all(jobs)
     paper = {"joints": PAPER_JOINTS, "surfaces": PAPER_SURFACES}
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
-
-
-def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
-    """Compare rendered images with photographs."""
-    from .judge.picture_rows import made_scenes, picture_figures, picture_rows
-    from .measures.picture_similarity import PictureModels
-
-    models = PictureModels(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    compare = partial(picture_rows, models=models, side=o.size)
-    jobs = {each.numbered: partial(compare, each) for each in made_scenes(o.folders, o.data)}
-    with kept_rows(o) as store:
-        rows = store.all(jobs)
-    return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
-
-
-def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
-    """Let a model judge scenes."""
-    from .judge.picture_rows import made_scenes
-    from .judge.scene_judge import rating_figures, rating_rows
-
-    scenes = made_scenes(o.folders, o.data)
-    # Responses are kept on a tape, from which an interrupted run takes them.
-    with kept_rows(o, config) as store, _panel(o, config, store) as models:
-        rows = collect(rating_rows(models, scenes, repeats=o.repeats))
-    return {**rating_figures(rows), "rows": plain(rows)}
 
 
 def _panel(o: suites.ModelRequests, config: Config, store: RowStore) -> Panel:

@@ -65,16 +65,6 @@ class ModelRequests:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneFolders:
-    """Options of suites that compare scenes with photographs."""
-
-    folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, folders written by `neoworld bench make`, or submissions (with --data)."""
-    data: Path | None = None
-    """Data set that contains the photographs of a submission."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Examples:
     """Reconstruct the bundled examples from their tapes; with another provider also from its
     responses, which are recorded, and report the differences of the results.
@@ -272,32 +262,6 @@ class ObjectSuite:
     """Direction in which the ground-truth objects face; -x in PartNet-Mobility."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PictureSuite(SceneFolders):
-    """Compare rendered images of scenes with the photographs: SSIM, and LPIPS, CLIP, DINOv2 and
-    Uni3D if their ONNX files are given (docs/measures.md).
-    """
-
-    clip: Path | None = None
-    """CLIP: a folder with model.onnx and preprocessor_config.json."""
-    dino: Path | None = None
-    """DINOv2: a folder with model.onnx and preprocessor_config.json."""
-    lpips: Path | None = None
-    """LPIPS: an ONNX file with two image inputs."""
-    uni3d: Path | None = None
-    """Uni3D: a folder with points.onnx, model.onnx and preprocessor_config.json."""
-    size: int = 512
-    """Longer side of a scene's images, at most the photograph's [px]; an object's have 256."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Judge(SceneFolders, ModelRequests):
-    """Let a model score completeness, layout and function of scenes from 1 to 7."""
-
-    repeats: int = 3
-    """Judgements of each scene."""
-
-
 SUITES = {
     name: Suite(options, f"neoworld_bench.run_suites:run_{name.replace('-', '_')}", configured)
     for name, options, configured in (
@@ -313,8 +277,6 @@ SUITES = {
         ("photos", Photos, True),
         ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
-        ("pictures", PictureSuite, False),
-        ("judge", Judge, True),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""
