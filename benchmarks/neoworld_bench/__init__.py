@@ -5,7 +5,7 @@ Scenes, one set for each purpose:
 - `engines.table_scenes`: generated tables, for the speed and agreement of engines.
 - `dataset`: thirty scenes with ground truth, for methods and ablations.
 - `fidelity`: forty rendered scenes, for the errors of each step.
-- `photographs`: five scenes reconstructed from real photographs, for the time of the search.
+- `photographs`: the bundled examples, from photograph to scene.
 
 Packages that run on them:
 

@@ -14,7 +14,7 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import ROWS, RowStore, kept_rows, log, plain
+from .rows import ROWS, RowStore, kept_rows, plain
 
 
 @contextmanager
@@ -77,17 +77,6 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
     return {**plan_figures(rows), "rows": plain(rows)}
 
 
-def run_openings(o: suites.Openings) -> dict[str, Any]:
-    """Measure the openings of joints before and after the alignment."""
-    from .methods.joint_openings import opening_rows, opening_summary
-    from .methods.scene_runs import chosen_scenes
-
-    rows_of = partial(opening_rows, starts=o.starts, seed=o.seed)
-    with kept_rows(o) as store:
-        rows = store.all({name: partial(rows_of, name) for name in chosen_scenes(o.scenes)})
-    return {**opening_summary(rows), "rows": plain(rows)}
-
-
 def run_coverage(o: suites.Coverage) -> dict[str, Any]:
     """Count the intervals of aligned objects that contain the truth."""
     from .methods.interval_coverage import interval_coverage, interval_rows
@@ -138,24 +127,9 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
 
 def run_examples(o: suites.Examples, config: Config) -> dict[str, Any]:
     """Reconstruct the bundled examples."""
-    from .photographs.example_runs import difference_lines, differences, example_jobs
+    from .photographs.example_runs import example_jobs
 
-    jobs = example_jobs(o.example, config, o.provider, o.out)
-    with kept_rows(o, config) as store:
-        rows = store.all(jobs)
-    for line in difference_lines(rows):
-        log.info(line)
-    return {"differences": differences(rows), "rows": plain(rows)}
-
-
-def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
-    """Time the search on the scenes of photographs."""
-    from .photographs.real_scenes import chosen_photographs, real_refinements
-
-    search = {"seed": o.seed, "options": config.refine, "engine": o.engine}
-    jobs = {
-        name: partial(real_refinements, (name,), **search) for name in chosen_photographs(o.scene)
-    }
+    jobs = example_jobs(o.example, config)
     with kept_rows(o, config) as store:
         rows = store.all(jobs)
     return {"rows": plain(rows)}

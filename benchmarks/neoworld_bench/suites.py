@@ -66,29 +66,10 @@ class ModelRequests:
 
 @dataclass(frozen=True, kw_only=True)
 class Examples:
-    """Reconstruct the bundled examples from their tapes; with another provider also from its
-    responses, which are recorded, and report the differences of the results.
-    """
+    """Reconstruct the bundled examples from their tapes."""
 
     example: tuple[str, ...] = ()
     """Names that `neoworld examples` lists; all by default."""
-    provider: str = "replay"
-    """Source of the responses: replay (the bundled tapes alone), anthropic, openai or mailbox."""
-    out: Path | None = None
-    """Folder of the runs, and of the tapes NAME.tape.json that the responses of another provider
-    are recorded on; needed with another provider."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Refine:
-    """Time the search on the composed scenes of five photographs."""
-
-    scene: tuple[str, ...] = ()
-    """Names of scenes; all by default."""
-    seed: int = 0
-    """Seed of the searches."""
-    engine: EngineChoice = "native"
-    """Engine that rolls candidates out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,20 +145,6 @@ class Plans(ModelRequests):
     """Noise of the initial scenes."""
     seed: int = 0
     """Seed of the noise, the searches and the refinement."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Openings:
-    """Open the joints of the thirty scenes' objects one by one, align initial scenes with errors
-    with and without `compose.align.joints`, and report the errors of openings and places.
-    """
-
-    scenes: tuple[str, ...] = ()
-    """Names of scenes; all by default."""
-    starts: int = 2
-    """Initial scenes of each opened joint; those of odd numbers have wrong programs."""
-    seed: int = 0
-    """Seed of the noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,12 +235,10 @@ SUITES = {
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
         ("plans", Plans, True),
-        ("openings", Openings, False),
         ("coverage", Coverage, False),
         ("rescue", Rescues, False),
         ("engines", Engines, False),
         ("examples", Examples, True),
-        ("refine", Refine, True),
         ("photos", Photos, True),
         ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
