@@ -14,7 +14,7 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import ROWS, RowStore, kept_rows, plain
+from .rows import ROWS, RowStore, collect, kept_rows, plain
 
 
 @contextmanager
@@ -29,30 +29,24 @@ def _store(o: suites.SceneSet | suites.Tasks, config: Config) -> Iterator[RowSto
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
-    from .methods.method_runs import RunSettings, read_methods
-    from .methods.scene_runs import chosen_scenes
+    from .methods.method_runs import RunSettings
+    from .methods.scene_runs import chosen_scenes, submission_rows
     from .methods.scene_runs import run_scenes as run_methods
-    from .tables.scene_table import scene_summary
+    from .tables.scene_figures import scene_summary
 
-    methods, named = read_methods(o.method, config)
-    settings = RunSettings(o.seed, config.refine, config.compose, o.noise, named)
+    settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
+    scenes = chosen_scenes(o.scenes)
+    if o.submission is not None:
+        return scene_summary(collect(submission_rows(scenes, o.submission, settings)))
     with _store(o, config) as store:
-        rows = run_methods(
-            chosen_scenes(o.scenes),
-            methods,
-            settings,
-            starts=o.starts,
-            place=o.place,
-            store=store,
-            submission=o.submission,
-        )
+        rows = run_methods(scenes, o.method, settings, starts=o.starts, place=o.place, store=store)
     return scene_summary(rows)
 
 
 def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
     from .methods.method_runs import RunSettings
-    from .tables.task_table import task_summary
+    from .tables.task_figures import task_summary
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 

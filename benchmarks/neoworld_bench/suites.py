@@ -95,10 +95,9 @@ class SceneSet(NoisyRuns):
     scenes: tuple[str, ...] = ()
     """Names of scenes, or a single number of scenes; all by default."""
     method: tuple[str, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
-    """Methods: ours; without a search open_loop, gravity, guided, aligned and aligned_dimensions;
-    algorithm1; ablations no_simulation, without_s_sem, without_d_pen, without_d_drift,
-    without_photo, without_contours, without_edges, without_contacts, without_camera and
-    without_final; and NAME=FILE, the search with the options of a YAML file."""
+    """Methods: ours; without a search open_loop, gravity, guided and aligned; algorithm1; ablations
+    no_simulation, without_s_sem, without_d_pen, without_d_drift, without_photo, without_contours,
+    without_edges and without_final."""
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and

@@ -2,20 +2,16 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import ValidationError
 
-from neoworld_mjx.config import ComposeOptions, Config, RefineOptions, merged, read_yaml
-from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.errors import RunError
 from neoworld_mjx.io.files import content_hash
-from neoworld_mjx.io.text_files import validation_message
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
-from neoworld_mjx.refinement.optimizer import optimizer_factory
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -28,7 +24,7 @@ from ..noise.initial_scenes import (
 )
 from ..noise.parse_noise import NoiseLog
 from ..rows import Row, RowStore, log
-from .scene_methods import METHODS, MethodResult, outcomes_of
+from .scene_methods import MethodResult, outcomes_of
 
 
 class MethodRow(Row):
@@ -78,15 +74,6 @@ class RunSettings:
     """Options of the search and of the final check."""
     compose: ComposeOptions
     noise: NoiseLevel
-    named: tuple[tuple[str, RefineOptions], ...] = ()
-    """Options of the searches that a user named, by name."""
-
-    def of_method(self, method: str, fingerprint: str) -> str:
-        """Return the fingerprint of a method's row, given the fingerprint of its subject."""
-        options = dict(self.named).get(method)
-        if options is None:
-            return fingerprint
-        return content_hash([fingerprint, options.model_dump(mode="json")])[:16]
 
     def fingerprint(self, *parts: Any) -> str:
         """Return the hash of JSON values, the noise and the options."""
@@ -104,8 +91,6 @@ class MethodJob:
     settings: RunSettings
     threads: int
     fingerprint: str
-    submission: Path | None = None
-    """Folder of another method's scenes to score in place of running methods."""
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Add noise to the exact response for the ground truth, and compose the initial scene.
@@ -146,7 +131,6 @@ class MethodJob:
             align=s.compose.align,
             seed=s.seed,
             warm=warm,
-            named=dict(s.named),
         )
 
     def columns(self, method: str, errors: NoiseLog) -> dict[str, Any]:
@@ -158,45 +142,8 @@ class MethodJob:
             "seed": self.settings.seed,
             "evaluation": is_evaluation(self.start),
             "method": method,
-            "fingerprint": self.settings.of_method(method, self.fingerprint),
+            "fingerprint": self.fingerprint,
         }
-
-
-def read_methods(
-    names: Sequence[str], config: Config
-) -> tuple[tuple[str, ...], tuple[tuple[str, RefineOptions], ...]]:
-    """Return the methods of a command line, and the options of those that it names itself.
-
-    Args:
-        names: methods of METHODS, and NAME=FILE for the search with the options of a YAML file on
-            top of the configuration, such as `mine=mine.yaml` with another `refine.optimizer`.
-        config: the configuration.
-
-    Raises:
-        ConfigError: a name is taken, or a file or an option is invalid.
-    """
-    methods: list[str] = []
-    options: dict[str, RefineOptions] = {}
-    for text in names:
-        name, equals, file = text.partition("=")
-        if equals:
-            if name in METHODS or name in options or not name.replace("_", "").isalnum():
-                raise ConfigError(f"--method {text}: take another name, of letters, digits and _")
-            options[name] = _refine_options(Path(file), config)
-            # Before anything runs: the optimizer may need a package that is not installed.
-            optimizer_factory(options[name].optimizer)
-        methods.append(name)
-    return tuple(dict.fromkeys(methods)), tuple(options.items())
-
-
-def _refine_options(file: Path, config: Config) -> RefineOptions:
-    changes = read_yaml(file, "options of a method")
-    if not isinstance(changes, dict) or set(changes) != {"refine"}:
-        raise ConfigError(f"{file}: options of a method are those under refine, and no others")
-    try:
-        return Config.model_validate(merged(config.model_dump(mode="json"), changes)).refine
-    except ValidationError as error:
-        raise ConfigError(f"{file}: {validation_message(error, Config)}") from None
 
 
 def run_jobs(
@@ -209,7 +156,6 @@ def run_jobs(
     settings: RunSettings,
     place: Place = HERE,
     store: RowStore | None = None,
-    submission: Path | None = None,
 ) -> list[R]:
     """Run methods on scenes or tasks, except for rows that are already stored.
 
@@ -222,7 +168,6 @@ def run_jobs(
         settings: settings of the run.
         place: where the jobs run.
         store: stored rows, to which new ones are added. If None, rows are not stored.
-        submission: folder of submitted scenes. They are scored again in each run.
 
     Returns:
         All requested rows, including stored ones, sorted by key.
@@ -234,18 +179,14 @@ def run_jobs(
     check_place(place)
     store = store or RowStore(None)
     rows = {row.key: row for row in store.of(row_type)}
-    _check_rows(rows.values(), store, methods, settings, {} if submission else fingerprints)
+    _check_rows(rows.values(), store, methods, settings, fingerprints)
     jobs = []
     for subject, fingerprint in fingerprints.items():
         for start in starts[subject]:
-            known = set() if submission else set(rows)
-            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in known)
+            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in rows)
             if missing:
-                jobs.append(
-                    MethodJob(
-                        subject, start, missing, settings, place.threads, fingerprint, submission
-                    )
-                )
+                job = MethodJob(subject, start, missing, settings, place.threads, fingerprint)
+                jobs.append(job)
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
     for row in run_tasks(work, jobs, place):
@@ -278,12 +219,8 @@ def _check_rows(
                 f"{settings.noise}"
             )
         mark = fingerprints.get(row.subject)
-        if (
-            mark is not None
-            and row.method in methods
-            and row.fingerprint != settings.of_method(row.method, mark)
-        ):
+        if mark is not None and row.method in methods and row.fingerprint != mark:
             raise RunError(
                 f"{store.file} has rows of {row.method} on {row.subject} with other options or "
-                "another scene: name another folder, or this run's search with --method NAME=FILE"
+                "another scene: name another folder"
             )

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -43,7 +43,7 @@ class MethodResult:
     """Time until the first candidate that the search accepts [s]. If there is none, and for methods
     without a search, it equals `seconds`."""
     seconds: float | None
-    """Time of the method [s]; None if a submission does not state it."""
+    """Time of the method [s]; None for a submission."""
     rollouts: int = 0
     accepted: bool | None = None
     """Verdict of the search; None for methods without a search."""
@@ -92,13 +92,9 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
     "without_edges": AlignOptions(edges=False),
-    "without_contacts": AlignOptions(contacts=False),
     "without_final": AlignOptions(final=False),
-    "without_camera": AlignOptions(camera=False),
 }
 """Options of the alignment with the photograph in each of its ablations."""
-DIMENSIONS = {"aligned_dimensions": AlignOptions(dimensions=True)}
-"""Methods whose alignment also changes dimensions in programs."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "algorithm1": algorithm1,
@@ -108,14 +104,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-METHODS = (
-    "open_loop",
-    "aligned",
-    "aligned_dimensions",
-    "gravity",
-    "guided",
-    *SEARCHES,
-)
+METHODS = ("open_loop", "aligned", "gravity", "guided", *SEARCHES)
 """Names of all methods."""
 
 
@@ -128,14 +117,12 @@ def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
 
 
 SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
-    **dict.fromkeys(
-        ("open_loop", "aligned", "aligned_dimensions"), lambda start, o: snap_exactly(start)
-    ),
+    **dict.fromkeys(("open_loop", "aligned"), lambda start, o: snap_exactly(start)),
     "gravity": _gravity,
     "guided": lambda composed, o: settle_scene(composed, o.settle),
 }
 """Methods without a search. Objects are snapped to their supports, fall freely, or settle with
-guidance. `aligned` and `aligned_dimensions` align the scene with the photograph before."""
+guidance. `aligned` aligns the scene with the photograph before."""
 
 
 def outcome_of(
@@ -146,21 +133,19 @@ def outcome_of(
     *,
     seed: int = 0,
     warm: bool = True,
-    named: Mapping[str, RefineOptions] | None = None,
     photo: UInt8[np.ndarray, "row column 3"] | None = None,
     again: AlignOptions | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
 
     Args:
-        method: name from METHODS, or from `named`.
+        method: name from METHODS.
         start: the initial scene.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
         warm: if True, first run a search of one iteration that simulates only one candidate, so
             that the measured time does not include compilation.
-        named: options of user-named searches, by name.
         photo: the photograph, for the final alignment and for a search whose S_sem is a model's.
         again: options of the final alignment; if None, there is none.
     """
@@ -169,7 +154,7 @@ def outcome_of(
         scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
-    options = named[method] if named and method in named else SEARCHES[method](o)
+    options = SEARCHES[method](o)
     model = compile_for_search(start, options)
     if warm:
         once = options.cem.model_copy(update={"iterations": 1})
@@ -241,7 +226,6 @@ def outcomes_of(
     align: AlignOptions | None = None,
     seed: int = 0,
     warm: bool = True,
-    named: Mapping[str, RefineOptions] | None = None,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
 
@@ -254,12 +238,11 @@ def outcomes_of(
         align: options of the alignment.
         seed: random seed of the searches.
         warm: as for `outcome_of`.
-        named: as for `outcome_of`.
     """
     placed: dict[AlignOptions, LayoutEstimate] = {}
     picture = functools.cache(photo)
     for method in methods:
-        used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
+        used = EVIDENCE.get(method, align or AlignOptions())
         aligns = used.enabled and method not in UNALIGNED
         start, spent = initial.scene, 0.0
         if aligns:
@@ -275,7 +258,6 @@ def outcomes_of(
             engine,
             seed=seed,
             warm=warm,
-            named=named,
             photo=None if method in SETTLED else picture(),
             again=used if aligns else None,
         )
@@ -287,16 +269,16 @@ def outcomes_of(
         yield method, dataclasses.replace(result, **times)
 
 
-def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
+def check_methods(methods: Sequence[str], others: Sequence[str] = ()) -> None:
     """Check the names of methods.
 
     Args:
         methods: the names.
-        named: further names that are methods.
+        others: further names that are methods.
 
     Raises:
         SpecError: a name is not a method.
     """
     for method in methods:
-        if method not in (*METHODS, *named):
-            raise SpecError(f"method: {choices(method, METHODS)}")
+        if method not in (*METHODS, *others):
+            raise SpecError(f"method: {choices(method, (*METHODS, *others))}")
