@@ -4,8 +4,6 @@ Rows are kept as they come, and an interrupted run continues: see `rows`. Every 
 `n`.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -14,17 +12,7 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import ROWS, RowStore, collect, kept_rows, plain
-
-
-@contextmanager
-def _store(o: suites.SceneSet | suites.Tasks, config: Config) -> Iterator[RowStore]:
-    """Yield the rows of the folder `out`, or those that are kept until the run has finished."""
-    if o.out is not None:
-        yield RowStore(o.out / ROWS)
-        return
-    with kept_rows(o, config) as store:
-        yield store
+from .rows import RowStore, collect, kept_rows, plain
 
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
@@ -37,10 +25,11 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
     scenes = chosen_scenes(o.scenes)
     if o.submission is not None:
-        return scene_summary(collect(submission_rows(scenes, o.submission, settings)))
-    with _store(o, config) as store:
+        rows = collect(submission_rows(scenes, o.submission, settings))
+        return {**scene_summary(rows), "rows": plain(rows)}
+    with kept_rows(o, config) as store:
         rows = run_methods(scenes, o.method, settings, starts=o.starts, place=o.place, store=store)
-    return scene_summary(rows)
+    return {**scene_summary(rows), "rows": plain(rows)}
 
 
 def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
@@ -52,9 +41,9 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
 
     settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
     tasks = find_tasks(o.task)
-    with _store(o, config) as store:
+    with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
-    return task_summary(rows)
+    return {**task_summary(rows), "rows": plain(rows)}
 
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
@@ -102,7 +91,6 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
         EngineTask(
             engine=engine,
             population=population,
-            devices=devices,
             early_stop=o.early_stop,
             duration_s=o.duration,
             seed=o.seed,
@@ -110,7 +98,6 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
         )
         for engine in o.engine
         for population in o.population
-        for devices in (o.devices if engine == "mjx" and o.devices else (0,))
     ]
     scenes = {name: case(name).scene for name in o.scenes}
     jobs = {name: partial(engine_rows, name, scene, tasks) for name, scene in scenes.items()}

@@ -103,8 +103,6 @@ class SceneSet(NoisyRuns):
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
     joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
     programs."""
-    out: Path | None = None
-    """Folder of the rows; rows that it already contains are not run again."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
     scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md)."""
@@ -123,8 +121,6 @@ class Tasks(NoisyRuns):
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
     """
-    out: Path | None = None
-    """Folder of the rows; rows that it already contains are not run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +178,6 @@ class Engines:
     """Engines; the row of an engine that cannot run here gives the reason."""
     population: tuple[int, ...] = (1024,)
     """Numbers of candidates."""
-    devices: tuple[int, ...] = ()
-    """Numbers of devices of engine mjx; all by default. On a CPU they are simulated."""
     early_stop: bool = False
     """Stop candidates that have moved too far, as the search does."""
     duration: float = 1.0

@@ -8,8 +8,6 @@ import numpy as np
 from jaxtyping import UInt8
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
-from neoworld_mjx.errors import RunError
-from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
@@ -42,8 +40,6 @@ class MethodRow(Row):
     """True if the initial scene is in the evaluation half."""
     method: str
     rollouts: int
-    fingerprint: str
-    """Hash of the ground truth, the noise and the options."""
 
     @property
     def subject(self) -> str:
@@ -66,7 +62,7 @@ R = TypeVar("R", bound=MethodRow)
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of a run on which its rows depend."""
+    """Settings of a run."""
 
     seed: int
     """Seed of the noise and of the searches."""
@@ -74,11 +70,6 @@ class RunSettings:
     """Options of the search and of the final check."""
     compose: ComposeOptions
     noise: NoiseLevel
-
-    def fingerprint(self, *parts: Any) -> str:
-        """Return the hash of JSON values, the noise and the options."""
-        options = (o.model_dump(mode="json") for o in (self.refine, self.compose))
-        return content_hash([self.noise, *parts, *options])[:16]
 
 
 @dataclass(frozen=True)
@@ -90,7 +81,6 @@ class MethodJob:
     methods: tuple[str, ...]
     settings: RunSettings
     threads: int
-    fingerprint: str
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Add noise to the exact response for the ground truth, and compose the initial scene.
@@ -110,8 +100,6 @@ class MethodJob:
         methods: Sequence[str],
         initial: InitialScene,
         photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
-        *,
-        warm: bool = True,
     ) -> Iterator[tuple[str, MethodResult]]:
         """Run methods from the initial scene, and yield each name with its result.
 
@@ -119,7 +107,6 @@ class MethodJob:
             methods: names of the methods.
             initial: the initial scene with its programs.
             photo: function that returns the photograph.
-            warm: True to compile before the times are measured.
         """
         s = self.settings
         return outcomes_of(
@@ -130,7 +117,6 @@ class MethodJob:
             photo,
             align=s.compose.align,
             seed=s.seed,
-            warm=warm,
         )
 
     def columns(self, method: str, errors: NoiseLog) -> dict[str, Any]:
@@ -142,7 +128,6 @@ class MethodJob:
             "seed": self.settings.seed,
             "evaluation": is_evaluation(self.start),
             "method": method,
-            "fingerprint": self.fingerprint,
         }
 
 
@@ -150,7 +135,6 @@ def run_jobs(
     work: Callable[[MethodJob], Iterable[R]],
     row_type: type[R],
     *,
-    fingerprints: Mapping[str, str],
     starts: Mapping[str, Sequence[int]],
     methods: Sequence[str],
     settings: RunSettings,
@@ -162,65 +146,31 @@ def run_jobs(
     Args:
         work: module-level function that yields the rows of a job.
         row_type: type of the rows.
-        fingerprints: fingerprint of each subject.
         starts: numbers of each subject's initial scenes.
         methods: names of the methods.
         settings: settings of the run.
         place: where the jobs run.
-        store: stored rows, to which new ones are added. If None, rows are not stored.
+        store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Returns:
-        All requested rows, including stored ones, sorted by key.
+        All rows, including stored ones, sorted by key.
 
     Raises:
-        RunError: a file cannot be written, a requested method has rows of other options or scenes,
-            there are rows of another noise level, or a process died.
+        RunError: a file cannot be written, or a process died.
     """
     check_place(place)
     store = store or RowStore(None)
     rows = {row.key: row for row in store.of(row_type)}
-    _check_rows(rows.values(), store, methods, settings, fingerprints)
     jobs = []
-    for subject, fingerprint in fingerprints.items():
-        for start in starts[subject]:
+    for subject, numbers in starts.items():
+        for start in numbers:
             missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in rows)
             if missing:
-                job = MethodJob(subject, start, missing, settings, place.threads, fingerprint)
-                jobs.append(job)
+                jobs.append(MethodJob(subject, start, missing, settings, place.threads))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
     for row in run_tasks(work, jobs, place):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
         rows[row.key] = row
-    requested = (
-        row
-        for row in rows.values()
-        if row.subject in starts
-        and row.start in starts[row.subject]
-        and row.seed == settings.seed
-        and row.method in methods
-    )
-    return sorted(requested, key=lambda row: row.key)
-
-
-def _check_rows(
-    rows: Iterable[MethodRow],
-    store: RowStore,
-    methods: Sequence[str],
-    settings: RunSettings,
-    fingerprints: Mapping[str, str],
-) -> None:
-    """Check that stored rows have the noise level and the options of this run."""
-    for row in rows:
-        if row.noise != settings.noise:
-            raise RunError(
-                f"{store.file} has rows of --noise {row.noise}: name another folder for --noise "
-                f"{settings.noise}"
-            )
-        mark = fingerprints.get(row.subject)
-        if mark is not None and row.method in methods and row.fingerprint != mark:
-            raise RunError(
-                f"{store.file} has rows of {row.method} on {row.subject} with other options or "
-                "another scene: name another folder"
-            )
+    return sorted(rows.values(), key=lambda row: row.key)

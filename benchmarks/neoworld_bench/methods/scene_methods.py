@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import equinox as eqx
-import jax
 import mujoco
 import numpy as np
 from jaxtyping import UInt8
@@ -18,10 +16,7 @@ from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merge
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.physics.colliders import snap_exactly, start_state
-from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
-from neoworld_mjx.physics.guidance import Guidance
-from neoworld_mjx.physics.layout import Poses
-from neoworld_mjx.physics.model import SceneModel
+from neoworld_mjx.physics.engine import Engine
 from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
 from neoworld_mjx.refinement.finishing import compile_for_search
@@ -132,7 +127,6 @@ def outcome_of(
     engine: Engine,
     *,
     seed: int = 0,
-    warm: bool = True,
     photo: UInt8[np.ndarray, "row column 3"] | None = None,
     again: AlignOptions | None = None,
 ) -> MethodResult:
@@ -144,8 +138,6 @@ def outcome_of(
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
-        warm: if True, first run a search of one iteration that simulates only one candidate, so
-            that the measured time does not include compilation.
         photo: the photograph, for the final alignment and for a search whose S_sem is a model's.
         again: options of the final alignment; if None, there is none.
     """
@@ -156,11 +148,6 @@ def outcome_of(
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = SEARCHES[method](o)
     model = compile_for_search(start, options)
-    if warm:
-        once = options.cem.model_copy(update={"iterations": 1})
-        quick = options.model_copy(update={"cem": once})
-        single = SingleCandidateEngine(engine)
-        refine_placed(start, quick, seed=seed, engine=single, photo=photo, model=model)
     began = time.perf_counter()
     placed = refine_placed(
         start, options, seed=seed, engine=engine, photo=photo, again=again, model=model
@@ -179,43 +166,6 @@ def outcome_of(
     )
 
 
-class SingleCandidateEngine:
-    """An engine that simulates only the first candidate and copies its result to all others.
-
-    A search with this engine compiles the same functions as a search with the wrapped engine, at
-    little cost.
-    """
-
-    name = "one for all"
-
-    def __init__(self, engine: Engine) -> None:
-        """Wrap an engine."""
-        self.engine = engine
-
-    def rollout(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        duration: float = 1.0,
-        record_every: float = 0.1,
-        early_stop: EarlyStop | None = None,
-        guidance: Guidance | None = None,
-    ) -> Rollout:
-        """Simulate one candidate; see `Engine.rollout`."""
-        single = self.engine.rollout(
-            scene,
-            poses[:1],
-            duration=duration,
-            record_every=record_every,
-            early_stop=early_stop,
-            guidance=guidance,
-        )
-        repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
-        copies = jax.tree.map(repeated, single)
-        return eqx.tree_at(lambda r: (r.time, r.start), copies, (single.time, poses))
-
-
 def outcomes_of(
     methods: Sequence[str],
     initial: InitialScene,
@@ -225,7 +175,6 @@ def outcomes_of(
     *,
     align: AlignOptions | None = None,
     seed: int = 0,
-    warm: bool = True,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
 
@@ -237,7 +186,6 @@ def outcomes_of(
         photo: function that returns the photograph; called if a method needs the photograph.
         align: options of the alignment.
         seed: random seed of the searches.
-        warm: as for `outcome_of`.
     """
     placed: dict[AlignOptions, LayoutEstimate] = {}
     picture = functools.cache(photo)
@@ -257,7 +205,6 @@ def outcomes_of(
             o,
             engine,
             seed=seed,
-            warm=warm,
             photo=None if method in SETTLED else picture(),
             again=used if aligns else None,
         )

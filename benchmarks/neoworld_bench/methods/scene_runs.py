@@ -167,7 +167,7 @@ def run_scenes(
         settings: settings of the run.
         starts: number of initial scenes of each scene.
         place: where the methods run.
-        store: stored rows, to which new ones are added. If None, rows are not stored.
+        store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
         SpecError: a method is unknown.
@@ -177,9 +177,6 @@ def run_scenes(
     return run_jobs(
         scene_rows,
         SceneRow,
-        fingerprints={
-            name: settings.fingerprint(declaration(name).model_dump(mode="json")) for name in scenes
-        },
         starts=dict.fromkeys(scenes, range(starts)),
         methods=methods,
         settings=settings,
@@ -212,7 +209,7 @@ def submission_rows(
     method = submission_name(folder)
     for name in scenes:
         truth = photographed(declaration(name))
-        job = MethodJob(name, 0, (method,), settings, 1, "")
+        job = MethodJob(name, 0, (method,), settings, threads=1)
         result = submitted(folder, truth, settings.refine)
         yield _row(job, method, result, truth, None, NoiseLog())
 

@@ -312,9 +312,9 @@ def scene_of_method(
     """Return the scene that a method reconstructs from a noisy response, at the task's place."""
     if method == TRUTH:
         return task.scene
-    job = MethodJob(task.name, start, (method,), settings, threads=1, fingerprint="")
+    job = MethodJob(task.name, start, (method,), settings, threads=1)
     initial = job.initial(photo.scene, f"task/{task.name}", NoiseLog())
-    outcomes = job.outcomes((method,), initial, lambda: photograph(photo.scene), warm=False)
+    outcomes = job.outcomes((method,), initial, lambda: photograph(photo.scene))
     return photo.back(dict(outcomes)[method].scene)
 
 

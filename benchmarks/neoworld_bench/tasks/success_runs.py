@@ -29,7 +29,7 @@ from .execution import Outcome, execute
 from .plan_format import TaskPlan
 from .predicates import Predicate
 from .task import ManipulationTask
-from .task_scenes import VIEW, TaskPhoto, photographed_task
+from .task_scenes import TaskPhoto, photographed_task
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def run_successes(
         settings: of the run.
         starts: number of initial scenes of each task.
         place: where they run.
-        store: stored rows, to which new ones are added. If None, rows are not stored.
+        store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
         SpecError: a method is unknown.
@@ -196,13 +196,6 @@ def run_successes(
     return run_jobs(
         success_rows,
         SuccessRow,
-        fingerprints={
-            task.name: settings.fingerprint(
-                VIEW,
-                *(p.model_dump(mode="json") for p in (task.scene, task.predicate, task.plan)),
-            )
-            for task in tasks
-        },
         starts={task.name: range(starts) for task in tasks},
         methods=methods,
         settings=settings,
@@ -229,7 +222,7 @@ def success_rows(job: MethodJob) -> Iterator[SuccessRow]:
     while initial is not None and remaining:
         picture = lambda: photograph(photo.scene)
         try:
-            for method, result in job.outcomes(tuple(remaining), initial, picture, warm=False):
+            for method, result in job.outcomes(tuple(remaining), initial, picture):
                 remaining.remove(method)
                 yield row(method, (photo, initial.scene, result))
         except Exception as error:
