@@ -81,11 +81,6 @@ COMPONENTS = (
         "uv sync --inexact --extra baselines",
     ),
     Component(
-        *("extra metrics", _installed("onnxruntime")),
-        "bench run pictures measures only SSIM, not LPIPS, CLIP, DINOv2 or Uni3D",
-        "uv sync --inexact --extra metrics",
-    ),
-    Component(
         *("extra plot", _installed("matplotlib")),
         "sweeps draw no figure",
         "uv sync --inexact --extra plot",

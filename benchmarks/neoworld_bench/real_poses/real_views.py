@@ -1,7 +1,7 @@
 """Scores of run folders against the views of a data set with true poses.
 
-RUNS/NAME/composed.json | compose/scene.json     composed; aligned if compose/align.json is there
-RUNS/NAME/aligned.json, RUNS/NAME/scene.json     aligned, and refined
+RUNS/NAME/compose/scene.json     composed; aligned if compose/align.json is there
+RUNS/NAME/scene.json             refined
 """
 
 from collections.abc import Iterator, Sequence
@@ -167,13 +167,6 @@ def _pose_columns(
     }
 
 
-STAGES = (
-    ("composed", "composed.json"),
-    ("composed", "compose/scene.json"),
-    ("aligned", "aligned.json"),
-    ("refined", "scene.json"),
-)
-"""Stage of a run and its file; of several files of a stage the first counts."""
 ALIGNED = "compose/align.json"
 MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou")
 
@@ -226,12 +219,9 @@ def run_stages(folder: Path) -> Iterator[MadeView]:
     Raises:
         SpecError: a scene cannot be read.
     """
-    stages = set()
-    for stage, file in STAGES:
-        if file.startswith("compose/") and (folder / ALIGNED).is_file():
-            stage = "aligned"
-        if stage not in stages and (folder / file).is_file():
-            stages.add(stage)
+    first = "aligned" if (folder / ALIGNED).is_file() else "composed"
+    for stage, file in ((first, "compose/scene.json"), ("refined", "scene.json")):
+        if (folder / file).is_file():
             yield MadeView(stage, read_scene(folder / file))
 
 
