@@ -1,10 +1,9 @@
-"""Tasks planned in a reconstruction, and executed there and in the ground truth.
+"""Task success of methods: tasks planned in reconstructions, and executed there and in the truth.
 
-Task success of methods: each task is reconstructed from noisy initial scenes, planned there and
-executed. As in the scene benchmark, the ground-truth scene is photographed, a noisy response is
-composed, and a method turns it into a layout. A row reports whether the plan made in this layout
-solves the task in the ground truth. The method `truth` is the ground truth itself: its rows report
-whether the reference plans succeed.
+As in the scene benchmark, the ground-truth scene is photographed, a noisy response is composed, and
+a method turns it into a layout. A row reports whether the plan made in this layout solves the task
+in the ground truth. The method `truth` is the ground truth itself: its rows report whether the
+reference plans succeed.
 """
 
 import time
