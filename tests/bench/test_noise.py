@@ -324,7 +324,7 @@ def test_dimension_noise_makes_edges_wrong_and_leaves_a_program_that_builds_them
         signs |= {tuple(np.sign(np.array(ratios) - 1))}
         same = values[1]["depth"] == values[1]["width"]
         assert not same or values[0]["depth"] == values[0]["width"]
-        programs = editable({item.name: wrong}, lambda changed: None)
+        programs = editable({item.name: wrong})
         assert programs.build(item.name, wrong.text) == wrong.spec
         assert programs.check(item.name, wrong.text) == ""
         assert programs.build(item.name, wrong.text + "depth = ") != wrong.spec
